@@ -1,0 +1,50 @@
+"""The camera model that every part of MGSR uses: an undistorted pinhole with OpenCV axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    K: [3,3] float64, pixels; pixel centres at +0.5, so the image spans [0,width] x [0,height]. No skew;
+    fx and fy may differ and the principal point may lie anywhere.
+    cam_from_world: [4,4] float64, rigid, OpenCV axes (x right, y down, z forward).
+    """
+
+    K: np.ndarray
+    cam_from_world: np.ndarray
+    width: int
+    height: int
+
+    @property
+    def center(self) -> np.ndarray:
+        """The camera's position in the world, [3]."""
+        rotation, translation = self.cam_from_world[:3, :3], self.cam_from_world[:3, 3]
+        return -rotation.T @ translation
+
+    @property
+    def world_from_cam(self) -> np.ndarray:
+        """The inverse pose, [4,4]."""
+        pose = np.eye(4)
+        pose[:3, :3] = self.cam_from_world[:3, :3].T
+        pose[:3, 3] = self.center
+        return pose
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with its image sampled at another size."""
+        K = self.K.copy()
+        K[0] *= width / self.width
+        K[1] *= height / self.height
+        return replace(self, K=K, width=width, height=height)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixel coordinates [P,2] and camera depths [P] of world points [P,3]; only depths > 0 are in front."""
+        local = points @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
+        depth = local[:, 2]
+        safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
+        return local[:, :2] / safe[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth

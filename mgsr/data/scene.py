@@ -1,0 +1,79 @@
+"""What a reader hands to the rest of MGSR: views with images and cameras, in one normalised frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+
+
+@dataclass(frozen=True)
+class View:
+    """One photograph: name (unique, without extension), camera, image [H,W,3] uint8 sRGB (straight, not
+    premultiplied) and alpha [H,W] uint8 (255 is the object), or None without a mask."""
+
+    name: str
+    camera: Camera
+    image: np.ndarray
+    alpha: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """user = scale * scene + offset: takes points of the normalised frame back to the user's. Axes are kept."""
+
+    scale: float = 1.0
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def to_user(self, points: np.ndarray) -> np.ndarray:
+        """Points [P,3] of the normalised frame, in the user's frame."""
+        return points * self.scale + self.offset
+
+    def to_scene(self, points: np.ndarray) -> np.ndarray:
+        """Points [P,3] of the user's frame, in the normalised frame."""
+        return (points - self.offset) / self.scale
+
+    def camera_to_user(self, camera: Camera) -> Camera:
+        """The camera with its pose in the user's frame."""
+        pose = camera.cam_from_world.copy()
+        pose[:3, 3] = self.scale * pose[:3, 3] - pose[:3, :3] @ self.offset
+        return Camera(camera.K, pose, camera.width, camera.height)
+
+    def camera_to_scene(self, camera: Camera) -> Camera:
+        """The camera of the user's frame with its pose in the normalised frame."""
+        pose = camera.cam_from_world.copy()
+        pose[:3, 3] = (pose[:3, 3] + pose[:3, :3] @ self.offset) / self.scale
+        return Camera(camera.K, pose, camera.width, camera.height)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """Points [P,3] float64 in the scene's frame and their colours [P,3] uint8 sRGB."""
+
+    positions: np.ndarray
+    colors: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A capture in its normalised frame: the object (or what the cameras look at) lies in the unit ball.
+
+    user_from_scene takes results back to the frame and scale of the input files.
+    format names the reader; root is the folder that was read (also for an archive: its unpacked folder).
+    """
+
+    name: str
+    root: Path
+    format: str
+    train: list[View]
+    test: list[View]
+    points: PointCloud | None
+    user_from_scene: Similarity
+
+    @property
+    def masked(self) -> bool:
+        """Whether every training view has a mask."""
+        return all(view.alpha is not None for view in self.train)

@@ -1,0 +1,49 @@
+"""The errors that MGSR raises. Each message names the thing, what was expected, what came, and what to do."""
+
+
+class MgsrError(Exception):
+    """Anything that MGSR refuses or can't do; its text is meant for the person who runs it."""
+
+    code = "error"
+
+
+class SceneError(MgsrError):
+    """The input capture can't be used: a missing file, a bad pose, too few views."""
+
+    code = "bad_scene"
+
+
+class ConfigError(MgsrError, ValueError):
+    """An option doesn't exist or its value is out of range."""
+
+    code = "bad_option"
+
+
+class TensorError(MgsrError, ValueError):
+    """An argument has the wrong shape, dtype, device or range."""
+
+    code = "bad_tensor"
+
+
+class CheckpointError(MgsrError):
+    """A checkpoint can't be read or belongs to another scene or configuration."""
+
+    code = "bad_checkpoint"
+
+
+class TrainingError(MgsrError):
+    """Training can't go on."""
+
+    code = "training_failed"
+
+
+class MeshError(MgsrError):
+    """No usable surface came out; the text says why."""
+
+    code = "empty_mesh"
+
+
+class Cancelled(MgsrError):
+    """The caller asked to stop; a checkpoint was written first."""
+
+    code = "cancelled"

@@ -1,0 +1,84 @@
+// One vector type for every variant, written with the compiler's vector extensions: 4, 8 or 16 floats.
+// A file that includes this is compiled once for each variant, with MGSR_ISA as the namespace of its code.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace mgsr {
+namespace MGSR_ISA {
+
+#if defined(MGSR_ISA_avx512)
+constexpr int kWidth = 16;
+#elif defined(MGSR_ISA_avx2)
+constexpr int kWidth = 8;
+#else
+constexpr int kWidth = 4;
+#endif
+
+typedef float vfloat __attribute__((vector_size(kWidth * 4)));
+typedef int32_t vint __attribute__((vector_size(kWidth * 4)));
+
+inline vfloat splat(float x) { return x - vfloat{}; }
+
+inline vfloat load(const float* p) {
+  vfloat v;
+  std::memcpy(&v, p, sizeof(v));
+  return v;
+}
+
+inline void store(float* p, vfloat v) { std::memcpy(p, &v, sizeof(v)); }
+
+inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
+inline vfloat min(vfloat a, vfloat b) { return a < b ? a : b; }
+inline vfloat max(vfloat a, vfloat b) { return a > b ? a : b; }
+
+// a where mask, else 0.
+inline vfloat keep(vint mask, vfloat a) { return (vfloat)((vint)a & mask); }
+
+inline bool any(vint mask) {
+#if defined(MGSR_ISA_avx512)
+  return _mm512_test_epi32_mask((__m512i)mask, (__m512i)mask) != 0;
+#elif defined(MGSR_ISA_avx2)
+  return _mm256_movemask_ps((__m256)mask) != 0;
+#elif defined(__SSE2__)
+  return _mm_movemask_ps((__m128)mask) != 0;
+#else
+  int32_t bits = 0;
+  for (int i = 0; i < kWidth; ++i) bits |= mask[i];
+  return bits != 0;
+#endif
+}
+
+inline float sum(vfloat v) {
+  float s[kWidth];
+  store(s, v);
+  for (int half = kWidth / 2; half > 0; half /= 2)
+    for (int i = 0; i < half; ++i) s[i] += s[i + half];
+  return s[0];
+}
+
+// 2^x for x <= 0 (values under -126 give 0); largest relative error 2e-7 (polynomial of degree 6 on [-0.5, 0.5]).
+inline vfloat exp2_nonpositive(vfloat x) {
+  const vfloat clamped = max(x, splat(-126.0f));
+  const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
+  const vfloat shifted = clamped + shifter;
+  const vfloat f = clamped - (shifted - shifter);
+  vfloat p = splat(1.5403530e-4f);
+  p = p * f + 1.33335581e-3f;
+  p = p * f + 9.61812911e-3f;
+  p = p * f + 5.55041087e-2f;
+  p = p * f + 2.40226507e-1f;
+  p = p * f + 6.93147181e-1f;
+  p = p * f + 1.0f;
+  // The rounded integer sits in the low bits of `shifted`; moved into the exponent field it scales by 2^n.
+  const vfloat scaled = (vfloat)((vint)p + ((vint)shifted << 23));
+  return keep(x > splat(-126.0f), scaled);
+}
+
+}  // namespace MGSR_ISA
+}  // namespace mgsr

@@ -1,0 +1,31 @@
+"""Settings of the native kernels that hold for all families at once."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from mgsr.errors import ConfigError
+from mgsr.native import _adam, _harmonics, _image, _surfels, _volumes
+
+FAMILIES: tuple[ModuleType, ...] = (_volumes, _surfels, _image, _harmonics, _adam)
+
+
+def set_threads(n: int) -> None:
+    """Let the kernels use ``n`` threads; 0 means all processors of this process. Results don't depend on it."""
+    if n < 0:
+        raise ConfigError(f"threads: expected 0 (all processors) or more, got {n}")
+    for family in FAMILIES:
+        family.set_threads(n)
+
+
+def isas() -> list[str]:
+    """The compiled variants that this processor runs, fastest first: of avx512, avx2, baseline."""
+    return list(_image.isas())
+
+
+def set_isa(name: str) -> None:
+    """Use one compiled variant in all families. Results differ between variants by rounding only."""
+    if name not in isas():
+        raise ConfigError(f"isa: expected one of {', '.join(isas())}, got {name}")
+    for family in FAMILIES:
+        family.set_isa(name)

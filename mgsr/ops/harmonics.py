@@ -1,0 +1,57 @@
+"""Colour of splats from spherical harmonics, as the camera sees them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch.autograd.function import once_differentiable
+
+from mgsr.checks import check_tensors
+from mgsr.errors import TensorError
+from mgsr.native import _harmonics
+from mgsr.ops.arrays import host
+
+
+def harmonics_to_rgb(
+    coeffs: torch.Tensor, means: torch.Tensor, camera_center: torch.Tensor, degree: int
+) -> torch.Tensor:
+    """Colours [N, 3] = max(0, SH(direction) + 0.5), direction = from the camera to the splat, unit.
+
+    coeffs: [N, K, 3], K = 1, 4, 9 or 16; gradients flow (zero for bands above ``degree``).
+    means: [N, 3], world; gradients flow. camera_center: [3], world; no gradient.
+    degree: highest band used, 0..3, at most sqrt(K) - 1.
+
+    A channel that was cut at 0 passes no gradient. A splat at the camera's centre has the zero direction. A NaN in a
+    splat's numbers makes its own colour NaN and no other's.
+
+    Raises TensorError for wrong shapes, dtypes or a degree that K does not hold.
+    Source: the basis of 3DGS files (real harmonics with the Condon-Shortley phase, in the order y, z, x).
+    """
+    check_tensors(coeffs=(coeffs, "N K 3"), means=(means, "N 3"), camera_center=(camera_center, "3"))
+    stored = coeffs.shape[1]
+    if stored not in (1, 4, 9, 16):
+        raise TensorError(f"coeffs: expected [N, K, 3] with K = 1, 4, 9 or 16, got K = {stored}")
+    if not 0 <= degree <= 3 or (degree + 1) ** 2 > stored:
+        raise TensorError(f"degree: expected 0..{round(stored**0.5) - 1} for K = {stored}, got {degree}")
+    return _Harmonics.apply(coeffs, means, camera_center, degree)
+
+
+class _Harmonics(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
+        coeffs, means, center = host(coeffs), host(means), host(center)
+        rgb = torch.empty_like(means)
+        _harmonics.forward(coeffs, means, center, degree, rgb)
+        ctx.save_for_backward(coeffs, means, center, rgb)
+        ctx.degree = degree
+        return rgb
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None, None, None]:
+        coeffs, means, center, rgb = ctx.saved_tensors
+        v_coeffs = torch.empty_like(coeffs)
+        v_means = torch.empty_like(means) if ctx.needs_input_grad[1] else None
+        _harmonics.backward(coeffs, means, center, ctx.degree, host(rgb), host(v_rgb), v_coeffs, v_means)
+        return v_coeffs, v_means, None, None

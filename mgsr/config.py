@@ -1,9 +1,19 @@
-"""Every setting with its default, unit and meaning. Only the command line, the service and the worker build these."""
+"""Every setting with its default, unit and meaning. Only the command line, the service and the worker build these.
+
+`make_config` puts a run's settings together: the defaults below, then the preset's row of PRESETS, then the method's
+row of METHODS, then the caller's ``key=value`` overrides. ABLATIONS has the paper's rows as such overrides.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import difflib
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+from mgsr.errors import ConfigError
 
 
 class Masks(StrEnum):
@@ -28,16 +38,394 @@ class MeshConfig:
     """How the surface is taken from the 2D branch."""
 
 
+class Branches(StrEnum):
+    """Which branches are trained. With one alone the mutual phase goes on with that branch's own loss."""
+
+    BOTH = "both"
+    SURFELS = "surfels"
+    VOLUMES = "volumes"
+
+
+class StopRule(StrEnum):
+    """When a warm-up ends before its iterations are spent.
+
+    epoch: the mean loss over all views hardly falls from one span of epochs to the next. held_back: the PSNR of a
+    few training views that the warm-up never sees stops rising. paper: the last 100 losses lie within a range
+    (they come from different views, so this compares unlike things). none: never.
+    """
+
+    EPOCH = "epoch"
+    HELD_BACK = "held_back"
+    PAPER = "paper"
+    NONE = "none"
+
+
+class Teaching(StrEnum):
+    """Which branch the two mutual losses change: both, or (Model K) only the one that is being taught."""
+
+    BOTH_WAYS = "both_ways"
+    ONE_WAY = "one_way"
+
+
+class DepthUnit(StrEnum):
+    """What divides both depths in the mutual depth loss: the camera's distance from the scene's centre, which is the
+    same in every iteration, or the 3D depth's maximum (the paper's, which one far floater changes)."""
+
+    DISTANCE = "distance"
+    MAXIMUM = "maximum"
+
+
+class SurfaceDepth(StrEnum):
+    """Which depth of the 2D branch is the surface: the blend's mean, or where half the light is gone."""
+
+    EXPECTED = "expected"
+    MEDIAN = "median"
+
+
+class Background(StrEnum):
+    """What lies behind the splats in training. auto: random where there are masks, else white."""
+
+    AUTO = "auto"
+    RANDOM = "random"
+    WHITE = "white"
+    BLACK = "black"
+
+
+class AlphaLoss(StrEnum):
+    """How the rendered alpha is compared with the mask: mean absolute difference, or binary cross-entropy."""
+
+    L1 = "l1"
+    BCE = "bce"
+
+
+@dataclass(frozen=True)
+class RatesConfig:
+    """Learning rates, a step of Adam each; all fade exponentially over the whole run."""
+
+    position: float = 1.6e-4  # times the scene's extent, at the start
+    position_end: float = 1.6e-6  # times the scene's extent, at the end
+    sh: float = 2.5e-3  # the constant term of colour
+    sh_rest: float = 1.25e-4  # the direction-dependent terms
+    opacity: float = 5e-2
+    weight: float = 5e-2  # the reflection weight's logit
+    scale: float = 5e-3  # log-scale
+    rotation: float = 1e-3
+    final: float = 1.0  # factor that every rate but the position's has reached at the end
+    beta1: float = 0.9
+    beta2: float = 0.999
+    eps: float = 1e-15
+
+
+@dataclass(frozen=True)
+class DensifyConfig:
+    """Clone, split and prune on the screen-space gradient (3DGS, section 5)."""
+
+    gradient_threshold: float = 2e-4  # mean gradient of the loss per half image side (so independent of image size)
+    every: int = 100  # iterations
+    start: float = 0.05  # fraction of the warm-up
+    stop: float = 0.75  # fraction of the warm-up
+    mutual_stop: float = 0.0  # fraction of the mutual phase; 0 is never in it
+    reset_every: int | None = None  # iterations between opacity resets (a multiple of `every`); none is never
+    reset_opacity: float = 0.01  # a reset lowers opacities to this
+    prune_opacity: float = 0.05  # splats under this go
+    split_above: float = 0.01  # splats longer than this times the extent are split, shorter ones cloned
+    split_shrink: float = 1.6  # a split divides the scales by this
+    prune_above: float = 0.1  # splats longer than this times the extent go
+    max_count: int = 40_000  # splats; densification stops adding there
+
+
+@dataclass(frozen=True)
+class SurfelConfig:
+    """The 2D branch: the surface."""
+
+    sh_degree: int = 3
+    max_start: int = 20_000  # splats; more starting points are thinned to this, by the seed
+    start_opacity: float = 0.1
+    start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
+    depth: SurfaceDepth = SurfaceDepth.EXPECTED
+    normal_weight: float = 0.05  # lambda_3: rendered normal against the depth's, times normal_tv_weight too
+    normal_tv_weight: float = 1.0  # lambda_4
+    depth_tv_weight: float = 1.0  # lambda_5
+    distortion_weight: float = 0.0  # 2DGS's; the method has none
+    alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
+    regularise_from: float = 0.0  # fraction of the warm-up after which lambda_3 to lambda_5 count
+    rates: RatesConfig = field(default_factory=RatesConfig)
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+
+
+@dataclass(frozen=True)
+class VolumeConfig:
+    """The 3D branch: rendering and the light split."""
+
+    split: bool = True  # off: no reflected half (3DGS)
+    sh_degree: int = 1  # of the transmitted colour; low, so that it can't hold highlights (a flash is degree 1)
+    reflected_sh_degree: int = 3
+    max_start: int = 20_000  # splats; more starting points are thinned to this, by the seed
+    start_opacity: float = 0.1
+    start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
+    start_weight: float = 0.1  # beta; must lie inside (0, 1)
+    start_reflected: float = 0.5  # grey of the reflected colour, 0..1
+    transmitted_tv_weight: float = 1.0  # lambda_2; the published program has 0.1
+    depth_tv_weight: float = 0.0  # the published program has 0.05
+    alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
+    rates: RatesConfig = field(default_factory=RatesConfig)
+    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005))
+
+
+@dataclass(frozen=True)
+class WarmupConfig:
+    """Each branch alone (supplement, Algorithm 1)."""
+
+    surfel_iterations: int = 2500  # at most
+    volume_iterations: int = 2500  # at most
+    stop_rule: StopRule = StopRule.EPOCH
+    stop_after: float = 0.75  # fraction of the iterations before which no branch stops
+    epoch_span: int = 3  # epochs that are averaged and compared with as many before them
+    epoch_gain: float = 0.01  # relative fall of the loss under which a branch has converged
+    held_back_views: int = 3  # training views kept out of the warm-up under the rule held_back
+    held_back_every: int = 100  # iterations between looks at them
+    held_back_patience: int = 4  # looks without a gain
+    held_back_gain: float = 0.05  # dB
+    paper_range: float = 0.01  # of the last 100 losses
+
+
+@dataclass(frozen=True)
+class MutualConfig:
+    """Both branches teach each other (supplement, Algorithm 2)."""
+
+    iterations: int = 3000
+    iterations_factor: float = 1.0  # times `iterations`; Models G to J
+    surfel_weight: float = 0.5  # of L_2D in the total
+    volume_weight: float = 0.5  # of L_3D in the total
+    depth_weight: float = 0.01  # of L_depth in the total
+    photo_weight: float = 0.5  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
+    teaching: Teaching = Teaching.BOTH_WAYS
+    depth_unit: DepthUnit = DepthUnit.DISTANCE
+
+
+@dataclass(frozen=True)
+class WatchConfig:
+    """How often the loop looks up from its work; none of it changes the result."""
+
+    report_every: int = 50  # iterations between progress reports
+    curve_every: int = 250  # iterations between rows of the curve
+    curve_views: int = 2  # test views that the curve is measured on; they decide nothing
+    preview_every: int | None = None  # iterations between previews; none is never
+    check_every: int = 25  # iterations between checks for non-finite numbers
+    checkpoint_every: int = 1000  # iterations between checkpoints, where a path is given
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """How the two branches are trained."""
+
+    branches: Branches = Branches.BOTH
+    l1_weight: float = 0.8  # lambda_1 on L1; the rest is on 1 - SSIM
+    tv: bool = True  # off: every TV weight counts as zero (Model N)
+    background: Background = Background.AUTO
+    alpha_loss: AlphaLoss = AlphaLoss.L1
+    sh_step: float = 0.1  # fraction of the warm-up between two rises of the SH degree
+    warmup: WarmupConfig = field(default_factory=WarmupConfig)
+    mutual: MutualConfig = field(default_factory=MutualConfig)
+    surfels: SurfelConfig = field(default_factory=SurfelConfig)
+    volumes: VolumeConfig = field(default_factory=VolumeConfig)
+    watch: WatchConfig = field(default_factory=WatchConfig)
 
 
 @dataclass(frozen=True)
 class Config:
     """One run."""
 
+    preset: str = "standard"
+    method: str = "mgsr"
     seed: int = 0
     data: DataConfig = field(default_factory=DataConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
+
+
+# What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing.
+PRESETS: dict[str, dict[str, str]] = {
+    "draft": {  # 60 seconds
+        "warmup.surfel_iterations": "500",
+        "warmup.volume_iterations": "500",
+        "mutual.iterations": "600",
+        "surfels.max_start": "8000",
+        "volumes.max_start": "8000",
+        "surfels.densify.max_count": "12000",
+        "volumes.densify.max_count": "12000",
+    },
+    "standard": {},  # 5 minutes
+    "high": {  # 20 minutes
+        "warmup.surfel_iterations": "8000",
+        "warmup.volume_iterations": "8000",
+        "mutual.iterations": "10000",
+        "surfels.densify.max_count": "60000",
+        "volumes.densify.max_count": "60000",
+    },
+}
+
+METHODS: dict[str, dict[str, str]] = {
+    "mgsr": {},
+    "2dgs": {"branches": "surfels"},
+    "3dgs": {
+        "branches": "volumes",
+        "split": "off",
+        "volumes.sh_degree": "3",
+        "transmitted_tv_weight": "0",
+    },
+}
+
+# The supplement's rows. E, I and M are the method itself; the published weights of C, D and F are not known.
+ABLATIONS: dict[str, dict[str, str]] = {
+    "A": {"branches": "volumes"},
+    "B": {"branches": "surfels"},
+    "C": {"surfel_weight": "0.25", "volume_weight": "0.75"},
+    "D": {"surfel_weight": "0.75", "volume_weight": "0.25"},
+    "E": {},
+    "F": {"mutual.depth_weight": "0.1"},
+    "G": {"iterations_factor": "0.25"},
+    "H": {"iterations_factor": "0.5"},
+    "I": {},
+    "J": {"iterations_factor": "1.5"},
+    "K": {"teaching": "one_way"},
+    "L": {"stop_rule": "none"},
+    "M": {},
+    "N": {"tv": "off"},
+}
+
+
+def make_config(
+    preset: str = "standard", method: str = "mgsr", seed: int = 0, overrides: Sequence[str] = ()
+) -> Config:
+    """One run's settings from a preset, a method and ``key=value`` overrides, applied in that order.
+
+    A key is a field's full path (``train.mutual.depth_weight``) or any part of it that names one field alone
+    (``masks``, ``surfels.densify.every``). Values are read as the field's type; ``none`` where the field allows it.
+
+    Raises ConfigError for an unknown preset, method, key or value, naming what was meant perhaps.
+    """
+    config = Config(preset=_known("preset", preset, PRESETS), method=_known("method", method, METHODS), seed=seed)
+    for row in (PRESETS[preset], METHODS[method]):
+        config = apply_overrides(config, [f"{key}={value}" for key, value in row.items()])
+    config = apply_overrides(config, overrides)
+    validate(config)
+    return config
+
+
+def ablation_overrides(row: str) -> list[str]:
+    """The ``key=value`` overrides of one ablation row, A to N. Raises ConfigError for another name."""
+    return [f"{key}={value}" for key, value in ABLATIONS[_known("ablation", row, ABLATIONS)].items()]
+
+
+def apply_overrides(config: Config, overrides: Sequence[str]) -> Config:
+    """The configuration with ``key=value`` pairs set, later ones last. Raises ConfigError (see `make_config`)."""
+    paths = field_types(config)
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {override}: expected key=value, for example masks=off")
+        path = _find_path(key.strip(), list(paths))
+        config = _replaced(config, path.split("."), _parse(path, text.strip(), paths[path]))
+    return config
+
+
+def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Dotted path and type of every plain field of a nested dataclass."""
+    hints = get_type_hints(type(config))
+    found: dict[str, Any] = {}
+    for item in fields(config):
+        value, path = getattr(config, item.name), prefix + item.name
+        found.update(field_types(value, path + ".") if is_dataclass(value) else {path: hints[item.name]})
+    return found
+
+
+def validate(config: Config) -> None:
+    """Raise ConfigError for values that parse but can't work together."""
+    train = config.train
+    for path in field_types(config):
+        value = _value(config, path)
+        if isinstance(value, (int, float)) and value < 0:
+            raise ConfigError(f"{path}: expected 0 or more, got {value}")
+    for path, degree in (
+        ("train.surfels.sh_degree", train.surfels.sh_degree),
+        ("train.volumes.sh_degree", train.volumes.sh_degree),
+        ("train.volumes.reflected_sh_degree", train.volumes.reflected_sh_degree),
+    ):
+        if degree > 3:
+            raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
+    for path in ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight"):
+        if not 0 < _value(config, "train." + path) < 1:
+            raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
+    for path in field_types(config):
+        if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
+            raise ConfigError(f"{path}: expected at least 1, got 0")
+
+
+def _known(kind: str, name: str, table: Mapping[str, Any]) -> str:
+    if name not in table:
+        raise ConfigError(f"{kind} {name!r}: expected one of {', '.join(table)}")
+    return name
+
+
+def _find_path(key: str, paths: list[str]) -> str:
+    """The one field that a key names: its full path, or parts of it in order that end in the field's name."""
+    if key in paths:
+        return key
+    parts = key.split(".")
+    hits = [path for path in paths if path.split(".")[-1] == parts[-1] and _in_order(parts, path.split("."))]
+    if len(hits) == 1:
+        return hits[0]
+    if hits:
+        raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
+    names = {path.split(".")[-1]: path for path in paths}
+    near = [names[name] for name in difflib.get_close_matches(parts[-1], names, n=3, cutoff=0.5)]
+    hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"
+    raise ConfigError(f"option {key!r} does not exist{hint}")
+
+
+def _in_order(parts: list[str], path: list[str]) -> bool:
+    rest = iter(path)
+    return all(part in rest for part in parts)
+
+
+def _sections(paths: list[str]) -> list[str]:
+    return sorted({path.split(".")[0] for path in paths})
+
+
+def _parse(path: str, text: str, kind: Any) -> Any:
+    """The text as a value of the field's type."""
+    if get_origin(kind) in (Union, types.UnionType):
+        if text.lower() == "none":
+            return None
+        kind = next(part for part in get_args(kind) if part is not type(None))
+    if kind is bool:
+        return _parse_switch(path, text)
+    try:
+        return kind(text)
+    except ValueError as error:
+        raise ConfigError(f"{path}: expected {_expected(kind)}, got {text!r}") from error
+
+
+def _parse_switch(path: str, text: str) -> bool:
+    switches = {"on": True, "true": True, "yes": True, "1": True, "off": False, "false": False, "no": False, "0": False}
+    if text.lower() not in switches:
+        raise ConfigError(f"{path}: expected on or off, got {text!r}")
+    return switches[text.lower()]
+
+
+def _expected(kind: Any) -> str:
+    if issubclass(kind, StrEnum):
+        return "one of " + ", ".join(kind)
+    return {int: "a whole number", float: "a number"}.get(kind, kind.__name__)
+
+
+def _replaced(node: Any, path: list[str], value: Any) -> Any:
+    head, *rest = path
+    return replace(node, **{head: _replaced(getattr(node, head), rest, value) if rest else value})
+
+
+def _value(node: Any, path: str) -> Any:
+    for part in path.split("."):
+        node = getattr(node, part)
+    return node

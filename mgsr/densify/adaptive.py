@@ -1,0 +1,105 @@
+"""Clone, split and prune (3DGS, section 5): small splats with a large screen-space gradient are doubled, large ones
+cut in two, faint and huge ones dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mgsr.config import DensifyConfig
+from mgsr.densify.state import DensifyState
+
+Parameters = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Adaptation:
+    """A new set of splats: those kept, by ascending index [M] int64, then those added (tensors as the model's)."""
+
+    kept: Tensor
+    added: Parameters
+    cloned: int
+    split: int
+    pruned: int
+
+
+def adapt(
+    parameters: Parameters,
+    state: DensifyState,
+    config: DensifyConfig,
+    extent: float,
+    generator: torch.Generator,
+    grow: bool = True,
+) -> Adaptation:
+    """The next set of splats, from the stored parameters of either branch (`model.parameters()`).
+
+    extent: the scene's, in its unit. grow: off only prunes. Neither the parameters nor the state are changed. The
+    two halves of a split are drawn from the splat itself by the generator. Deviation from 3DGS: what would pass
+    config.max_count is left out, smallest gradients first; no limit on screen size.
+    """
+    parameters = {name: tensor.detach() for name, tensor in parameters.items()}
+    longest = parameters["log_scales"].amax(dim=1).exp()
+    keep = visible_enough(parameters, config.prune_opacity) & (longest <= config.prune_above * extent)
+    pruned = int((~keep).sum())
+    nothing = keep.new_zeros(keep.shape)
+    hot = _hottest(state.mean_gradients(), keep, config) if grow else nothing
+    large = longest > config.split_above * extent
+    clone, split = hot & ~large, hot & large
+    halves = split_in_two(_rows(parameters, split), config.split_shrink, generator)
+    copies = _rows(parameters, clone)
+    return Adaptation(
+        kept=(keep & ~split).nonzero().squeeze(1),
+        added={name: torch.cat([copies[name], halves[name]]) for name in parameters},
+        cloned=int(clone.sum()),
+        split=int(split.sum()),
+        pruned=pruned,
+    )
+
+
+def visible_enough(parameters: Parameters, opacity: float) -> Tensor:
+    """Which splats [N] are at least this opaque, in either half where there are two."""
+    opacities = parameters["opacity_logits"].sigmoid()
+    if "refl_opacity_logits" in parameters:
+        opacities = torch.maximum(opacities, parameters["refl_opacity_logits"].sigmoid())
+    return opacities >= opacity
+
+
+def split_in_two(parameters: Parameters, shrink: float, generator: torch.Generator) -> Parameters:
+    """Each splat's two halves: centres drawn from its own distribution, scales divided by `shrink`."""
+    doubled = {name: torch.cat([tensor, tensor]) for name, tensor in parameters.items()}
+    scales = doubled["log_scales"].exp()
+    drawn = torch.randn(scales.shape, generator=generator) * scales
+    if drawn.shape[1] == 2:  # a surfel is flat
+        drawn = torch.nn.functional.pad(drawn, (0, 1))
+    rotations = rotation_matrices(doubled["quats"])
+    doubled["means"] = doubled["means"] + (rotations @ drawn[:, :, None]).squeeze(2)
+    doubled["log_scales"] = doubled["log_scales"] - torch.tensor(shrink).log()
+    return doubled
+
+
+def rotation_matrices(quats: Tensor) -> Tensor:
+    """Rotations [N,3,3] of quaternions [N,4] wxyz, which need not be unit."""
+    w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
+    rows = [
+        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
+        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], dim=1),
+        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1),
+    ]
+    return torch.stack(rows, dim=1)
+
+
+def _hottest(gradients: Tensor, keep: Tensor, config: DensifyConfig) -> Tensor:
+    """Which splats [N] to double: over the threshold, and the steepest ones where the count would pass its cap."""
+    hot = keep & (gradients > config.gradient_threshold)
+    room = max(0, config.max_count - int(keep.sum()))
+    if int(hot.sum()) > room:
+        order = torch.where(hot, gradients, gradients.new_tensor(-1.0)).argsort(descending=True, stable=True)
+        hot = torch.zeros_like(hot)
+        hot[order[:room]] = True
+    return hot
+
+
+def _rows(parameters: Parameters, mask: Tensor) -> Parameters:
+    return {name: tensor[mask] for name, tensor in parameters.items()}

@@ -1,0 +1,132 @@
+"""Both branches' parameters from starting points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from mgsr.config import SurfelConfig, VolumeConfig
+from mgsr.errors import TrainingError
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+
+SH_CONSTANT = 0.28209479177387814  # the spherical harmonic of degree 0
+MIN_POINTS = 4  # a spacing needs three neighbours
+
+
+def start_surfels(
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    colors: np.ndarray,
+    config: SurfelConfig,
+    generator: torch.Generator,
+) -> SurfelModel:
+    """Surfels on points: flat along the normals, as wide as the points lie apart.
+
+    positions [P,3] in the scene's frame; normals [P,3] or None (then from the neighbours' plane); colors [P,3] uint8
+    or float 0..1, sRGB. More than config.max_start points are thinned by the generator.
+
+    Raises TrainingError for fewer than four points or non-finite ones.
+    """
+    positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
+    spacing, neighbours = _neighbourhood(positions)
+    if normals is None:
+        normals = plane_normals(positions, neighbours)
+    log_scale = np.log(spacing * config.start_scale)
+    return SurfelModel(
+        means=_tensor(positions),
+        quats=_tensor(quats_from_normals(normals)),
+        log_scales=_tensor(np.repeat(log_scale[:, None], 2, axis=1)),
+        opacity_logits=torch.full((len(positions),), logit(config.start_opacity)),
+        sh=_sh(colors, config.sh_degree),
+    )
+
+
+def start_volumes(
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    colors: np.ndarray,
+    config: VolumeConfig,
+    generator: torch.Generator,
+) -> VolumeModel:
+    """Round Gaussians on points, as wide as the points lie apart; arguments and errors as in `start_surfels`."""
+    positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
+    spacing, _ = _neighbourhood(positions)
+    count = len(positions)
+    model = VolumeModel(
+        means=_tensor(positions),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        log_scales=_tensor(np.repeat(np.log(spacing * config.start_scale)[:, None], 3, axis=1)),
+        opacity_logits=torch.full((count,), logit(config.start_opacity)),
+        sh=_sh(colors, config.sh_degree),
+    )
+    if config.split:
+        model.refl_opacity_logits = model.opacity_logits.clone()
+        model.weight_logits = torch.full((count,), logit(config.start_weight))
+        model.refl_sh = _sh(np.full((count, 3), config.start_reflected), config.reflected_sh_degree)
+    return model
+
+
+def logit(probability: float) -> float:
+    """The number whose sigmoid is `probability`, which must lie inside (0, 1)."""
+    return math.log(probability / (1 - probability))
+
+
+def quats_from_normals(normals: np.ndarray) -> np.ndarray:
+    """Quaternions [P,4] wxyz of the shortest rotations that take z to the normals [P,3] (which need not be unit)."""
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    x, y, z = unit.T
+    quats = np.stack([1 + z, -y, x, np.zeros_like(x)], axis=1)
+    quats[z < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]  # straight down: any half turn about a level axis
+    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def plane_normals(positions: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """Unit normals [P,3], of either sign, of the planes through each point's neighbours (indices [P,k])."""
+    local = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(local.transpose(0, 2, 1) @ local)
+    return vectors[:, :, 0]
+
+
+def _thinned(
+    positions: np.ndarray,
+    normals: np.ndarray | None,
+    colors: np.ndarray,
+    limit: int,
+    generator: torch.Generator,
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    """At most `limit` points, colours as floats 0..1."""
+    if len(positions) < MIN_POINTS:
+        raise TrainingError(f"starting points: expected at least {MIN_POINTS}, got {len(positions)}")
+    if not np.isfinite(positions).all():
+        raise TrainingError("starting points: some positions are not finite; remove them")
+    if colors.dtype == np.uint8:
+        colors = colors / 255.0
+    if len(positions) <= limit:
+        return positions, normals, colors
+    chosen = torch.randperm(len(positions), generator=generator)[:limit].sort().values.numpy()
+    return positions[chosen], None if normals is None else normals[chosen], colors[chosen]
+
+
+def _neighbourhood(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean distance [P] to the three nearest others, and the indices [P,k] of up to eight nearest and itself."""
+    near = min(9, len(positions))
+    distances, neighbours = cKDTree(positions).query(positions, k=near)
+    spacing = distances[:, 1:4].mean(axis=1)
+    # Points that coincide would give splats of no size, a stray one a splat as large as the scene.
+    middle = max(float(np.median(spacing)), 1e-7)
+    return np.clip(spacing, 0.05 * middle, 10 * middle), neighbours
+
+
+def _sh(colors: np.ndarray, degree: int) -> Tensor:
+    sh = torch.zeros(len(colors), (degree + 1) ** 2, 3)
+    sh[:, 0] = (_tensor(colors) - 0.5) / SH_CONSTANT
+    return sh
+
+
+def _tensor(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))

@@ -1,0 +1,52 @@
+"""The 2D branch's parameters: flat Gaussians (surfels) and their activations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from torch import Tensor
+
+from mgsr.ops.harmonics import harmonics_to_rgb
+
+
+@dataclass
+class SurfelModel:
+    """N surfels, as stored: float32, in the scene's frame.
+
+    means [N,3] centres; quats [N,4] wxyz, normalised where used, whose rotation's columns are the two tangents and
+    the normal; log_scales [N,2] along the tangents; opacity_logits [N]; sh [N,K,3] colour coefficients.
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
+    sh: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Every stored tensor by name; their first axis is the surfels."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+    @property
+    def sh_degree(self) -> int:
+        """The degree that the stored coefficients reach."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    def scales(self) -> Tensor:
+        """Standard deviations along the tangents, [N,2], in the scene's unit."""
+        return self.log_scales.exp()
+
+    def opacities(self) -> Tensor:
+        """[N], in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
+        """Colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        return harmonics_to_rgb(self.sh, self.means, camera_center, self.sh_degree if degree is None else degree)
+
+    def detached(self) -> SurfelModel:
+        """A copy that carries no gradients."""
+        return SurfelModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})

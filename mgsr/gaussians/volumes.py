@@ -1,0 +1,85 @@
+"""The 3D branch's parameters: Gaussians with a transmitted and, optionally, a reflected half."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from torch import Tensor
+
+from mgsr.ops.harmonics import harmonics_to_rgb
+
+
+@dataclass
+class VolumeModel:
+    """N Gaussians, as stored: float32, in the scene's frame.
+
+    means [N,3]; quats [N,4] wxyz, normalised where used; log_scales [N,3]; opacity_logits [N] and sh [N,K,3] of the
+    transmitted colour. With the light split also refl_opacity_logits [N], weight_logits [N] (beta: how much of the
+    reflected colour is added) and refl_sh [N,K',3]; without it these three are None.
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
+    sh: Tensor
+    refl_opacity_logits: Tensor | None = None
+    weight_logits: Tensor | None = None
+    refl_sh: Tensor | None = None
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    @property
+    def split(self) -> bool:
+        """Whether there is a reflected half."""
+        return self.refl_sh is not None
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Every stored tensor by name; their first axis is the Gaussians."""
+        stored = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {name: tensor for name, tensor in stored.items() if tensor is not None}
+
+    @property
+    def sh_degree(self) -> int:
+        """The degree that the transmitted colour's coefficients reach."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+    @property
+    def refl_sh_degree(self) -> int:
+        """The degree that the reflected colour's coefficients reach; 0 without a reflected half."""
+        return 0 if self.refl_sh is None else round(self.refl_sh.shape[1] ** 0.5) - 1
+
+    def scales(self) -> Tensor:
+        """Standard deviations along the axes, [N,3], in the scene's unit."""
+        return self.log_scales.exp()
+
+    def opacities(self) -> Tensor:
+        """Of the transmitted half, [N], in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
+        """Transmitted colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        return harmonics_to_rgb(self.sh, self.means, camera_center, self.sh_degree if degree is None else degree)
+
+    def refl_opacities(self) -> Tensor:
+        """Of the reflected half, [N], in (0, 1)."""
+        return _stored(self.refl_opacity_logits).sigmoid()
+
+    def weights(self) -> Tensor:
+        """Beta, [N], in (0, 1)."""
+        return _stored(self.weight_logits).sigmoid()
+
+    def refl_colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
+        """Reflected colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        degree = self.refl_sh_degree if degree is None else degree
+        return harmonics_to_rgb(_stored(self.refl_sh), self.means, camera_center, degree)
+
+    def detached(self) -> VolumeModel:
+        """A copy that carries no gradients."""
+        return VolumeModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})
+
+
+def _stored(tensor: Tensor | None) -> Tensor:
+    assert tensor is not None, "this model has no reflected half"
+    return tensor

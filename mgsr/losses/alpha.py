@@ -1,0 +1,16 @@
+"""How well the rendered silhouette agrees with the mask."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from mgsr.config import AlphaLoss
+
+
+def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss) -> Tensor:
+    """Mean difference of the rendered alpha [H,W] from the photograph's [H,W], both 0..1, a scalar; gradient to
+    alpha."""
+    if kind is AlphaLoss.L1:
+        return torch.nn.functional.l1_loss(alpha, mask)
+    return torch.nn.functional.binary_cross_entropy(alpha.clamp(1e-4, 1 - 1e-4), mask)

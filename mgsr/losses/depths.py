@@ -1,0 +1,22 @@
+"""How well the two branches' depths agree."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from mgsr.config import DepthUnit
+
+
+def depth_agreement(volume_depth: Tensor, surfel_depth: Tensor, covered: Tensor, unit: float | Tensor) -> Tensor:
+    """L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where covered, a scalar.
+
+    Depths [H,W] camera z; covered [H,W] 0 or 1. Gradients flow to both depths.
+    """
+    difference = ((volume_depth - surfel_depth) * covered).reshape(-1)
+    return (difference @ difference) / (difference.numel() * unit**2)
+
+
+def depth_unit(kind: DepthUnit, volume_depth: Tensor, distance: float) -> float | Tensor:
+    """What `depth_agreement` divides by: the camera's distance from the scene's centre, or, as in the paper, the
+    maximum of the depth (one for both, so that depths which agree still agree after it)."""
+    return distance if kind is DepthUnit.DISTANCE else volume_depth.detach().max().clamp(min=1e-6)

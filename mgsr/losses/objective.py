@@ -1,0 +1,100 @@
+"""The branches' losses, put together from their terms (supplement, Algorithms 1 and 2).
+
+Each function returns its terms by name, already times their weights: their sum is the loss, and a term that goes
+wrong can be named. A term whose weight is zero is not computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import Tensor
+
+from mgsr.config import SurfaceDepth, Teaching, TrainConfig
+from mgsr.losses.alpha import silhouette
+from mgsr.losses.depths import depth_agreement, depth_unit
+from mgsr.losses.normals import normal_agreement
+from mgsr.losses.target import Target
+from mgsr.ops.image_loss import image_loss
+from mgsr.ops.tv import edge_aware_tv
+from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+
+Terms = dict[str, Tensor]
+
+
+def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
+    """L_2D of the warm-up: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
+    terms = {"surfels.photo": image_loss(outputs.color, target.color, l1_weight=config.l1_weight)}
+    terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config)
+    return terms | (surface_terms(outputs, target, config) if regularised else {})
+
+
+def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
+    """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness."""
+    settings = config.volumes
+    terms = {"volumes.photo": image_loss(outputs.color, target.color, l1_weight=config.l1_weight)}
+    terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
+    if config.tv and settings.transmitted_tv_weight:
+        tv = edge_aware_tv(outputs.transmitted, target.color)
+        terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
+    if config.tv and settings.depth_tv_weight:
+        tv = edge_aware_tv(outputs.depth, target.color, mask=target.covered(outputs.alpha))
+        terms["volumes.depth_tv"] = settings.depth_tv_weight * tv
+    return terms
+
+
+def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
+    """L_total of the mutual phase, times the branches' weights.
+
+    The 2D branch's target is the photograph and the 3D branch's transmitted image, which also guides its smoothness;
+    the two depths pull at each other. Taught one way, the transmitted image and the surface's depth stay as they are.
+    """
+    settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
+    transmitted = volumes.transmitted if both else volumes.transmitted.detach()
+    depth = surface_depth(surfels, config)
+    terms = {
+        "surfels.photo": settings.photo_weight * image_loss(surfels.color, target.color, l1_weight=config.l1_weight),
+        "surfels.transmitted": (1 - settings.photo_weight)
+        * image_loss(surfels.color, transmitted, l1_weight=config.l1_weight),
+    }
+    terms |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config)
+    terms |= surface_terms(surfels, replace(target, color=volumes.transmitted.detach()), config)
+    terms = {name: settings.surfel_weight * term for name, term in terms.items()}
+    for name, term in volume_terms(volumes, target, config).items():
+        terms[name] = settings.volume_weight * term
+    if settings.depth_weight:
+        unit = depth_unit(settings.depth_unit, volumes.depth, target.distance)
+        covered = target.covered(surfels.alpha) * target.covered(volumes.alpha)
+        agreement = depth_agreement(volumes.depth, depth if both else depth.detach(), covered, unit)
+        terms["mutual.depth"] = settings.depth_weight * agreement
+    return terms
+
+
+def surface_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig) -> Terms:
+    """What shapes the surface: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth), guided by the target's colour,
+    and 2DGS's distortion where it has a weight."""
+    settings = config.surfels
+    depth, covered = surface_depth(outputs, config), target.covered(outputs.alpha)
+    terms: Terms = {}
+    if settings.normal_weight:
+        agreement = normal_agreement(outputs.normal, depth, outputs.alpha, target.camera, covered)
+        terms["surfels.normal"] = settings.normal_weight * agreement
+    if config.tv and settings.normal_weight * settings.normal_tv_weight:
+        tv = edge_aware_tv(outputs.normal, target.color, mask=covered)
+        terms["surfels.normal_tv"] = settings.normal_weight * settings.normal_tv_weight * tv
+    if config.tv and settings.depth_tv_weight:
+        terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv(depth, target.color, mask=covered)
+    if settings.distortion_weight and outputs.distortion is not None:
+        terms["surfels.distortion"] = settings.distortion_weight * outputs.distortion.mean()
+    return terms
+
+
+def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
+    """The depth [H,W] that counts as the surface."""
+    return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
+
+
+def _silhouette(branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig) -> Terms:
+    if target.alpha is None or not weight:
+        return {}
+    return {f"{branch}.alpha": weight * silhouette(alpha, target.alpha, config.alpha_loss)}

@@ -1,0 +1,44 @@
+"""What a rendering holds: named images of one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class SurfelOutputs:
+    """The 2D branch seen by one camera.
+
+    color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
+    where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked
+    for; stats: screen-space figures of each surfel (see mgsr/ops).
+    """
+
+    color: Tensor
+    alpha: Tensor
+    depth: Tensor
+    median_depth: Tensor
+    normal: Tensor
+    distortion: Tensor | None
+    stats: Any
+
+
+@dataclass(frozen=True)
+class VolumeOutputs:
+    """The 3D branch seen by one camera.
+
+    color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
+    weight [H,W], None without a light split; depth [H,W] camera z, 0 where nothing is; alpha [H,W] of the transmitted
+    half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    """
+
+    color: Tensor
+    transmitted: Tensor
+    reflected: Tensor | None
+    weight: Tensor | None
+    depth: Tensor
+    alpha: Tensor
+    stats: Any

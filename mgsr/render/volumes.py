@@ -1,0 +1,73 @@
+"""Renders the 3D branch and puts its two lights together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.ops.volumes import Reflected, rasterize_volumes
+from mgsr.render.outputs import VolumeOutputs
+
+
+def render_volumes(
+    model: VolumeModel,
+    camera: Camera,
+    background: Tensor | None = None,
+    degree: int | None = None,
+    refl_degree: int | None = None,
+) -> VolumeOutputs:
+    """The Gaussians seen by any camera, at its size.
+
+    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
+    the reflected colours, by default all that is stored. Gradients flow to the model's tensors where these ask for
+    them.
+    """
+    center = torch.tensor(camera.center, dtype=torch.float32, device=model.means.device)
+    raster = rasterize_volumes(
+        model.means,
+        model.quats,
+        model.scales(),
+        model.opacities(),
+        model.colors(center, degree),
+        camera,
+        torch.zeros(3, device=model.means.device) if background is None else background,
+        reflected=_reflected(model, center, refl_degree),
+    )
+    color = raster.color
+    if raster.reflected is not None and raster.weight is not None:
+        color = add_reflection(raster.color, raster.reflected, raster.weight)
+    return VolumeOutputs(
+        color, raster.color, raster.reflected, raster.weight, raster.depth, raster.alpha, raster.stats
+    )
+
+
+def add_reflection(transmitted: Tensor, reflected: Tensor, weight: Tensor) -> Tensor:
+    """transmitted [H,W,3] + weight [H,W] * reflected [H,W,3]: the image C_3D, with gradients to all three."""
+    color: Tensor = _AddReflection.apply(transmitted, reflected, weight)
+    return color
+
+
+def _reflected(model: VolumeModel, center: Tensor, degree: int | None) -> Reflected | None:
+    if not model.split:
+        return None
+    return Reflected(model.refl_opacities(), model.refl_colors(center, degree), model.weights())
+
+
+class _AddReflection(torch.autograd.Function):
+    """torch's own broadcast over, and sum along, an axis of three is several times slower than these products."""
+
+    @staticmethod
+    def forward(ctx: Any, transmitted: Tensor, reflected: Tensor, weight: Tensor) -> Tensor:
+        weights = weight[..., None] @ torch.ones(1, 3)
+        ctx.save_for_backward(reflected, weights)
+        return torch.addcmul(transmitted, weights, reflected)
+
+    @staticmethod
+    def backward(ctx: Any, *v_outputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        (v_color,) = v_outputs
+        reflected, weights = ctx.saved_tensors
+        return v_color, v_color * weights, (v_color * reflected) @ torch.ones(3)

@@ -1,0 +1,113 @@
+"""Tests for whether a warm-up has converged. They compare like with like; the paper's own rule is there too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from torch import Tensor
+
+from mgsr.config import StopRule, WarmupConfig
+
+
+class Convergence(Protocol):
+    """Sees every iteration's loss and says when it is enough."""
+
+    def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
+        """Take the loss (a scalar without gradient) of one iteration, counted from 1; True to stop now."""
+
+    def state(self) -> dict[str, Any]:
+        """Everything it remembers, for a checkpoint."""
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take back what `state` gave."""
+
+
+def make_convergence(
+    config: WarmupConfig, iterations: int, held_back_psnr: Callable[[], float]
+) -> Convergence | None:
+    """The test that the configuration names for a warm-up of at most `iterations`, or None for none.
+
+    held_back_psnr measures the branch on the views that it is not trained on.
+    """
+    earliest = int(config.stop_after * iterations)
+    if config.stop_rule is StopRule.EPOCH:
+        return EpochMeans(earliest, config.epoch_span, config.epoch_gain)
+    if config.stop_rule is StopRule.HELD_BACK:
+        return HeldBack(earliest, config, held_back_psnr)
+    return LossRange(earliest, config.paper_range) if config.stop_rule is StopRule.PAPER else None
+
+
+class EpochMeans:
+    """Converged when the mean loss over `span` epochs lies less than `gain` (relative) under that of the `span`
+    epochs before. Whole epochs hold the same views, so only the model's change is measured."""
+
+    def __init__(self, earliest: int, span: int, gain: float) -> None:
+        self.earliest, self.span, self.gain = earliest, span, gain
+        self.total: Tensor | float = 0.0
+        self.count = 0
+        self.means: list[float] = []
+
+    def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
+        self.total = self.total + loss
+        self.count += 1
+        if not at_epoch_end:
+            return False
+        self.means = [*self.means, float(self.total) / self.count][-2 * self.span :]
+        self.total, self.count = 0.0, 0
+        if iteration < self.earliest or len(self.means) < 2 * self.span:
+            return False
+        before, after = sum(self.means[: self.span]), sum(self.means[self.span :])
+        return after > before * (1 - self.gain)
+
+    def state(self) -> dict[str, Any]:
+        return {"total": self.total, "count": self.count, "means": self.means}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.total, self.count, self.means = state["total"], state["count"], state["means"]
+
+
+class HeldBack:
+    """Converged when the PSNR of views that are not trained on has not risen by `held_back_gain` dB over its best
+    for `held_back_patience` looks in a row."""
+
+    def __init__(self, earliest: int, config: WarmupConfig, measure: Callable[[], float]) -> None:
+        self.earliest, self.config, self.measure = earliest, config, measure
+        self.best = float("-inf")
+        self.idle = 0
+
+    def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
+        if iteration % self.config.held_back_every:
+            return False
+        psnr = self.measure()
+        gained = psnr > self.best + self.config.held_back_gain
+        self.best = max(psnr, self.best) if gained else self.best
+        self.idle = 0 if gained else self.idle + 1
+        return iteration >= self.earliest and self.idle >= self.config.held_back_patience
+
+    def state(self) -> dict[str, Any]:
+        return {"best": self.best, "idle": self.idle}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.best, self.idle = state["best"], state["idle"]
+
+
+class LossRange:
+    """The published rule: converged when the last 100 losses lie within `width`, whatever views they come from."""
+
+    LOOK_BACK = 100
+
+    def __init__(self, earliest: int, width: float) -> None:
+        self.earliest, self.width = earliest, width
+        self.losses: list[float] = []
+
+    def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
+        self.losses = [*self.losses, float(loss)][-self.LOOK_BACK :]
+        full = len(self.losses) == self.LOOK_BACK
+        return iteration >= self.earliest and full and max(self.losses) - min(self.losses) < self.width
+
+    def state(self) -> dict[str, Any]:
+        return {"losses": self.losses}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.losses = state["losses"]

@@ -1,0 +1,77 @@
+"""What training tells its caller, while it runs and at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+
+
+@dataclass(frozen=True)
+class CurveRow:
+    """One row of the curve of error against time.
+
+    psnr_*: dB over a few test views (on white where there are masks), each branch's full colour, None for a branch
+    that is not there. They are only reported: nothing is decided by them.
+    """
+
+    seconds: float
+    stage: str
+    iteration: int
+    psnr_surfels: float | None
+    psnr_volumes: float | None
+    surfels: int
+    volumes: int
+
+    @property
+    def psnr(self) -> float | None:
+        """The rendering branch's, or the only branch's."""
+        return self.psnr_surfels if self.psnr_volumes is None else self.psnr_volumes
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training is.
+
+    iteration of total in this stage; done: 0..1 of all stages' planned iterations; losses: the last iteration's
+    terms by name, times their weights; counts: splats by branch; psnr: the curve's last; previews: images [H,W,3]
+    uint8 by name, where they are due.
+    """
+
+    stage: str
+    iteration: int
+    total: int
+    done: float
+    seconds: float
+    losses: dict[str, float]
+    counts: dict[str, int]
+    psnr: float | None
+    previews: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StageReport:
+    """How a stage went: its iterations, seconds, and why it ended (iterations, converged or deadline)."""
+
+    name: str
+    iterations: int
+    seconds: float
+    stop_reason: str
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """The trained branches (None for one that the method lacks) without gradients, and how they came about."""
+
+    surfels: SurfelModel | None
+    volumes: VolumeModel | None
+    stages: list[StageReport]
+    curve: list[CurveRow]
+    seconds: float
+
+
+ProgressCallback = Callable[[Progress], None]

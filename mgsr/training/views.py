@@ -1,0 +1,86 @@
+"""Photographs made ready for training, and the order in which they come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from mgsr.config import Background
+from mgsr.data.camera import Camera
+from mgsr.data.scene import View
+from mgsr.losses.target import Target
+
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class TrainingView:
+    """One photograph as tensors, made once.
+
+    color [H,W,3] float32 0..1, times alpha where there is one; alpha [H,W] float32 0..1 or None.
+    """
+
+    name: str
+    camera: Camera
+    color: Tensor
+    alpha: Tensor | None
+
+    @cached_property
+    def transparency(self) -> Tensor | None:
+        """1 - alpha, [H,W]."""
+        return None if self.alpha is None else 1 - self.alpha
+
+    def target(self, background: Color) -> Target:
+        """The photograph on a background, for the losses."""
+        if self.transparency is None:
+            return Target(self.color, None, self.camera)
+        composite = torch.empty_like(self.color)
+        for channel, value in enumerate(background):  # a quarter of the time of a broadcast over three channels
+            torch.add(self.color[..., channel], self.transparency, alpha=value, out=composite[..., channel])
+        return Target(composite, self.alpha, self.camera)
+
+
+def prepare_views(views: list[View], masked: bool) -> list[TrainingView]:
+    """The views as tensors; with `masked`, premultiplied by their alpha, otherwise alpha is ignored."""
+    return [_prepared(view, masked) for view in views]
+
+
+def _prepared(view: View, masked: bool) -> TrainingView:
+    color = torch.from_numpy(view.image).to(torch.float32) / 255
+    if not masked or view.alpha is None:
+        return TrainingView(view.name, view.camera, color, None)
+    alpha = torch.from_numpy(view.alpha).to(torch.float32) / 255
+    return TrainingView(view.name, view.camera, color * alpha[..., None], alpha)
+
+
+def pick_background(kind: Background, masked: bool, generator: torch.Generator) -> Color:
+    """The colour behind the splats in one iteration; draws from the generator only where it is random."""
+    if kind is Background.BLACK:
+        return (0.0, 0.0, 0.0)
+    if kind is Background.RANDOM or (kind is Background.AUTO and masked):
+        red, green, blue = torch.rand(3, generator=generator).tolist()
+        return (red, green, blue)
+    return (1.0, 1.0, 1.0)
+
+
+class ViewCycle:
+    """Indices of views, each once an epoch, in an order that the generator shuffles anew for each."""
+
+    def __init__(self, count: int, generator: torch.Generator) -> None:
+        self.count = count
+        self.generator = generator
+        self.order: list[int] = []
+
+    def next(self) -> int:
+        """The next view's index."""
+        if not self.order:
+            self.order = torch.randperm(self.count, generator=self.generator).tolist()
+        return self.order.pop()
+
+    @property
+    def at_epoch_end(self) -> bool:
+        """Whether every view has had its turn in this epoch."""
+        return not self.order

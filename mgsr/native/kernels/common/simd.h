@@ -37,6 +37,18 @@ inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
 inline vfloat min(vfloat a, vfloat b) { return a < b ? a : b; }
 inline vfloat max(vfloat a, vfloat b) { return a > b ? a : b; }
 
+// a * b + c, rounded once where the variant has it. Written out where forward and backward must agree to the bit: the
+// compiler may contract a plain product and sum in one place and not in another.
+inline vfloat fma(vfloat a, vfloat b, vfloat c) {
+#if defined(MGSR_ISA_avx512)
+  return (vfloat)_mm512_fmadd_ps((__m512)a, (__m512)b, (__m512)c);
+#elif defined(MGSR_ISA_avx2)
+  return (vfloat)_mm256_fmadd_ps((__m256)a, (__m256)b, (__m256)c);
+#else
+  return a * b + c;
+#endif
+}
+
 // a where mask, else 0.
 inline vfloat keep(vint mask, vfloat a) { return (vfloat)((vint)a & mask); }
 
@@ -62,6 +74,36 @@ inline float sum(vfloat v) {
   return s[0];
 }
 
+// sums[k] = the sum of v[k]'s lanes, for Count vectors. Pairs of lanes are added in a fixed tree.
+template <int Count>
+inline void sum_each(const vfloat* v, float* sums) {
+#if defined(MGSR_ISA_avx2) || defined(MGSR_ISA_avx512)
+  __m256 h[(Count + 7) / 8 * 8];
+  for (int k = 0; k < Count; ++k) {
+#if defined(MGSR_ISA_avx512)
+    h[k] = _mm256_add_ps(_mm512_castps512_ps256((__m512)v[k]), _mm512_extractf32x8_ps((__m512)v[k], 1));
+#else
+    h[k] = (__m256)v[k];
+#endif
+  }
+  for (int k = Count; k < (Count + 7) / 8 * 8; ++k) h[k] = _mm256_setzero_ps();
+  for (int k = 0; k < Count; k += 8) {
+    const __m256 a = _mm256_hadd_ps(_mm256_hadd_ps(h[k], h[k + 1]), _mm256_hadd_ps(h[k + 2], h[k + 3]));
+    const __m256 b = _mm256_hadd_ps(_mm256_hadd_ps(h[k + 4], h[k + 5]), _mm256_hadd_ps(h[k + 6], h[k + 7]));
+    const __m256 s = _mm256_add_ps(_mm256_permute2f128_ps(a, b, 0x20), _mm256_permute2f128_ps(a, b, 0x31));
+    if (k + 8 <= Count) {
+      _mm256_storeu_ps(sums + k, s);
+    } else {
+      float rest[8];
+      _mm256_storeu_ps(rest, s);
+      for (int j = 0; k + j < Count; ++j) sums[k + j] = rest[j];
+    }
+  }
+#else
+  for (int k = 0; k < Count; ++k) sums[k] = sum(v[k]);
+#endif
+}
+
 // 2^x for x <= 0 (values under -126 give 0); largest relative error 2e-7 (polynomial of degree 6 on [-0.5, 0.5]).
 inline vfloat exp2_nonpositive(vfloat x) {
   const vfloat clamped = max(x, splat(-126.0f));
@@ -69,12 +111,12 @@ inline vfloat exp2_nonpositive(vfloat x) {
   const vfloat shifted = clamped + shifter;
   const vfloat f = clamped - (shifted - shifter);
   vfloat p = splat(1.5403530e-4f);
-  p = p * f + 1.33335581e-3f;
-  p = p * f + 9.61812911e-3f;
-  p = p * f + 5.55041087e-2f;
-  p = p * f + 2.40226507e-1f;
-  p = p * f + 6.93147181e-1f;
-  p = p * f + 1.0f;
+  p = fma(p, f, splat(1.33335581e-3f));
+  p = fma(p, f, splat(9.61812911e-3f));
+  p = fma(p, f, splat(5.55041087e-2f));
+  p = fma(p, f, splat(2.40226507e-1f));
+  p = fma(p, f, splat(6.93147181e-1f));
+  p = fma(p, f, splat(1.0f));
   // The rounded integer sits in the low bits of `shifted`; moved into the exponent field it scales by 2^n.
   const vfloat scaled = (vfloat)((vint)p + ((vint)shifted << 23));
   return keep(x > splat(-126.0f), scaled);

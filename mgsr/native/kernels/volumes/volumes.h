@@ -1,0 +1,81 @@
+// The 3D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "kernels/common/binning.h"
+#include "math/camera.h"
+
+namespace mgsr {
+
+// Blending rules, the same in every rasterizer here: a pixel blends splats while its transmittance is at least
+// kMinTransmittance; a splat counts for a pixel where its alpha is at least kMinAlpha.
+constexpr float kMinTransmittance = 1e-4f;
+constexpr float kMinAlpha = 1.0f / 255.0f;
+constexpr float kMaxAlpha = 0.999f;
+
+struct VolumeInputs {
+  int64_t count;
+  const float *means, *quats, *scales;         // [N,3], [N,4] wxyz, [N,3]
+  const float *opacities, *colors;             // [N], [N,3]: the transmitted part
+  const float *refl_opacities, *refl_colors;   // [N], [N,3]: the reflected part, or null for single opacity
+  const float* weights;                        // [N]: the reflection weight beta, or null
+  const float* background;                     // [3], behind the transmitted part
+  Camera<float> camera;
+  int width, height;
+  float near, low_pass;                        // camera units; px^2
+  bool compensate;                             // take back the energy that the low-pass adds
+  bool depth;                                  // whether depth is asked for
+};
+
+struct VolumeImages {
+  float *color, *alpha;       // [H,W,3] transmitted with background, [H,W] 1 - transmittance
+  float* depth;               // [H,W] mean camera depth, 0 where nothing; null when not asked for
+  float *reflected, *weight;  // [H,W,3], [H,W]; null for single opacity
+};
+
+struct VolumeGradients {
+  float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights;  // as in VolumeInputs
+  float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
+};
+
+// One splat as the blending loops read it: one cache line.
+struct alignas(64) VolumeRecord {
+  float x, y;                // centre, pixels
+  float qxx, qxy, qyy;       // exponent of 2: qxx dx^2 + qxy dx dy + qyy dy^2
+  float opacity, depth;
+  float color[3];
+  float refl_opacity, weight, refl_color[3];
+  uint32_t index;            // of the splat in the inputs
+};
+
+// Kept between forward and backward. Its vectors keep their memory when it is used again.
+struct VolumeState {
+  std::vector<uint32_t> visible;      // indices of splats that survived culling
+  std::vector<uint32_t> order;        // depth order over `visible`
+  std::vector<float> depths;          // of `visible`
+  std::vector<VolumeRecord> projected, records;  // in the order of `visible`; in depth order
+  std::vector<Ellipse> outlines, sorted_outlines;
+  std::vector<PixelBox> boxes;
+  TileLists lists;
+  std::vector<float> transmittance, refl_transmittance;  // [H,W], final
+  std::vector<float> pair_gradients;                     // [pairs, stride]
+  std::vector<int64_t> chunk_counts;
+  DepthSort sorter;
+};
+
+struct VolumeKernels {
+  // radii: [N] pixels, 0 where culled.
+  void (*forward)(const VolumeInputs&, VolumeState&, const VolumeImages&, float* radii);
+  // `images` are the forward pass's outputs; a null gradient image means zero. Gradients are written where a splat is
+  // visible; the caller zeroes them first.
+  void (*backward)(const VolumeInputs&, VolumeState&, const VolumeImages& images, const VolumeImages& v_images,
+                   const VolumeGradients&);
+};
+
+namespace baseline { extern const VolumeKernels volume_kernels; }
+namespace avx2 { extern const VolumeKernels volume_kernels; }
+namespace avx512 { extern const VolumeKernels volume_kernels; }
+
+}  // namespace mgsr

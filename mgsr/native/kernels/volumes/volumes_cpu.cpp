@@ -1,0 +1,426 @@
+// 3D Gaussians on the CPU.
+//
+// Forward: project and cull every splat (chunks of splats over the threads); sort the visible ones by depth; fill the
+// tile lists; blend tile by tile (one tile is one piece of work). Within a tile each 4x4 sub-tile is blended on its
+// own, its 16 pixels in registers, over the entries of the tile whose mask names it.
+// Backward: the same walk front to back. With g = v_out . (what the splat adds), the gradient to alpha_i is
+// T_i g_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
+// scalar however many channels there are. Sums over a tile's pixels go to the pair's own slot; a splat's slots are then
+// added in tile order, so the result doesn't depend on the number of threads.
+#include "kernels/volumes/volumes.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "kernels/common/simd.h"
+#include "math/gaussian.h"
+
+namespace mgsr {
+namespace MGSR_ISA {
+namespace {
+
+constexpr int kVectors = 16 / kWidth;          // vectors to a sub-tile
+constexpr float kLog2E = 1.4426950408889634f;
+constexpr int kSplatChunk = 512;
+
+// Gradient of one (splat, tile) pair. The moments are of v_exponent over the pixels' offsets from the centre.
+enum PairField { kDx, kDy, kDxx, kDxy, kDyy, kOpacity, kColor, kDepth = kColor + 3, kReflOpacity, kWeight, kReflColor };
+constexpr int kSingleFields = kDepth + 1, kDualFields = kReflColor + 3;
+constexpr int stride(bool dual) { return dual ? 16 : 12; }
+
+bool finite(const float* p, int n) {
+  float zero = 0;
+  for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
+  return zero == 0.0f;
+}
+
+// Fills the record and outline of splat i; false when it can't be seen or isn't finite.
+bool project_one(const VolumeInputs& in, int64_t i, VolumeRecord& record, Ellipse& outline) {
+  const ProjectedGaussian<float> g =
+      project_gaussian(in.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 3 * i, in.low_pass);
+  const float det = g.cxx * g.cyy - g.cxy * g.cxy;
+  if (!(g.depth > in.near) || !(det > 0) || !(g.cxx + g.cyy < 1e12f)) return false;
+  const float factor = in.compensate ? g.compensation : 1.0f;
+  const float opacity = in.opacities[i] * factor;
+  const float refl_opacity = in.refl_opacities ? in.refl_opacities[i] * factor : 0.0f;
+  const float strongest = std::max(opacity, refl_opacity);
+  if (!(strongest >= kMinAlpha) || !(opacity >= 0) || !(refl_opacity >= 0)) return false;
+  if (!finite(in.colors + 3 * i, 3) || (in.refl_colors && !(finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1))))
+    return false;
+  const float r2 = 2.0f * std::log(strongest / kMinAlpha);
+  outline = {g.x, g.y, g.cyy / det, -g.cxy / det, g.cxx / det, r2};
+  const float hx = std::sqrt(r2 * g.cxx), hy = std::sqrt(r2 * g.cyy);
+  if (!(g.x + hx >= 0 && g.x - hx <= in.width && g.y + hy >= 0 && g.y - hy <= in.height)) return false;
+  record = {};
+  record.x = g.x, record.y = g.y;
+  record.qxx = -0.5f * kLog2E * outline.qxx, record.qxy = -kLog2E * outline.qxy, record.qyy = -0.5f * kLog2E * outline.qyy;
+  record.opacity = opacity, record.depth = g.depth;
+  std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
+  if (in.refl_opacities) {
+    record.refl_opacity = refl_opacity, record.weight = in.weights[i];
+    std::memcpy(record.refl_color, in.refl_colors + 3 * i, sizeof(record.refl_color));
+  }
+  record.index = uint32_t(i);
+  return true;
+}
+
+// Projects all splats; state.projected, outlines and depths then hold the visible ones by index.
+void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
+  const int chunks = int((in.count + kSplatChunk - 1) / kSplatChunk);
+  state.projected.resize(in.count), state.outlines.resize(in.count), state.chunk_counts.assign(chunks + 1, 0);
+  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    int64_t place = begin;
+    for (int64_t i = begin; i < end; ++i) {
+      const bool seen = project_one(in, i, state.projected[place], state.outlines[place]);
+      const Ellipse& o = state.outlines[place];
+      radii[i] = seen ? std::sqrt(o.r2 * std::max(o.qxx, o.qyy) / (o.qxx * o.qyy - o.qxy * o.qxy)) : 0.0f;
+      place += seen;
+    }
+    state.chunk_counts[begin / kSplatChunk] = place - begin;
+  });
+  // Close the gaps that culled splats left at the chunks' ends.
+  int64_t total = 0;
+  for (int c = 0; c < chunks; ++c) {
+    const int64_t begin = int64_t(c) * kSplatChunk, n = state.chunk_counts[c];
+    if (total != begin) {
+      std::copy_n(state.projected.begin() + begin, n, state.projected.begin() + total);
+      std::copy_n(state.outlines.begin() + begin, n, state.outlines.begin() + total);
+    }
+    total += n;
+  }
+  state.projected.resize(total), state.outlines.resize(total), state.depths.resize(total);
+  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth;
+}
+
+void sort_and_bin(const VolumeInputs& in, VolumeState& state) {
+  state.sorter.sort(state.depths, state.order);
+  const int count = int(state.order.size());
+  state.records.resize(count), state.sorted_outlines.resize(count), state.boxes.resize(count);
+  parallel_chunks(count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    for (int64_t s = begin; s < end; ++s) {
+      state.records[s] = state.projected[state.order[s]];
+      state.sorted_outlines[s] = state.outlines[state.order[s]];
+      state.boxes[s] = state.sorted_outlines[s].box();
+    }
+  });
+  const Ellipse* outlines = state.sorted_outlines.data();
+  state.lists.build(count, in.width, in.height, state.boxes.data(),
+                    [outlines](int s, float y0, float y1, float& x0, float& x1) { return outlines[s].rows(y0, y1, x0, x1); });
+}
+
+// The 16 pixels of a sub-tile as vectors of their centres.
+struct Pixels {
+  vfloat x[kVectors], y[kVectors];
+
+  Pixels(int x0, int y0) {
+    for (int v = 0; v < kVectors; ++v)
+      for (int lane = 0; lane < kWidth; ++lane) {
+        const int p = v * kWidth + lane;
+        x[v][lane] = float(x0 + p % kSubTile) + 0.5f;
+        y[v][lane] = float(y0 + p / kSubTile) + 0.5f;
+      }
+  }
+};
+
+// Calls f(pixel index in the image, p) for the sub-tile's pixels p = 0..15 that lie on the image.
+template <class F>
+inline void for_pixels(int x0, int y0, int width, int height, const F& f) {
+  for (int j = 0; j < kSubTile && y0 + j < height; ++j)
+    for (int i = 0; i < kSubTile && x0 + i < width; ++i) f(int64_t(y0 + j) * width + x0 + i, j * kSubTile + i);
+}
+
+// The footprint of a splat at a vector of pixels.
+struct Footprint {
+  vfloat dx, dy, weight;  // offsets from the centre; G
+};
+
+inline Footprint footprint(const VolumeRecord& r, vfloat px, vfloat py) {
+  Footprint f;
+  f.dx = px - r.x, f.dy = py - r.y;
+  const vfloat ydy = (r.qyy * f.dy) * f.dy;
+  f.weight = exp2_nonpositive(fma(f.dx, fma(splat(r.qxx), f.dx, r.qxy * f.dy), ydy));
+  return f;
+}
+
+// alpha of a splat whose o G is `raw`, at pixels of transmittance T: zero where it doesn't count.
+inline vfloat blend_alpha(vfloat raw, vfloat T) {
+  return keep((raw >= kMinAlpha) & (T >= kMinTransmittance), min(raw, splat(kMaxAlpha)));
+}
+
+// For each of a tile's four sub-tiles, the entries that touch it, in depth order.
+struct SubTileLists {
+  std::vector<uint32_t> entry[4];  // positions in the tile's list
+  int count[4];
+
+  void fill(const TileEntry* entries, int n) {
+    for (int s = 0; s < 4; ++s) {
+      if (entry[s].size() < size_t(n)) entry[s].resize(n);
+      count[s] = 0;
+    }
+    for (int e = 0; e < n; ++e)
+      for (int s = 0; s < 4; ++s) {
+        entry[s][count[s]] = uint32_t(e);  // overwritten by the next one unless it counts
+        count[s] += entries[e].splat_mask >> s & 1;
+      }
+  }
+};
+
+template <bool Dual, bool Depth>
+void blend_subtile(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const TileEntry* entries,
+                   const uint32_t* list, int count, int x0, int y0) {
+  const Pixels pixels(x0, y0);
+  vfloat T[kVectors], C[kVectors][3] = {}, D[kVectors] = {}, Tr[kVectors], Cr[kVectors][3] = {}, W[kVectors] = {};
+  for (int v = 0; v < kVectors; ++v) T[v] = splat(1.0f), Tr[v] = splat(1.0f);
+  for (int e = 0; e < count; ++e) {
+    const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
+    vint open = vint{};
+    for (int v = 0; v < kVectors; ++v) {
+      const Footprint f = footprint(r, pixels.x[v], pixels.y[v]);
+      const vfloat alpha = blend_alpha(r.opacity * f.weight, T[v]);
+      const vfloat w = alpha * T[v];
+      for (int c = 0; c < 3; ++c) C[v][c] = fma(w, splat(r.color[c]), C[v][c]);
+      if (Depth) D[v] = fma(w, splat(r.depth), D[v]);
+      T[v] = fma(-alpha, T[v], T[v]);
+      open |= T[v] >= kMinTransmittance;
+      if (Dual) {
+        W[v] = fma(w, splat(r.weight), W[v]);
+        const vfloat alpha_r = blend_alpha(r.refl_opacity * f.weight, Tr[v]);
+        const vfloat w_r = alpha_r * Tr[v];
+        for (int c = 0; c < 3; ++c) Cr[v][c] = fma(w_r, splat(r.refl_color[c]), Cr[v][c]);
+        Tr[v] = fma(-alpha_r, Tr[v], Tr[v]);
+        open |= Tr[v] >= kMinTransmittance;
+      }
+    }
+    if (!any(open)) break;
+  }
+  float t[16], c[3][16], d[16], tr[16], cr[3][16], w[16];
+  for (int v = 0; v < kVectors; ++v) {
+    store(t + v * kWidth, T[v]);
+    for (int k = 0; k < 3; ++k) store(c[k] + v * kWidth, C[v][k]);
+    if (Depth) store(d + v * kWidth, D[v]);
+    if (!Dual) continue;
+    store(tr + v * kWidth, Tr[v]), store(w + v * kWidth, W[v]);
+    for (int k = 0; k < 3; ++k) store(cr[k] + v * kWidth, Cr[v][k]);
+  }
+  for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int p) {
+    const float alpha = 1.0f - t[p];
+    state.transmittance[i] = t[p], out.alpha[i] = alpha;
+    for (int k = 0; k < 3; ++k) out.color[3 * i + k] = c[k][p] + t[p] * in.background[k];
+    if (Depth) out.depth[i] = alpha > kMinAlpha / 2 ? d[p] / alpha : 0.0f;
+    if (!Dual) return;
+    state.refl_transmittance[i] = tr[p], out.weight[i] = w[p];
+    for (int k = 0; k < 3; ++k) out.reflected[3 * i + k] = cr[k][p];
+  });
+}
+
+// The gradient images at a sub-tile's pixels, made ready for the walk.
+template <bool Dual, bool Depth>
+struct PixelGradients {
+  vfloat color[kVectors][3], depth[kVectors], behind[kVectors];
+  vfloat refl_color[kVectors][3], weight[kVectors], refl_behind[kVectors];
+
+  PixelGradients(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v, int x0,
+                 int y0) {
+    float g[10][16] = {};
+    for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int p) {
+      const float T = state.transmittance[i], alpha = 1.0f - T;
+      // What the walk will have added up by its end, and what the background and alpha add behind the last splat.
+      float total = v.alpha ? -T * v.alpha[i] : 0.0f;
+      for (int k = 0; k < 3; ++k) {
+        g[k][p] = v.color ? v.color[3 * i + k] : 0.0f;
+        total += g[k][p] * out.color[3 * i + k];
+      }
+      if (Depth && v.depth && out.depth[i] > 0) {
+        // depth = D / alpha: v_D = v / alpha, and v_alpha loses v * depth / alpha.
+        g[3][p] = v.depth[i] / alpha;
+        total += g[3][p] * out.depth[i] * alpha + T * g[3][p] * out.depth[i];
+      }
+      if (Dual) {
+        g[5][p] = v.weight ? v.weight[i] : 0.0f;
+        total += g[5][p] * out.weight[i];
+        float refl_total = 0;
+        for (int k = 0; k < 3; ++k) {
+          g[6 + k][p] = v.reflected ? v.reflected[3 * i + k] : 0.0f;
+          refl_total += g[6 + k][p] * out.reflected[3 * i + k];
+        }
+        g[9][p] = refl_total;
+      }
+      g[4][p] = total;
+    });
+    for (int n = 0; n < kVectors; ++n) {
+      for (int k = 0; k < 3; ++k) color[n][k] = load(g[k] + n * kWidth), refl_color[n][k] = load(g[6 + k] + n * kWidth);
+      depth[n] = load(g[3] + n * kWidth), behind[n] = load(g[4] + n * kWidth);
+      weight[n] = load(g[5] + n * kWidth), refl_behind[n] = load(g[9] + n * kWidth);
+    }
+  }
+};
+
+// pairs: [tile's entries, stride] gets each pair's sums added.
+template <bool Dual, bool Depth>
+void backward_subtile(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
+                      const TileEntry* entries, const uint32_t* list, int count, int x0, int y0, float* pairs) {
+  constexpr int kFields = Dual ? kDualFields : Depth ? kSingleFields : kDepth;
+  const Pixels pixels(x0, y0);
+  PixelGradients<Dual, Depth> g(in, state, out, v_out, x0, y0);
+  vfloat T[kVectors], Tr[kVectors];
+  for (int v = 0; v < kVectors; ++v) T[v] = splat(1.0f), Tr[v] = splat(1.0f);
+  for (int e = 0; e < count; ++e) {
+    const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
+    vfloat sums[kDualFields] = {};
+    vint open = vint{};
+    for (int v = 0; v < kVectors; ++v) {
+      const Footprint f = footprint(r, pixels.x[v], pixels.y[v]);
+      const vfloat raw = r.opacity * f.weight, alpha = blend_alpha(raw, T[v]), w = alpha * T[v];
+      vfloat gain = g.color[v][0] * r.color[0] + g.color[v][1] * r.color[1] + g.color[v][2] * r.color[2];
+      if (Depth) gain += g.depth[v] * r.depth;
+      if (Dual) gain += g.weight[v] * r.weight;
+      g.behind[v] -= w * gain;
+      // Zero where the splat doesn't count and where alpha is held at its maximum.
+      vfloat v_alpha = T[v] * gain - g.behind[v] / (1.0f - alpha);
+      v_alpha = keep((alpha > 0.0f) & (raw < kMaxAlpha), v_alpha);
+      vfloat v_exponent = v_alpha * raw;
+      sums[kOpacity] += v_exponent;
+      for (int c = 0; c < 3; ++c) sums[kColor + c] += w * g.color[v][c];
+      if (Depth) sums[kDepth] += w * g.depth[v];
+      T[v] = fma(-alpha, T[v], T[v]);
+      open |= T[v] >= kMinTransmittance;
+      if (Dual) {
+        sums[kWeight] += w * g.weight[v];
+        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = blend_alpha(raw_r, Tr[v]), w_r = alpha_r * Tr[v];
+        const vfloat gain_r =
+            g.refl_color[v][0] * r.refl_color[0] + g.refl_color[v][1] * r.refl_color[1] + g.refl_color[v][2] * r.refl_color[2];
+        g.refl_behind[v] -= w_r * gain_r;
+        vfloat v_alpha_r = Tr[v] * gain_r - g.refl_behind[v] / (1.0f - alpha_r);
+        v_alpha_r = keep((alpha_r > 0.0f) & (raw_r < kMaxAlpha), v_alpha_r);
+        const vfloat v_exponent_r = v_alpha_r * raw_r;
+        sums[kReflOpacity] += v_exponent_r;
+        v_exponent += v_exponent_r;
+        for (int c = 0; c < 3; ++c) sums[kReflColor + c] += w_r * g.refl_color[v][c];
+        Tr[v] = fma(-alpha_r, Tr[v], Tr[v]);
+        open |= Tr[v] >= kMinTransmittance;
+      }
+      const vfloat vx = v_exponent * f.dx, vy = v_exponent * f.dy;
+      sums[kDx] += vx, sums[kDy] += vy;
+      sums[kDxx] += vx * f.dx, sums[kDxy] += vx * f.dy, sums[kDyy] += vy * f.dy;
+    }
+    float total[kFields];
+    sum_each<kFields>(sums, total);
+    float* pair = pairs + size_t(list[e]) * stride(Dual);
+    for (int k = 0; k < kFields; ++k) pair[k] += total[k];
+    if (!any(open)) break;
+  }
+}
+
+// Walks the tiles on all threads; work(tile's entries, their number, sub-tile lists, x0, y0 of the tile).
+template <class Work>
+void for_tiles(const TileLists& lists, const Work& work) {
+  ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
+    static thread_local SubTileLists sub;
+    const TileEntry* entries = lists.entries.data() + lists.begin[tile];
+    const int n = int(lists.begin[tile + 1] - lists.begin[tile]);
+    sub.fill(entries, n);
+    work(entries, n, sub, tile % lists.tiles_x * kTile, tile / lists.tiles_x * kTile);
+  });
+}
+
+template <bool Dual, bool Depth>
+void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) {
+  for_tiles(state.lists, [&](const TileEntry* entries, int, const SubTileLists& sub, int x0, int y0) {
+    for (int s = 0; s < 4; ++s) {
+      const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
+      if (x < in.width && y < in.height)
+        blend_subtile<Dual, Depth>(in, state, out, entries, sub.entry[s].data(), sub.count[s], x, y);
+    }
+  });
+}
+
+template <bool Dual, bool Depth>
+void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out) {
+  state.pair_gradients.resize(size_t(state.lists.pairs()) * stride(Dual));
+  for_tiles(state.lists, [&](const TileEntry* entries, int n, const SubTileLists& sub, int x0, int y0) {
+    static thread_local std::vector<float> pairs;
+    pairs.assign(size_t(n) * stride(Dual), 0.0f);
+    for (int s = 0; s < 4; ++s) {
+      const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
+      if (x < in.width && y < in.height)
+        backward_subtile<Dual, Depth>(in, state, out, v_out, entries, sub.entry[s].data(), sub.count[s], x, y, pairs.data());
+    }
+    for (int e = 0; e < n; ++e)
+      std::memcpy(&state.pair_gradients[size_t(entries[e].slot) * stride(Dual)], &pairs[size_t(e) * stride(Dual)],
+                  sizeof(float) * stride(Dual));
+  });
+}
+
+// From the pairs' moments to the projected splat's gradient, and on to the parameters.
+void splat_backward(const VolumeInputs& in, const VolumeRecord& r, const float* total, bool dual, const VolumeGradients& v) {
+  const int64_t i = r.index;
+  // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
+  const float qxx = r.qxx * (-2.0f / kLog2E), qxy = r.qxy * (-1.0f / kLog2E), qyy = r.qyy * (-2.0f / kLog2E);
+  ProjectedGaussian<float> g = {};
+  g.x = qxx * total[kDx] + qxy * total[kDy];
+  g.y = qxy * total[kDx] + qyy * total[kDy];
+  g.depth = total[kDepth];
+  // v_covariance = -Q v_Q Q, with v_Q = -0.5 * moments.
+  const float mxx = 0.5f * total[kDxx], mxy = 0.5f * total[kDxy], myy = 0.5f * total[kDyy];
+  const float axx = qxx * mxx + qxy * mxy, axy = qxx * mxy + qxy * myy, ayx = qxy * mxx + qyy * mxy, ayy = qxy * mxy + qyy * myy;
+  g.cxx = axx * qxx + axy * qxy;
+  g.cyy = ayx * qxy + ayy * qyy;
+  g.cxy = (axx * qxy + axy * qyy) + (ayx * qxx + ayy * qxy);
+  const float o = in.opacities[i], o_r = dual ? in.refl_opacities[i] : 0.0f;
+  // Exponent's and opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
+  v.opacities[i] = o > 0 ? total[kOpacity] / o : 0.0f;
+  if (dual) v.refl_opacities[i] = o_r > 0 ? total[kReflOpacity] / o_r : 0.0f;
+  if (in.compensate) {
+    const float factor = o > 0 ? r.opacity / o : r.refl_opacity / o_r;
+    g.compensation = factor > 0 ? (total[kOpacity] + (dual ? total[kReflOpacity] : 0.0f)) / factor : 0.0f;
+  }
+  for (int k = 0; k < 3; ++k) v.colors[3 * i + k] = total[kColor + k];
+  if (dual) {
+    v.weights[i] = total[kWeight];
+    for (int k = 0; k < 3; ++k) v.refl_colors[3 * i + k] = total[kReflColor + k];
+  }
+  v.means2d[2 * i] = g.x, v.means2d[2 * i + 1] = g.y;
+  project_gaussian_vjp(in.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 3 * i, in.low_pass, g, v.means + 3 * i,
+                       v.quats + 4 * i, v.scales + 3 * i);
+}
+
+template <bool Dual>
+void reduce_pairs(const VolumeInputs& in, const VolumeState& state, const VolumeGradients& v) {
+  parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
+    for (int64_t s = begin; s < end; ++s) {
+      float total[16] = {};
+      for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
+        for (int k = 0; k < stride(Dual); ++k) total[k] += state.pair_gradients[size_t(slot) * stride(Dual) + k];
+      splat_backward(in, state.records[s], total, Dual, v);
+    }
+  });
+}
+
+void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, float* radii) {
+  const bool dual = in.refl_opacities != nullptr;
+  project_all(in, state, radii);
+  sort_and_bin(in, state);
+  state.transmittance.resize(size_t(in.width) * in.height);
+  if (dual) state.refl_transmittance.resize(size_t(in.width) * in.height);
+  if (dual) in.depth ? blend<true, true>(in, state, out) : blend<true, false>(in, state, out);
+  else in.depth ? blend<false, true>(in, state, out) : blend<false, false>(in, state, out);
+}
+
+void backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
+              const VolumeGradients& v) {
+  if (in.refl_opacities) {
+    v_out.depth ? blend_backward<true, true>(in, state, out, v_out) : blend_backward<true, false>(in, state, out, v_out);
+    reduce_pairs<true>(in, state, v);
+  } else {
+    v_out.depth ? blend_backward<false, true>(in, state, out, v_out) : blend_backward<false, false>(in, state, out, v_out);
+    reduce_pairs<false>(in, state, v);
+  }
+}
+
+}  // namespace
+
+const VolumeKernels volume_kernels = {forward, backward};
+
+}  // namespace MGSR_ISA
+}  // namespace mgsr

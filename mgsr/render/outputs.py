@@ -31,14 +31,14 @@ class VolumeOutputs:
     """The 3D branch seen by one camera.
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
-    weight [H,W], None without a light split; depth [H,W] camera z, 0 where nothing is; alpha [H,W] of the transmitted
-    half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    weight [H,W], None without a light split; depth [H,W] camera z, 0 where nothing is, None if not asked for; alpha
+    [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
     """
 
     color: Tensor
     transmitted: Tensor
     reflected: Tensor | None
     weight: Tensor | None
-    depth: Tensor
+    depth: Tensor | None
     alpha: Tensor
     stats: Any

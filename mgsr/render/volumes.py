@@ -9,7 +9,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.ops.volumes import Reflected, rasterize_volumes
+from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 from mgsr.render.outputs import VolumeOutputs
 
 
@@ -19,12 +19,13 @@ def render_volumes(
     background: Tensor | None = None,
     degree: int | None = None,
     refl_degree: int | None = None,
+    depth: bool = True,
 ) -> VolumeOutputs:
     """The Gaussians seen by any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
-    the reflected colours, by default all that is stored. Gradients flow to the model's tensors where these ask for
-    them.
+    the reflected colours, by default all that is stored; depth: off saves its time. Gradients flow to the model's
+    tensors where these ask for them.
     """
     center = torch.tensor(camera.center, dtype=torch.float32, device=model.means.device)
     raster = rasterize_volumes(
@@ -36,6 +37,7 @@ def render_volumes(
         camera,
         torch.zeros(3, device=model.means.device) if background is None else background,
         reflected=_reflected(model, center, refl_degree),
+        options=VolumeOptions(depth=depth),
     )
     color = raster.color
     if raster.reflected is not None and raster.weight is not None:

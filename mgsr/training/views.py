@@ -66,6 +66,11 @@ def pick_background(kind: Background, masked: bool, generator: torch.Generator) 
     return (1.0, 1.0, 1.0)
 
 
+def plain_background(kind: Background) -> Color:
+    """The colour on which renderings are judged: white, unless training knows black alone."""
+    return (0.0, 0.0, 0.0) if kind is Background.BLACK else (1.0, 1.0, 1.0)
+
+
 class ViewCycle:
     """Indices of views, each once an epoch, in an order that the generator shuffles anew for each."""
 

@@ -1,0 +1,103 @@
+"""One branch in training: its model, optimiser, densification and what it renders."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from mgsr.config import DensifyConfig, RatesConfig
+from mgsr.densify.adaptive import adapt
+from mgsr.densify.reset import reset_opacities
+from mgsr.densify.state import DensifyState
+from mgsr.errors import TrainingError
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.ops.adam import FusedAdam
+from mgsr.training.schedule import rates_at
+
+Model = TypeVar("Model", SurfelModel, VolumeModel)
+
+
+class Branch(Generic[Model]):
+    """A model with everything that changes it. `name` is surfels or volumes; extent: the scene's, in its unit."""
+
+    def __init__(
+        self,
+        name: str,
+        model: Model,
+        rates: RatesConfig,
+        densify: DensifyConfig,
+        extent: float,
+        generator: torch.Generator,
+    ) -> None:
+        self.name = name
+        self.model = model
+        self.rates = rates
+        self.densify = densify
+        self.extent = extent
+        self.generator = generator
+        self.steps = 0
+        self.optimizer = FusedAdam(model.parameters(), betas=(rates.beta1, rates.beta2), eps=rates.eps)
+        self.densify_state = DensifyState.empty(len(model))
+        self._adopt()
+
+    def step(self, progress: float) -> None:
+        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
+        self.optimizer.step(rates_at(progress, self.rates, self.extent))
+        self.steps += 1
+
+    def gather(self, stats: Any, width: int, height: int, weight: float) -> None:
+        """Note one image's screen-space gradients for densification (see `DensifyState.gather`)."""
+        if stats.v_means2d is not None:
+            self.densify_state.gather(stats.v_means2d, stats.visible, width, height, weight)
+
+    def adapt(self, grow: bool = True) -> None:
+        """Clone, split and prune, and begin to gather anew. Raises TrainingError when no splat is left."""
+        change = adapt(self.model.parameters(), self.densify_state, self.densify, self.extent, self.generator, grow)
+        if len(change.kept) + change.cloned + 2 * change.split == 0:
+            raise TrainingError(
+                f"{self.name}: every splat was pruned, so nothing of the images was explained; check the poses and "
+                "masks, or lower prune_opacity"
+            )
+        self.optimizer.keep(change.kept)
+        self.optimizer.extend(change.added)
+        self._adopt()
+        self.densify_state = DensifyState.empty(len(self.model))
+
+    def reset_opacities(self) -> None:
+        """Lower every opacity and forget the optimiser's momentum there."""
+        self.optimizer.clear(reset_opacities(self.model.parameters(), self.densify.reset_opacity))
+
+    def bad_gradients(self) -> list[str]:
+        """Names of the parameters whose gradient is not finite."""
+        return [
+            f"{self.name}.{name}"
+            for name, tensor in self.model.parameters().items()
+            if tensor.grad is not None and not bool(torch.isfinite(tensor.grad.sum()))
+        ]
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next iteration depends on, for a checkpoint."""
+        return {
+            "optimizer": self.optimizer.state_dict(),
+            "densify": self.densify_state.tensors(),
+            "generator": self.generator.get_state(),
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take back what `state` gave."""
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.densify_state = DensifyState(**state["densify"])
+        self.generator.set_state(state["generator"])
+        self.steps = state["steps"]
+        self._adopt()
+
+    def _adopt(self) -> None:
+        """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
+        parameters: dict[str, Tensor] = self.optimizer.parameters()
+        for item in fields(self.model):
+            setattr(self.model, item.name, parameters.get(item.name))

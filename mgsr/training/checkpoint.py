@@ -1,0 +1,66 @@
+"""One file that holds a run: written whole or not at all, and read only by the run that it belongs to."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from mgsr.config import Config, WatchConfig
+from mgsr.data.scene import Scene, View
+from mgsr.errors import CheckpointError
+
+FORMAT = 1
+
+
+def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
+    """What a checkpoint must share with a run: hashes of the training images and cameras, and of the settings that
+    change the result."""
+    digest = hashlib.sha256()
+    for view in scene.train:
+        digest.update(_view_bytes(view))
+    train = replace(config.train, watch=WatchConfig())
+    settings = repr((config.method, config.seed, config.data, train))
+    return {"scene": digest.hexdigest(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
+
+
+def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
+    """Write `content` (plain values and tensors) so that a crash leaves the old file or the new one, never half."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("wb") as file:
+        torch.save({"format": FORMAT, **content}, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
+def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
+    """The content of a checkpoint. Raises CheckpointError when it can't be read, or belongs to another scene or other
+    settings than `expected` (see `fingerprint`)."""
+    try:
+        content = torch.load(path, weights_only=True, map_location="cpu")
+    except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise CheckpointError(f"{path}: not a readable checkpoint ({error}); start without resuming") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: not a checkpoint of this version; start without resuming")
+    for part, cure in (
+        ("scene", "resume with the images it was made from"),
+        ("settings", "resume with the same method, seed and settings"),
+    ):
+        if content["fingerprint"][part] != expected[part]:
+            raise CheckpointError(f"{path}: belongs to another run (its {part} differ): {cure}, or start anew")
+    return content
+
+
+def _view_bytes(view: View) -> bytes:
+    sums = [zlib.crc32(np.ascontiguousarray(image)) for image in (view.image, view.alpha) if image is not None]
+    pose = np.concatenate([view.camera.K.ravel(), view.camera.cam_from_world.ravel()]).astype(np.float64)
+    return f"{view.name} {view.image.shape} {sums}".encode() + pose.tobytes()

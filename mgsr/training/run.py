@@ -1,0 +1,58 @@
+"""Trains the branches of a scene: the door to this package."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from mgsr.config import Config
+from mgsr.data.scene import Scene
+from mgsr.training.checkpoint import fingerprint
+from mgsr.training.plan import StartingPoints, make_plan
+from mgsr.training.progress import ProgressCallback, TrainResult
+from mgsr.training.threads import one_torch_thread
+from mgsr.training.trainer import Trainer
+
+
+def train(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    progress: ProgressCallback | None = None,
+    should_stop: Callable[[], bool] | None = None,
+    checkpoint_path: Path | None = None,
+    resume: bool = False,
+    deadline: float | None = None,
+) -> TrainResult:
+    """The trained branches of a scene, from starting points in the scene's frame.
+
+    progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
+    a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
+    resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
+    deadline: seconds after which training ends where it is (the reports say so).
+
+    Raises TrainingError (too few views or points, numbers that are not finite, nothing left of a branch), Cancelled,
+    CheckpointError (damaged, or of another scene or other settings).
+    """
+    with one_torch_thread():
+        trainer = Trainer(
+            make_plan(scene, start, config),
+            config.train,
+            scene.masked,
+            fingerprint(scene, config),
+            checkpoint_path,
+            progress,
+            should_stop,
+            deadline,
+        )
+        if resume and checkpoint_path is not None and checkpoint_path.exists():
+            trainer.resume()
+        trainer.run()
+        plan = trainer.plan
+        return TrainResult(
+            surfels=None if plan.surfels is None else plan.surfels.model.detached(),
+            volumes=None if plan.volumes is None else plan.volumes.model.detached(),
+            stages=trainer.reports,
+            curve=trainer.curve,
+            seconds=trainer.seconds,
+        )

@@ -1,0 +1,222 @@
+"""The one training loop: it runs the stages of a plan, and looks up from time to time to report and to save."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mgsr.config import TrainConfig
+from mgsr.errors import Cancelled, TrainingError
+from mgsr.losses.objective import Terms
+from mgsr.training.branch import Branch
+from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
+from mgsr.training.evaluate import mean_psnr, render_color
+from mgsr.training.plan import Plan
+from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
+from mgsr.training.stages import Stage, Step
+from mgsr.training.views import pick_background, plain_background
+
+
+class Trainer:
+    """Runs a plan. Its state is the plan's, the stage's number, the reports and the clock; `checkpoint` holds it all.
+
+    progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
+    iteration; deadline: seconds of training after which the stages end where they are.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        config: TrainConfig,
+        masked: bool,
+        run_fingerprint: dict[str, str],
+        checkpoint_path: Path | None = None,
+        progress: ProgressCallback | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        deadline: float | None = None,
+    ) -> None:
+        self.plan = plan
+        self.config = config
+        self.masked = masked
+        self.fingerprint = run_fingerprint
+        self.checkpoint_path = checkpoint_path
+        self.progress = progress
+        self.should_stop = should_stop
+        self.deadline = deadline
+        self.stage_index = 0
+        self.reports: list[StageReport] = []
+        self.curve: list[CurveRow] = []
+        self._clock_start = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Spent on this run, also before it was resumed."""
+        return time.perf_counter() - self._clock_start
+
+    def run(self) -> None:
+        """Every stage that is left. Raises Cancelled when should_stop says so, TrainingError when numbers go bad."""
+        while self.stage_index < len(self.plan.stages):
+            stage = self.plan.stages[self.stage_index]
+            begun = self.seconds - stage.seconds
+            reason = self._run_stage(stage, begun)
+            self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason))
+            self.stage_index += 1
+            self.save()
+
+    def save(self) -> None:
+        """Write a checkpoint, if there is a path for it."""
+        if self.checkpoint_path is not None:
+            save_checkpoint(self.checkpoint_path, self.state())
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the run depends on, as plain values and tensors."""
+        return {
+            "fingerprint": self.fingerprint,
+            "stage_index": self.stage_index,
+            "seconds": self.seconds,
+            "stages": [stage.state() for stage in self.plan.stages],
+            "branches": {branch.name: branch.state() for branch in self.plan.branches},
+            "reports": [asdict(report) for report in self.reports],
+            "curve": [asdict(row) for row in self.curve],
+        }
+
+    def resume(self) -> None:
+        """Go on from the checkpoint. Raises CheckpointError when it is damaged or another run's."""
+        assert self.checkpoint_path is not None
+        state = load_checkpoint(self.checkpoint_path, self.fingerprint)
+        self.stage_index = state["stage_index"]
+        self._clock_start = time.perf_counter() - state["seconds"]
+        for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
+            stage.restore(saved)
+        for branch in self.plan.branches:
+            branch.restore(state["branches"][branch.name])
+        self.reports = [StageReport(**report) for report in state["reports"]]
+        self.curve = [CurveRow(**row) for row in state["curve"]]
+
+    def _run_stage(self, stage: Stage, begun: float) -> str:
+        """Iterate to the stage's end; returns why it ended."""
+        reason = "iterations"
+        while stage.iteration < stage.iterations:
+            stage.seconds = self.seconds - begun
+            self._heed_caller(stage)
+            if self.deadline is not None and self.seconds > self.deadline:
+                return "deadline"
+            terms, converged = self._iterate(stage)
+            stage.seconds = self.seconds - begun
+            last = converged or stage.iteration == stage.iterations
+            self._watch(stage, terms, last)
+            if converged:
+                reason = "converged"
+                break
+        return reason
+
+    def _heed_caller(self, stage: Stage) -> None:
+        if self.should_stop is not None and self.should_stop():
+            self.save()
+            kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
+            raise Cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations{kept}")
+
+    def _iterate(self, stage: Stage) -> tuple[Terms, bool]:
+        """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
+        view = stage.views[stage.cycle.next()]
+        background = pick_background(self.config.background, self.masked, stage.cycle.generator)
+        step = stage.compute(view, background, stage.iteration)
+        loss = torch.stack(list(step.terms.values())).sum()
+        loss.backward()
+        stage.iteration += 1
+        if stage.iteration % self.config.watch.check_every == 0:
+            self._check_finite(stage, step.terms)
+        self._update(stage, step, view.camera.width, view.camera.height)
+        if stage.convergence is None:
+            return step.terms, False
+        return step.terms, stage.convergence.converged(loss.detach(), stage.iteration, stage.cycle.at_epoch_end)
+
+    def _update(self, stage: Stage, step: Step, width: int, height: int) -> None:
+        """Step the optimisers and, where they are due, densify and reset."""
+        for branch in stage.branches:
+            branch.step(stage.progress(branch, stage.iteration))
+            first, last = stage.window(branch.densify)
+            if not stage.iteration <= last:
+                continue
+            for seen in step.seen:
+                if seen.branch is branch:
+                    branch.gather(seen.stats, width, height, seen.weight)
+            if stage.iteration % branch.densify.every == 0 and stage.iteration >= first:
+                branch.adapt()
+            reset = branch.densify.reset_every
+            if reset is not None and stage.iteration % reset == 0 and stage.iteration + reset <= last:
+                branch.reset_opacities()
+
+    def _check_finite(self, stage: Stage, terms: Terms) -> None:
+        bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
+        bad = bad or [name for branch in stage.branches for name in branch.bad_gradients()]
+        if bad:
+            raise TrainingError(
+                f"{stage.name}, iteration {stage.iteration}: {', '.join(bad)} not finite; lower the learning rates or "
+                "that term's weight, and look for broken images or poses"
+            )
+
+    def _watch(self, stage: Stage, terms: Terms, last: bool) -> None:
+        """Note the curve, report and save, each where it is due."""
+        watch, iteration = self.config.watch, stage.iteration
+        if last or iteration % watch.curve_every == 0:
+            self.curve.append(self._curve_row(stage))
+        if self.progress is not None and (last or iteration % watch.report_every == 0):
+            self.progress(self._report(stage, terms, last))
+        if iteration % watch.checkpoint_every == 0 and not last:
+            self.save()
+
+    def _curve_row(self, stage: Stage) -> CurveRow:
+        psnr = {branch.name: self._psnr(branch) for branch in self.plan.branches}
+        counts = self._counts()
+        return CurveRow(
+            self.seconds,
+            stage.name,
+            stage.iteration,
+            psnr.get("surfels"),
+            psnr.get("volumes"),
+            counts.get("surfels", 0),
+            counts.get("volumes", 0),
+        )
+
+    def _psnr(self, branch: Branch) -> float | None:
+        if not self.plan.curve_views:
+            return None
+        return mean_psnr(branch.model, self.plan.curve_views, plain_background(self.config.background))
+
+    def _report(self, stage: Stage, terms: Terms, last: bool) -> Progress:
+        every = self.config.watch.preview_every
+        due = every is not None and (last or stage.iteration % every == 0)
+        planned = sum(each.iterations for each in self.plan.stages)
+        spent = sum(each.iterations for each in self.plan.stages[: self.stage_index]) + stage.iteration
+        return Progress(
+            stage=stage.name,
+            iteration=stage.iteration,
+            total=stage.iterations,
+            done=spent / max(1, planned),
+            seconds=self.seconds,
+            losses={name: float(term.detach()) for name, term in terms.items()},
+            counts=self._counts(),
+            psnr=self.curve[-1].psnr if self.curve else None,
+            previews=self._previews() if due else {},
+        )
+
+    def _counts(self) -> dict[str, int]:
+        return {branch.name: len(branch.model) for branch in self.plan.branches}
+
+    def _previews(self) -> dict[str, np.ndarray]:
+        view = (self.plan.curve_views or self.plan.stages[-1].views)[0]
+        background = plain_background(self.config.background)
+        images = {branch.name: render_color(branch.model, view, background) for branch in self.plan.branches}
+        return {name: _as_bytes(image) for name, image in images.items()}
+
+
+def _as_bytes(image: Tensor) -> np.ndarray:
+    return (image.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

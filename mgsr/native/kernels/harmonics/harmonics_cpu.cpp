@@ -13,21 +13,34 @@ namespace {
 constexpr int64_t kChunk = 512;
 constexpr int kMaxFloats = 48;
 
-// rows[i][j] becomes rows[j][i], in log2(kWidth) steps that swap blocks across the diagonal.
-inline void transpose(vfloat* rows) {
-  for (int step = 1; step < kWidth; step *= 2) {
-    vint low = {}, high = {};
-    for (int l = 0; l < kWidth; ++l) {
-      low[l] = l & step ? kWidth + l - step : l;
-      high[l] = l & step ? kWidth + l : l + step;
-    }
-    for (int i = 0; i < kWidth; ++i) {
-      if (i & step) continue;
-      const vfloat a = rows[i], b = rows[i + step];
-      rows[i] = __builtin_shuffle(a, b, low);
-      rows[i + step] = __builtin_shuffle(a, b, high);
-    }
+// Swaps the off-diagonal blocks of size Step. A template, so that the shuffles have constant patterns.
+template <int Step>
+inline void swap_blocks(vfloat* rows) {
+  vint low = {}, high = {};
+  for (int l = 0; l < kWidth; ++l) {
+    low[l] = l & Step ? kWidth + l - Step : l;
+    high[l] = l & Step ? kWidth + l : l + Step;
   }
+#pragma GCC unroll 16
+  for (int i = 0; i < kWidth; ++i) {
+    if (i & Step) continue;
+    const vfloat a = rows[i], b = rows[i + Step];
+    rows[i] = __builtin_shuffle(a, b, low);
+    rows[i + Step] = __builtin_shuffle(a, b, high);
+  }
+}
+
+// rows[i][j] becomes rows[j][i], by blocks of 1, 2, 4 ... lanes.
+inline void transpose(vfloat* data) {
+  vfloat rows[kWidth];
+#pragma GCC unroll 16
+  for (int i = 0; i < kWidth; ++i) rows[i] = data[i];
+  swap_blocks<1>(rows);
+  swap_blocks<2>(rows);
+  if constexpr (kWidth > 4) swap_blocks<4>(rows);
+  if constexpr (kWidth > 8) swap_blocks<8>(rows);
+#pragma GCC unroll 16
+  for (int i = 0; i < kWidth; ++i) data[i] = rows[i];
 }
 
 // kWidth rows of `stride` floats from row `first`, turned to columns[stride rounded up][lane]. Rows past n repeat the last.

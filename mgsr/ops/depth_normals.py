@@ -1,0 +1,58 @@
+"""Normals of the surface that a depth map describes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch.autograd.function import once_differentiable
+
+from mgsr.checks import check_tensors
+from mgsr.data.camera import Camera
+from mgsr.errors import TensorError
+from mgsr.native import _image
+from mgsr.ops.arrays import host
+
+
+def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
+    """Normals [H, W, 3]: world frame, facing the camera, of length 1, or ``alpha`` where that is given.
+
+    The cross product of the central differences of the back-projected points. Zero, and passing no gradient, at the
+    image's border and where the pixel or one of its four neighbours has no depth (<= 0 or NaN).
+
+    depth: [H, W], camera z, scene units; gradients flow (to the four neighbours of each normal).
+    alpha: [H, W] or None; no gradient.
+
+    Raises TensorError for wrong shapes or dtypes, or a camera of another size.
+    Source: method, "Surface normal"; 2DGS, Eq. 16.
+    """
+    sizes = check_tensors(depth=(depth, "H W"), **({} if alpha is None else {"alpha": (alpha, "H W")}))
+    if (sizes["H"], sizes["W"]) != (camera.height, camera.width):
+        expected, came = f"[{camera.height}, {camera.width}]", f"[{sizes['H']}, {sizes['W']}]"
+        raise TensorError(f"depth: expected the camera's {expected}, got {came}; use camera.resized(width, height)")
+    return _DepthNormals.apply(depth, camera, alpha)
+
+
+def _geometry(camera: Camera) -> tuple[tuple[float, float, float, float], list[float]]:
+    K = camera.K
+    intrinsics = (float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
+    return intrinsics, camera.cam_from_world[:3, :3].T.ravel().tolist()
+
+
+class _DepthNormals(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
+        depth, alpha = host(depth), None if alpha is None else host(alpha)
+        normals = torch.empty((*depth.shape, 3))
+        _image.depth_normals(depth, alpha, *_geometry(camera), normals)
+        ctx.save_for_backward(depth, alpha)
+        ctx.camera = camera
+        return normals
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        depth, alpha = ctx.saved_tensors
+        v_depth = torch.empty_like(depth)
+        _image.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), host(v_normals), v_depth)
+        return v_depth, None, None

@@ -224,6 +224,7 @@ class TrainConfig:
     tv: bool = True  # off: every TV weight counts as zero (Model N)
     background: Background = Background.AUTO
     alpha_loss: AlphaLoss = AlphaLoss.L1
+    crop_margin: int | None = 16  # pixels around the mask's box that the photographic losses see; none is the image
     sh_step: float = 0.1  # fraction of the warm-up between two rises of the SH degree
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)

@@ -24,7 +24,7 @@ Terms = dict[str, Tensor]
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
     """L_2D of the warm-up: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
-    terms = {"surfels.photo": image_loss(outputs.color, target.color, l1_weight=config.l1_weight)}
+    terms = {"surfels.photo": _photo(outputs.color, target.color, target, config)}
     terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config)
     return terms | (surface_terms(outputs, target, config) if regularised else {})
 
@@ -32,13 +32,13 @@ def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, re
 def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
     """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness."""
     settings = config.volumes
-    terms = {"volumes.photo": image_loss(outputs.color, target.color, l1_weight=config.l1_weight)}
+    terms = {"volumes.photo": _photo(outputs.color, target.color, target, config)}
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
     if config.tv and settings.transmitted_tv_weight:
         tv = edge_aware_tv(outputs.transmitted, target.color)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
     if config.tv and settings.depth_tv_weight:
-        tv = edge_aware_tv(outputs.depth, target.color, mask=target.covered(outputs.alpha))
+        tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))
         terms["volumes.depth_tv"] = settings.depth_tv_weight * tv
     return terms
 
@@ -53,9 +53,8 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
     transmitted = volumes.transmitted if both else volumes.transmitted.detach()
     depth = surface_depth(surfels, config)
     terms = {
-        "surfels.photo": settings.photo_weight * image_loss(surfels.color, target.color, l1_weight=config.l1_weight),
-        "surfels.transmitted": (1 - settings.photo_weight)
-        * image_loss(surfels.color, transmitted, l1_weight=config.l1_weight),
+        "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config),
+        "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config),
     }
     terms |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config)
     terms |= surface_terms(surfels, replace(target, color=volumes.transmitted.detach()), config)
@@ -63,9 +62,10 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
     for name, term in volume_terms(volumes, target, config).items():
         terms[name] = settings.volume_weight * term
     if settings.depth_weight:
-        unit = depth_unit(settings.depth_unit, volumes.depth, target.distance)
+        full_depth = _rendered(volumes.depth)
+        unit = depth_unit(settings.depth_unit, full_depth, target.distance)
         covered = target.covered(surfels.alpha) * target.covered(volumes.alpha)
-        agreement = depth_agreement(volumes.depth, depth if both else depth.detach(), covered, unit)
+        agreement = depth_agreement(full_depth, depth if both else depth.detach(), covered, unit)
         terms["mutual.depth"] = settings.depth_weight * agreement
     return terms
 
@@ -92,6 +92,15 @@ def surface_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig) -
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     """The depth [H,W] that counts as the surface."""
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
+
+
+def _photo(image: Tensor, other: Tensor, target: Target, config: TrainConfig) -> Tensor:
+    return image_loss(image, other, l1_weight=config.l1_weight, region=target.region)
+
+
+def _rendered(depth: Tensor | None) -> Tensor:
+    assert depth is not None, "the stage rendered no depth"
+    return depth
 
 
 def _silhouette(branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig) -> Terms:

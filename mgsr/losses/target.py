@@ -15,12 +15,14 @@ class Target:
     """One photograph, ready for the losses.
 
     color [H,W,3] float32 0..1, composited on the background that the rendering has too; alpha [H,W] float32 0..1, or
-    None without masks; camera: whose view it is.
+    None without masks; camera: whose view it is; region (y0, y1, x0, x1), ends excluded: where the photographic losses
+    look, None for everywhere.
     """
 
     color: Tensor
     alpha: Tensor | None
     camera: Camera
+    region: tuple[int, int, int, int] | None = None
 
     @property
     def distance(self) -> float:

@@ -61,6 +61,6 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
 
 
 def _view_bytes(view: View) -> bytes:
-    sums = [zlib.crc32(np.ascontiguousarray(image)) for image in (view.image, view.alpha) if image is not None]
+    sums = [zlib.crc32(image.tobytes()) for image in (view.image, view.alpha) if image is not None]
     pose = np.concatenate([view.camera.K.ravel(), view.camera.cam_from_world.ravel()]).astype(np.float64)
     return f"{view.name} {view.image.shape} {sums}".encode() + pose.tobytes()

@@ -57,7 +57,8 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config) -> Plan:
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    views = prepare_views(scene.train, scene.masked)
+    margin = config.train.crop_margin if _silhouettes_count(config) else None
+    views = prepare_views(scene.train, scene.masked, margin)
     surfels, volumes = _make_branches(scene, start, config)
     warmup_views, held_back = _hold_back(views, config)
     stages: list[Stage] = []
@@ -155,6 +156,11 @@ def _last_stage(
 def _planned(branch: Branch, config: Config) -> int:
     warmup = config.train.warmup
     return warmup.surfel_iterations if branch.name == "surfels" else warmup.volume_iterations
+
+
+def _silhouettes_count(config: Config) -> bool:
+    """Whether the alpha losses see to what lies outside the masks' boxes."""
+    return config.train.surfels.alpha_weight > 0 and config.train.volumes.alpha_weight > 0
 
 
 def _hold_back(views: list[TrainingView], config: Config) -> tuple[list[TrainingView], list[TrainingView]]:

@@ -1,6 +1,5 @@
 // Python module mgsr.native._image.
 #include <nanobind/stl/pair.h>
-#include <nanobind/stl/tuple.h>
 
 #include <tuple>
 #include <utility>

@@ -1,0 +1,127 @@
+"""Adam over packed parameters, fused: one call of the kernel updates all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+
+from mgsr.errors import CheckpointError, TensorError
+from mgsr.native import _adam
+from mgsr.ops.arrays import host
+
+
+class FusedAdam:
+    """Adam (Kingma and Ba 2015) for parameters whose rows are splats, and whose rows come and go.
+
+    params: name to leaf tensor [N, ...], float32, on the CPU; all have the same N. `params` of the object holds the
+        current ones; `keep` and `extend` replace them by new leaves (shared with whoever reads `params`).
+    lrs: name to learning rate, one for each parameter.
+    lr_scales: name to tensor of the shape of a row [...], multiplies the rate of each column; for spherical
+        harmonics, [K, 3] with 1 for the first band and 1/20 for the others.
+    betas, epsilon: as in the paper; 1e-15 suits gradients as small as those of splats.
+
+    A parameter without a gradient is left alone and its step count stands still. New rows start with zero moments and
+    share the step count of the old ones. A NaN gradient makes its own number NaN. Same bytes for any thread count.
+    """
+
+    def __init__(
+        self,
+        params: Mapping[str, torch.Tensor],
+        lrs: Mapping[str, float],
+        *,
+        lr_scales: Mapping[str, torch.Tensor] | None = None,
+        betas: tuple[float, float] = (0.9, 0.999),
+        epsilon: float = 1e-15,
+    ) -> None:
+        if set(params) != set(lrs):
+            raise TensorError(f"lrs: expected a rate for each of {sorted(params)}, got {sorted(lrs)}")
+        self.params: dict[str, torch.Tensor] = {}
+        self.lrs = dict(lrs)
+        self.betas, self.epsilon = betas, epsilon
+        self._batch = _adam.AdamBatch(*betas, epsilon)
+        self._scales = {name: host(scale).reshape(-1) for name, scale in (lr_scales or {}).items()}
+        self._first: dict[str, torch.Tensor] = {}
+        self._second: dict[str, torch.Tensor] = {}
+        self._steps = dict.fromkeys(params, 0)
+        for name, param in params.items():
+            self._adopt(name, param, torch.zeros_like(param.detach()), torch.zeros_like(param.detach()))
+
+    def step(self) -> None:
+        """Update every parameter that has a gradient, in place."""
+        held = []  # the kernel keeps bare pointers until update
+        for name, param in self.params.items():
+            if param.grad is None or not param.numel():
+                continue
+            self._steps[name] += 1
+            rows = (param.shape[0], -1)
+            arrays = [host(t).view(rows) for t in (param, param.grad, self._first[name], self._second[name])]
+            held.append(arrays)
+            self._batch.add(*arrays, self._scales.get(name), self.lrs[name], self._steps[name])
+        self._batch.update()
+
+    def set_lr(self, name: str, lr: float) -> None:
+        """Change one learning rate from the next step on."""
+        if name not in self.lrs:
+            raise TensorError(f"set_lr: expected one of {sorted(self.lrs)}, got {name}")
+        self.lrs[name] = lr
+
+    def keep(self, rows: torch.Tensor) -> None:
+        """Keep the rows of a mask [N] bool, or those of an index [M] int64 in its order (a row may come twice).
+
+        Parameters become new leaves without gradients; moments go along.
+        """
+        for name, param in self.params.items():
+            self._adopt(name, param.detach()[rows], self._first[name][rows], self._second[name][rows])
+
+    def extend(self, rows: Mapping[str, torch.Tensor]) -> None:
+        """Append rows [M, ...] to every parameter, with zero moments. Parameters become new leaves."""
+        if set(rows) != set(self.params):
+            raise TensorError(f"rows: expected {sorted(self.params)}, got {sorted(rows)}")
+        if len({new.shape[0] for new in rows.values()}) > 1:
+            raise TensorError(f"rows: expected equally many for each name, got { {k: len(v) for k, v in rows.items()} }")
+        for name, new in rows.items():
+            new = new.detach()
+            zeros = torch.zeros_like(new)
+            moments = (torch.cat([m[name], zeros]) for m in (self._first, self._second))
+            self._adopt(name, torch.cat([self.params[name].detach(), new]), *moments)
+
+    def replace(self, name: str, values: torch.Tensor) -> None:
+        """Give one parameter new values of the same shape in place, and forget its moments (an opacity reset)."""
+        with torch.no_grad():
+            self.params[name].copy_(values)
+        self._first[name].zero_()
+        self._second[name].zero_()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments, step counts and rates: with `params`, all that the next step depends on. Tensors are not copied."""
+        return {
+            "first": dict(self._first),
+            "second": dict(self._second),
+            "steps": dict(self._steps),
+            "lrs": dict(self.lrs),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Take over what `state_dict` gave, for parameters of the same names and shapes.
+
+        Raises CheckpointError where they differ.
+        """
+        for key in ("first", "second"):
+            came = {name: tuple(t.shape) for name, t in state[key].items()}
+            expected = {name: tuple(t.shape) for name, t in self.params.items()}
+            if came != expected:
+                raise CheckpointError(f"optimiser state: expected moments of {expected}, got {came}")
+        self._first = {name: t.clone() for name, t in state["first"].items()}
+        self._second = {name: t.clone() for name, t in state["second"].items()}
+        self._steps, self.lrs = dict(state["steps"]), dict(state["lrs"])
+
+    def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
+        leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
+        if leaf.dtype != torch.float32 or not leaf.is_contiguous() or leaf.ndim == 0:
+            raise TensorError(f"{name}: expected a contiguous float32 tensor [N, ...], got {leaf.dtype} {[*leaf.shape]}")
+        scale = self._scales.get(name)
+        if scale is not None and scale.numel() != leaf[:1].numel() and leaf.shape[0]:
+            raise TensorError(f"lr_scales: expected {[*leaf.shape[1:]]} for {name}, got {scale.numel()} numbers")
+        self.params[name], self._first[name], self._second[name] = leaf, first.contiguous(), second.contiguous()

@@ -359,6 +359,8 @@ def validate(config: Config) -> None:
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
     for path in field_types(config):
+        if ".rates." in path and _value(config, path) == 0:
+            raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
 

@@ -10,13 +10,13 @@ from torch import Tensor
 
 from mgsr.config import DensifyConfig, RatesConfig
 from mgsr.densify.adaptive import adapt
-from mgsr.densify.reset import reset_opacities
+from mgsr.densify.reset import lowered_opacities
 from mgsr.densify.state import DensifyState
 from mgsr.errors import TrainingError
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.adam import FusedAdam
-from mgsr.training.schedule import rates_at
+from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 
 Model = TypeVar("Model", SurfelModel, VolumeModel)
 
@@ -34,19 +34,24 @@ class Branch(Generic[Model]):
         generator: torch.Generator,
     ) -> None:
         self.name = name
-        self.model = model
+        self.model: Model = model
         self.rates = rates
         self.densify = densify
         self.extent = extent
         self.generator = generator
         self.steps = 0
-        self.optimizer = FusedAdam(model.parameters(), betas=(rates.beta1, rates.beta2), eps=rates.eps)
+        self.optimizer = self._make_optimizer(model.parameters())
         self.densify_state = DensifyState.empty(len(model))
         self._adopt()
 
     def step(self, progress: float) -> None:
         """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
-        self.optimizer.step(rates_at(progress, self.rates, self.extent))
+        rates = rates_at(progress, self.rates, self.extent)
+        for name in self.optimizer.params:
+            self.optimizer.set_lr(name, rates[name])
+        self.optimizer.step()
+        for tensor in self.optimizer.params.values():
+            tensor.grad = None
         self.steps += 1
 
     def gather(self, stats: Any, width: int, height: int, weight: float) -> None:
@@ -69,7 +74,8 @@ class Branch(Generic[Model]):
 
     def reset_opacities(self) -> None:
         """Lower every opacity and forget the optimiser's momentum there."""
-        self.optimizer.clear(reset_opacities(self.model.parameters(), self.densify.reset_opacity))
+        for name, lowered in lowered_opacities(self.model.parameters(), self.densify.reset_opacity).items():
+            self.optimizer.replace(name, lowered)
 
     def bad_gradients(self) -> list[str]:
         """Names of the parameters whose gradient is not finite."""
@@ -82,6 +88,7 @@ class Branch(Generic[Model]):
     def state(self) -> dict[str, Any]:
         """Everything that the next iteration depends on, for a checkpoint."""
         return {
+            "parameters": {name: tensor.detach() for name, tensor in self.optimizer.params.items()},
             "optimizer": self.optimizer.state_dict(),
             "densify": self.densify_state.tensors(),
             "generator": self.generator.get_state(),
@@ -90,14 +97,23 @@ class Branch(Generic[Model]):
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take back what `state` gave."""
+        self.optimizer = self._make_optimizer(state["parameters"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.densify_state = DensifyState(**state["densify"])
         self.generator.set_state(state["generator"])
         self.steps = state["steps"]
         self._adopt()
 
+    def _make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
+        return FusedAdam(
+            parameters,
+            {name: rate for name, rate in rates_at(0.0, self.rates, self.extent).items() if name in parameters},
+            lr_scales={name: rest_scale(parameters[name], self.rates) for name in SH_NAMES if name in parameters},
+            betas=(self.rates.beta1, self.rates.beta2),
+            epsilon=self.rates.eps,
+        )
+
     def _adopt(self) -> None:
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
-        parameters: dict[str, Tensor] = self.optimizer.parameters()
         for item in fields(self.model):
-            setattr(self.model, item.name, parameters.get(item.name))
+            setattr(self.model, item.name, self.optimizer.params.get(item.name))

@@ -4,32 +4,41 @@ from __future__ import annotations
 
 import math
 
+import torch
+from torch import Tensor
+
 from mgsr.config import RatesConfig
 
-Rates = dict[str, float | tuple[float, float]]
+SH_NAMES = ("sh", "refl_sh")
 
 
-def rates_at(progress: float, config: RatesConfig, extent: float) -> Rates:
+def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, float]:
     """Each parameter's learning rate at `progress` 0..1 through the whole run, whatever its iterations.
 
-    A pair is for colour coefficients: the constant term's and the others'. extent: the scene's, in its unit; the
-    positions' rate is proportional to it.
+    extent: the scene's, in its unit; the positions' rate is proportional to it. Of colours it is the constant term's
+    (see `rest_scale`).
     """
     fade = config.final**progress
     position = extent * math.exp(
         (1 - progress) * math.log(config.position) + progress * math.log(config.position_end)
     )
-    sh = (fade * config.sh, fade * config.sh_rest)
     return {
         "means": position,
         "quats": fade * config.rotation,
         "log_scales": fade * config.scale,
         "opacity_logits": fade * config.opacity,
-        "sh": sh,
+        "sh": fade * config.sh,
         "refl_opacity_logits": fade * config.opacity,
         "weight_logits": fade * config.weight,
-        "refl_sh": sh,
+        "refl_sh": fade * config.sh,
     }
+
+
+def rest_scale(sh: Tensor, config: RatesConfig) -> Tensor:
+    """What multiplies the rate of each coefficient of colours [N,K,3]: [K,3], 1 for the constant term."""
+    scale = torch.full(sh.shape[1:], config.sh_rest / config.sh)
+    scale[0] = 1.0
+    return scale
 
 
 def sh_degree_at(iteration: int, warmup_iterations: int, step: float, highest: int) -> int:

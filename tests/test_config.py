@@ -1,0 +1,89 @@
+"""Settings: presets, methods, ablation rows and overrides."""
+
+from __future__ import annotations
+
+import pytest
+
+from mgsr.config import (
+    ABLATIONS,
+    METHODS,
+    PRESETS,
+    Branches,
+    Masks,
+    StopRule,
+    Teaching,
+    ablation_overrides,
+    make_config,
+)
+from mgsr.errors import ConfigError
+
+
+def test_bare_and_dotted_keys() -> None:
+    config = make_config(overrides=["masks=off", "surfels.densify.every=50", "train.mutual.depth_weight=0.2"])
+    assert config.data.masks is Masks.OFF
+    assert config.train.surfels.densify.every == 50
+    assert config.train.volumes.densify.every != 50
+    assert config.train.mutual.depth_weight == 0.2
+
+
+def test_optional_and_switch_values() -> None:
+    config = make_config(overrides=["surfels.densify.reset_every=300", "split=no"])
+    assert config.train.surfels.densify.reset_every == 300
+    assert config.train.volumes.split is False
+    again = make_config(overrides=["surfels.densify.reset_every=300", "surfels.densify.reset_every=none"])
+    assert again.train.surfels.densify.reset_every is None
+
+
+def test_later_rows_win() -> None:
+    config = make_config("draft", "mgsr", 3, ["mutual.iterations=7"])
+    assert (config.preset, config.seed, config.train.mutual.iterations) == ("draft", 3, 7)
+    assert config.train.warmup.surfel_iterations == int(PRESETS["draft"]["warmup.surfel_iterations"])
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_preset_and_method_is_valid(preset: str, method: str) -> None:
+    make_config(preset, method)
+
+
+@pytest.mark.parametrize("row", ABLATIONS)
+def test_every_ablation_row_is_valid(row: str) -> None:
+    make_config(overrides=ablation_overrides(row))
+
+
+def test_ablation_rows_mean_what_the_paper_says() -> None:
+    assert make_config(overrides=ablation_overrides("A")).train.branches is Branches.VOLUMES
+    assert make_config(overrides=ablation_overrides("A")).train.volumes.split
+    assert make_config(overrides=ablation_overrides("K")).train.mutual.teaching is Teaching.ONE_WAY
+    assert make_config(overrides=ablation_overrides("L")).train.warmup.stop_rule is StopRule.NONE
+    assert not make_config(overrides=ablation_overrides("N")).train.tv
+    assert not make_config(method="3dgs").train.volumes.split
+
+
+@pytest.mark.parametrize(
+    ("override", "part"),
+    [
+        ("maks=off", "data.masks"),
+        ("mutal.iterations=3", "train.mutual.iterations"),
+        ("every=3", "ambiguous"),
+        ("masks=perhaps", "auto, off, require"),
+        ("mutual.iterations=many", "a whole number"),
+        ("split=perhaps", "on or off"),
+        ("mutual.iterations", "key=value"),
+        ("mutual.iterations=-1", "0 or more"),
+        ("surfels.sh_degree=4", "0 to 3"),
+        ("start_weight=1", "between 0 and 1"),
+        ("report_every=0", "at least 1"),
+        ("surfels.rates.position=0", "more than 0"),
+    ],
+)
+def test_errors_name_the_cure(override: str, part: str) -> None:
+    with pytest.raises(ConfigError, match=part):
+        make_config(overrides=[override])
+
+
+def test_unknown_names() -> None:
+    with pytest.raises(ConfigError, match="draft, standard, high"):
+        make_config("quick")
+    with pytest.raises(ConfigError, match="mgsr, 2dgs, 3dgs"):
+        make_config(method="nerf")

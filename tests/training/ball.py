@@ -1,0 +1,87 @@
+"""A scene with a known answer: a textured ball of radius 0.5 at the origin, ray-cast in numpy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import Scene, Similarity, View
+
+RADIUS = 0.5
+DISTANCE = 2.5
+
+
+@dataclass(frozen=True)
+class Points:
+    """Starting points on a ball."""
+
+    positions: np.ndarray
+    normals: np.ndarray | None
+    colors: np.ndarray
+
+
+def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True) -> Scene:
+    """Views all around the ball, `size` pixels square; without masks on white."""
+    directions = _sphere(train + test)
+    views = [_view(f"r_{i}", _camera(direction, size), masked) for i, direction in enumerate(directions)]
+    step = (train + test) // test
+    held_out = views[::step][:test]
+    names = {view.name for view in held_out}
+    kept = [view for view in views if view.name not in names]
+    return Scene("ball", Path("ball"), "made", kept, held_out, None, Similarity())
+
+
+def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> Points:
+    """Points on a slightly larger ball, grey."""
+    normals = _sphere(count)
+    return Points(normals * radius, normals, np.full((count, 3), 128, dtype=np.uint8))
+
+
+def ball_color(points: np.ndarray) -> np.ndarray:
+    """The texture at points of the surface."""
+    return 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+
+
+def _sphere(count: int) -> np.ndarray:
+    """Evenly spread directions."""
+    i = np.arange(count) + 0.5
+    z, turn = 1 - 2 * i / count, i * np.pi * (1 + 5**0.5)
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+
+
+def _camera(direction: np.ndarray, size: int) -> Camera:
+    forward = -direction
+    right = np.cross(forward, [0.1, 0.2, 1.0])
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    pose[:3, 3] = -pose[:3, :3] @ (direction * DISTANCE)
+    K = np.array([[1.6 * size, 0, size / 2], [0, 1.6 * size, size / 2], [0, 0, 1.0]])
+    return Camera(K, pose, size, size)
+
+
+def _view(name: str, camera: Camera, masked: bool, samples: int = 3) -> View:
+    """One view with samples x samples rays a pixel."""
+    fine = camera.resized(camera.width * samples, camera.height * samples)
+    rows, columns = np.mgrid[: fine.height, : fine.width] + 0.5
+    local = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(fine.K).T
+    rays = local @ camera.cam_from_world[:3, :3]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = -(rays @ camera.center)
+    inside = RADIUS**2 - (camera.center @ camera.center - along**2)
+    hit = inside > 0
+    points = camera.center + rays * (along - np.sqrt(np.maximum(inside, 0)))[..., None]
+    blocks = (camera.height, samples, camera.width, samples)
+    alpha = hit.reshape(blocks).mean(axis=(1, 3))
+    color = (ball_color(points) * hit[..., None]).reshape(*blocks, 3).mean(axis=(1, 3))
+    if not masked:
+        return View(name, camera, _bytes(color + (1 - alpha[..., None])))
+    return View(name, camera, _bytes(color / np.maximum(alpha, 1e-6)[..., None]), _bytes(alpha))
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)

@@ -80,7 +80,8 @@ class FusedAdam:
         if set(rows) != set(self.params):
             raise TensorError(f"rows: expected {sorted(self.params)}, got {sorted(rows)}")
         if len({new.shape[0] for new in rows.values()}) > 1:
-            raise TensorError(f"rows: expected equally many for each name, got { {k: len(v) for k, v in rows.items()} }")
+            counts = {name: new.shape[0] for name, new in rows.items()}
+            raise TensorError(f"rows: expected equally many for each name, got {counts}")
         for name, new in rows.items():
             new = new.detach()
             zeros = torch.zeros_like(new)
@@ -120,7 +121,8 @@ class FusedAdam:
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
         if leaf.dtype != torch.float32 or not leaf.is_contiguous() or leaf.ndim == 0:
-            raise TensorError(f"{name}: expected a contiguous float32 tensor [N, ...], got {leaf.dtype} {[*leaf.shape]}")
+            came = f"{leaf.dtype} {[*leaf.shape]}"
+            raise TensorError(f"{name}: expected a contiguous float32 tensor [N, ...], got {came}; call .contiguous()")
         scale = self._scales.get(name)
         if scale is not None and scale.numel() != leaf[:1].numel() and leaf.shape[0]:
             raise TensorError(f"lr_scales: expected {[*leaf.shape[1:]]} for {name}, got {scale.numel()} numbers")

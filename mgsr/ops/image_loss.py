@@ -38,8 +38,9 @@ def image_loss(
     Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
     Source: method, "Render loss".
     """
-    specs = {"image": (image, "H W 3"), "target": (target, "H W 3")}
-    sizes = check_tensors(**specs, **({} if mask is None else {"mask": (mask, "H W")}))
+    sizes = check_tensors(image=(image, "H W 3"), target=(target, "H W 3"))
+    if mask is not None:
+        check_tensors(sizes, mask=(mask, "H W"))
     if not 0 <= l1_weight <= 1:
         raise TensorError(f"l1_weight: expected 0..1, got {l1_weight}")
     whole = (0, sizes["H"], 0, sizes["W"])

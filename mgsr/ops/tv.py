@@ -28,7 +28,9 @@ def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor 
     Source: method, "TV".
     """
     shape = "H W" if values.ndim == 2 else "H W C"
-    check_tensors(values=(values, shape), guide=(guide, "H W 3"), **({} if mask is None else {"mask": (mask, "H W")}))
+    sizes = check_tensors(values=(values, shape), guide=(guide, "H W 3"))
+    if mask is not None:
+        check_tensors(sizes, mask=(mask, "H W"))
     return _EdgeAwareTv.apply(values.unsqueeze(-1) if values.ndim == 2 else values, guide, mask)
 
 

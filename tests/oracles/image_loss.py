@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
+from torch.nn.functional import conv2d
 
 
 def window() -> torch.Tensor:
@@ -16,7 +16,7 @@ def ssim_map(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """[H, W, 3]"""
 
     def blur(x: torch.Tensor) -> torch.Tensor:
-        return F.conv2d(x.permute(2, 0, 1)[None], window(), padding=5, groups=3)[0].permute(1, 2, 0)
+        return conv2d(x.permute(2, 0, 1)[None], window(), padding=5, groups=3)[0].permute(1, 2, 0)
 
     mean_a, mean_b = blur(a), blur(b)
     var_a, var_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2

@@ -20,36 +20,40 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kRadius = kSsimRadius, kRingRows = 16;
+constexpr int kRadius = kSsimRadius, kTaps = 2 * kSsimRadius + 1, kRingRows = 16;
 constexpr int kTileRows = 64, kTileColumns = 256;
 constexpr int kMoments = 4;  // a, b, a^2 + b^2, a b
 
-template <int Stride>
-inline vfloat filter(const float* p) {
-  vfloat sum = kSsimTaps[kRadius] * load(p + kRadius * Stride);
-#pragma GCC unroll 5
-  for (int j = 0; j < kRadius; ++j) sum += kSsimTaps[j] * (load(p + j * Stride) + load(p + (2 * kRadius - j) * Stride));
-  return sum;
-}
+constexpr float tap(int j) { return kSsimTaps[j <= kRadius ? j : 2 * kRadius - j]; }
 
-inline vfloat filter_down(const float* const* rows, int i) {
-  vfloat sum = kSsimTaps[kRadius] * load(rows[kRadius] + i);
-#pragma GCC unroll 5
-  for (int j = 0; j < kRadius; ++j) sum += kSsimTaps[j] * (load(rows[j] + i) + load(rows[2 * kRadius - j] + i));
-  return sum;
+// Two neighbouring rows at once: 12 loads where one after the other takes 22.
+inline void filter_down(const float* const* rows, int i, vfloat out[2]) {
+  vfloat first = kSsimTaps[0] * load(rows[0] + i), second = kSsimTaps[0] * load(rows[kTaps] + i);
+#pragma GCC unroll 10
+  for (int j = 1; j < kTaps; ++j) {
+    const vfloat row = load(rows[j] + i);
+    first += tap(j) * row;
+    second += tap(j - 1) * row;
+  }
+  out[0] = first, out[1] = second;
 }
 
 inline void filter_along(const float* in, float* out, int floats) {
-  for (int i = 0; i < floats; i += kWidth) store(out + i, filter<3>(in + i));
+  for (int i = 0; i < floats; i += kWidth) {
+    vfloat sum = tap(kRadius) * load(in + i + 3 * kRadius);
+#pragma GCC unroll 5
+    for (int j = 0; j < kRadius; ++j) sum += tap(j) * (load(in + i + 3 * j) + load(in + i + 3 * (2 * kRadius - j)));
+    store(out + i, sum);
+  }
 }
 
-// 16 rows of `channels` buffers; row y replaces row y - 16.
+// 16 rows of `channels` buffers; row y replaces row y - 16. A window is what filter_down reads for rows y and y + 1.
 struct Ring {
   float* base;
   int channels, stride;
   float* row(int y, int channel) const { return base + ((y & (kRingRows - 1)) * channels + channel) * stride; }
   void window(int y, int channel, const float** rows) const {
-    for (int j = 0; j <= 2 * kRadius; ++j) rows[j] = row(y + j - kRadius, channel);
+    for (int j = 0; j <= kTaps; ++j) rows[j] = row(y + j - kRadius, channel);
   }
   void clear(int y) const { std::fill_n(row(y, 0), channels * stride, 0.0f); }
 };
@@ -59,112 +63,141 @@ template <int Derivs>
 class LossTile {
  public:
   // tile: where the gradient is written. counted: where SSIM is summed; it reaches up to 5 pixels past the region's edge.
+  // maps: where SSIM can differ from 1.
   LossTile(const ImageLossParams& p, const Region& tile, const Region& counted, const Region& maps)
-      : p_(p), tile_(tile), counted_(counted), maps_(maps) {
-    columns_ = tile.x1 - tile.x0;
+      : p_(p), tile_(tile), counted_(counted), maps_(maps), columns_(tile.x1 - tile.x0) {
     stride_ = (3 * (columns_ + 4 * kRadius) + 2 * kWidth + 15) / 16 * 16;
+    constexpr int kRows = 2 * (kMoments + Derivs + 2);
     static thread_local std::vector<float> scratch;
-    const size_t needed = size_t(stride_) * (kRingRows * (kMoments + Derivs) + kMoments + Derivs + 3);
+    const size_t needed = size_t(stride_) * (kRingRows * (kMoments + Derivs) + kRows);
     if (scratch.size() < needed) scratch.resize(needed);
     float* next = scratch.data();
-    const auto take = [&](int rows) { float* rows_at = next; next += size_t(rows) * stride_; return rows_at; };
+    const auto take = [&](int rows) { float* at = next; next += size_t(rows) * stride_; return at; };
     moments_ = {take(kRingRows * kMoments), kMoments, stride_};
     derivs_ = {take(kRingRows * Derivs), Derivs, stride_};
-    input_ = take(kMoments), map_ = take(Derivs), weight_ = take(1), values_ = take(2);
-    std::fill_n(input_, size_t(stride_) * (kMoments + Derivs + 3), 0.0f);
+    std::fill_n(next, size_t(stride_) * kRows, 0.0f);
+    for (RowBuffers& row : rows_) row = {take(kMoments), take(Derivs), take(1), take(1)};
   }
 
-  // Sum of the weighted losses of the tile.
+  // Sum of the weighted losses of the tile. Rows go in pairs; what the last pair has too much is dropped.
   double run() {
-    for (int y = tile_.y0 - 2 * kRadius; y < tile_.y1 + 2 * kRadius; ++y) {
-      add_moments(y);
-      const int map_row = y - kRadius, gradient_row = y - 2 * kRadius;
-      if (map_row >= tile_.y0 - kRadius) add_map(map_row);
-      if (gradient_row >= tile_.y0) add_gradient(gradient_row);
+    for (int y = tile_.y0 - 2 * kRadius; y < tile_.y1 + 2 * kRadius; y += 2) {
+      add_moments(y, rows_[0]);
+      add_moments(y + 1, rows_[1]);
+      if (y - kRadius >= tile_.y0 - kRadius) add_maps(y - kRadius);
+      if (y - 2 * kRadius >= tile_.y0) add_gradients(y - 2 * kRadius);
     }
     return double(1.0f - p_.l1_weight) * ssim_sum_ + double(p_.l1_weight) * l1_sum_;
   }
 
  private:
-  bool in_image(int y) const { return y >= 0 && y < p_.height; }
+  // Scratch of one row: inputs and their products, derivatives, the mask once a channel, the loss.
+  struct RowBuffers {
+    float *input, *derivs, *weights, *losses;
+  };
 
   // `columns` pixels of row y from column x on, zero outside the image.
-  void copy_pixels(const float* image, int y, int x, int columns, int channels, float* out) const {
+  void copy_pixels(const float* image, int y, int x, int columns, float* out) const {
     const int begin = std::max(x, 0), end = std::min(x + columns, p_.width);
-    std::fill_n(out, size_t(columns) * channels, 0.0f);
+    if (x < begin || end < x + columns) std::fill_n(out, size_t(columns) * 3, 0.0f);
     if (begin < end)
-      std::memcpy(out + (begin - x) * channels, image + (int64_t(y) * p_.width + begin) * channels,
-                  size_t(end - begin) * channels * sizeof(float));
+      std::memcpy(out + (begin - x) * 3, image + (int64_t(y) * p_.width + begin) * 3, size_t(end - begin) * 3 * sizeof(float));
   }
 
-  void add_moments(int y) {
-    if (!in_image(y)) return moments_.clear(y);
+  // The weights of `pixels` pixels of row y from column x on; zero outside of `inside`.
+  void load_weights(int y, int x, int pixels, const Region& inside, float* out) const {
+    const bool row_inside = y >= inside.y0 && y < inside.y1;
+    const int begin = std::max(x, inside.x0), end = std::min(x + pixels, inside.x1);
+    if (!row_inside || x < begin || end < x + pixels) std::fill_n(out, size_t(pixels) * 3, 0.0f);
+    if (!row_inside || begin >= end) return;
+    if (!p_.mask) return void(std::fill_n(out + 3 * (begin - x), size_t(end - begin) * 3, 1.0f));
+    const float* mask = p_.mask + int64_t(y) * p_.width + begin;
+    float* at = out + 3 * (begin - x);
+    for (int i = 0; i < end - begin; ++i) at[3 * i] = at[3 * i + 1] = at[3 * i + 2] = mask[i];
+  }
+
+  void add_moments(int y, const RowBuffers& row) {
+    if (y < 0 || y >= p_.height) return moments_.clear(y);
     const int pixels = columns_ + 4 * kRadius;
-    float *a = input_, *b = a + stride_, *squares = b + stride_, *product = squares + stride_;
-    copy_pixels(p_.image, y, tile_.x0 - 2 * kRadius, pixels, 3, a);
-    copy_pixels(p_.target, y, tile_.x0 - 2 * kRadius, pixels, 3, b);
+    float *a = row.input, *b = a + stride_, *squares = b + stride_, *product = squares + stride_;
+    copy_pixels(p_.image, y, tile_.x0 - 2 * kRadius, pixels, a);
+    copy_pixels(p_.target, y, tile_.x0 - 2 * kRadius, pixels, b);
     for (int i = 0; i < 3 * pixels; i += kWidth) {
       const vfloat va = load(a + i), vb = load(b + i);
       store(squares + i, va * va + vb * vb);
       store(product + i, va * vb);
     }
     for (int m = 0; m < kMoments; ++m)
-      filter_along(input_ + m * stride_, moments_.row(y, m), 3 * (columns_ + 2 * kRadius));
+      filter_along(row.input + m * stride_, moments_.row(y, m), 3 * (columns_ + 2 * kRadius));
   }
 
-  // weight_: the mask at `pixels` pixels of row y from column x on, once a channel; zero outside of `inside`.
-  void load_weights(int y, int x, int pixels, const Region& inside) {
-    for (int i = 0; i < pixels; ++i) {
-      const bool in = x + i >= inside.x0 && x + i < inside.x1;
-      const float w = !in ? 0.0f : p_.mask ? p_.mask[int64_t(y) * p_.width + x + i] : 1.0f;
-      weight_[3 * i] = weight_[3 * i + 1] = weight_[3 * i + 2] = w;
-    }
-  }
-
-  void add_map(int y) {
-    if (y < maps_.y0 || y >= maps_.y1) {
-      if constexpr (Derivs > 0) derivs_.clear(y);
-      return;
-    }
+  void add_maps(int y) {
     const int left = tile_.x0 - kRadius, pixels = columns_ + 2 * kRadius;
-    load_weights(y, left, pixels, maps_);
-    const float* rows[kMoments][2 * kRadius + 1];
-    for (int m = 0; m < kMoments; ++m) moments_.window(y, m, rows[m]);
+    for (int r = 0; r < 2; ++r) load_weights(y + r, left, pixels, maps_, rows_[r].weights);
+    const float* windows[kMoments][kTaps + 1];
+    for (int m = 0; m < kMoments; ++m) moments_.window(y, m, windows[m]);
     for (int i = 0; i < 3 * pixels; i += kWidth) {
-      const SsimMoments<vfloat> m = {filter_down(rows[0], i), filter_down(rows[1], i), filter_down(rows[2], i),
-                                     filter_down(rows[3], i)};
-      const vfloat weight = load(weight_ + i);
-      SsimMoments<vfloat> v;
-      const vfloat value = Derivs > 0 ? ssim_vjp(m, -weight, v) : ssim(m);
-      store(values_ + i, weight * (1.0f - value));
-      if constexpr (Derivs > 0) store(map_ + i, v.a), store(map_ + stride_ + i, v.squares), store(map_ + 2 * stride_ + i, v.product);
-      if constexpr (Derivs > 3) store(map_ + 3 * stride_ + i, v.b);
+      vfloat a[2], b[2], squares[2], product[2];
+      filter_down(windows[0], i, a);
+      filter_down(windows[1], i, b);
+      filter_down(windows[2], i, squares);
+      filter_down(windows[3], i, product);
+      for (int r = 0; r < 2; ++r) store_map({a[r], b[r], squares[r], product[r]}, i, rows_[r]);
     }
-    if (y >= counted_.y0 && y < counted_.y1)
-      ssim_sum_ += sum_floats(values_ + 3 * (counted_.x0 - left), 3 * (counted_.x1 - counted_.x0));
-    for (int d = 0; d < Derivs; ++d) filter_along(map_ + d * stride_, derivs_.row(y, d), 3 * columns_);
+    for (int r = 0; r < 2; ++r) finish_map(y + r, left, rows_[r]);
   }
 
-  void add_gradient(int y) {
-    load_weights(y, tile_.x0, columns_, tile_);
-    float *a = input_, *b = a + stride_;
-    copy_pixels(p_.image, y, tile_.x0, columns_, 3, a);
-    copy_pixels(p_.target, y, tile_.x0, columns_, 3, b);
-    float *v_a = input_ + 2 * stride_, *v_b = input_ + 3 * stride_;
-    const float* rows[Derivs + 1][2 * kRadius + 1];
-    for (int d = 0; d < Derivs; ++d) derivs_.window(y, d, rows[d]);
+  void store_map(const SsimMoments<vfloat>& m, int i, const RowBuffers& row) const {
+    const vfloat weight = load(row.weights + i);
+    SsimMoments<vfloat> v;
+    const vfloat value = Derivs > 0 ? ssim_vjp(m, -weight, v) : ssim(m);
+    store(row.losses + i, weight * (1.0f - value));
+    if constexpr (Derivs > 0) {
+      store(row.derivs + i, v.a);
+      store(row.derivs + stride_ + i, v.squares);
+      store(row.derivs + 2 * stride_ + i, v.product);
+    }
+    if constexpr (Derivs > 3) store(row.derivs + 3 * stride_ + i, v.b);
+  }
+
+  void finish_map(int y, int left, const RowBuffers& row) {
+    if (y >= counted_.y0 && y < counted_.y1)
+      ssim_sum_ += sum_floats(row.losses + 3 * (counted_.x0 - left), 3 * (counted_.x1 - counted_.x0));
+    for (int d = 0; d < Derivs; ++d) filter_along(row.derivs + d * stride_, derivs_.row(y, d), 3 * columns_);
+  }
+
+  void add_gradients(int y) {
+    const float* windows[Derivs + 1][kTaps + 1];
+    for (int d = 0; d < Derivs; ++d) derivs_.window(y, d, windows[d]);
+    for (int i = 0; i < 3 * columns_ && Derivs > 0; i += kWidth)
+      for (int d = 0; d < Derivs; ++d) {
+        vfloat sums[2];
+        filter_down(windows[d], i, sums);
+        for (int r = 0; r < 2; ++r) store(rows_[r].derivs + d * stride_ + i, sums[r]);
+      }
+    for (int r = 0; r < 2; ++r)
+      if (y + r < tile_.y1) finish_gradient(y + r, rows_[r]);
+  }
+
+  void finish_gradient(int y, const RowBuffers& row) {
+    load_weights(y, tile_.x0, columns_, tile_, row.weights);
+    float *a = row.input, *b = a + stride_, *v_a = b + stride_, *v_b = v_a + stride_;
+    copy_pixels(p_.image, y, tile_.x0, columns_, a);
+    copy_pixels(p_.target, y, tile_.x0, columns_, b);
     const float l1 = p_.l1_weight, by_ssim = 1.0f - l1;
     for (int i = 0; i < 3 * columns_; i += kWidth) {
-      const vfloat va = load(a + i), vb = load(b + i), weight = load(weight_ + i), difference = va - vb;
-      store(values_ + i, weight * max(difference, -difference));
+      const vfloat va = load(a + i), vb = load(b + i), weight = load(row.weights + i), difference = va - vb;
+      store(row.losses + i, weight * max(difference, -difference));
       if constexpr (Derivs > 0) {
-        const vfloat squares = 2.0f * filter_down(rows[1], i), product = filter_down(rows[2], i);
+        const float* derivs = row.derivs + i;
+        const vfloat squares = 2.0f * load(derivs + stride_), product = load(derivs + 2 * stride_);
         const vfloat sign = keep(difference > 0.0f, weight * l1) - keep(difference < 0.0f, weight * l1);
-        store(v_a + i, sign + by_ssim * (filter_down(rows[0], i) + va * squares + vb * product));
-        if constexpr (Derivs > 3) store(v_b + i, by_ssim * (filter_down(rows[3], i) + vb * squares + va * product) - sign);
+        store(v_a + i, sign + by_ssim * (load(derivs) + va * squares + vb * product));
+        if constexpr (Derivs > 3)
+          store(v_b + i, by_ssim * (load(derivs + 3 * stride_) + vb * squares + va * product) - sign);
       }
     }
-    l1_sum_ += sum_floats(values_, 3 * columns_);
+    l1_sum_ += sum_floats(row.losses, 3 * columns_);
     const int64_t at = (int64_t(y) * p_.width + tile_.x0) * 3;
     if constexpr (Derivs > 0) std::memcpy(p_.v_image + at, v_a, size_t(3 * columns_) * sizeof(float));
     if constexpr (Derivs > 3) std::memcpy(p_.v_target + at, v_b, size_t(3 * columns_) * sizeof(float));
@@ -174,7 +207,7 @@ class LossTile {
   Region tile_, counted_, maps_;
   int columns_, stride_;
   Ring moments_, derivs_;
-  float *input_, *map_, *weight_, *values_;
+  RowBuffers rows_[2];
   double ssim_sum_ = 0, l1_sum_ = 0;
 };
 

@@ -1,0 +1,120 @@
+"""The losses against plain numpy, and the objectives' make-up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
+from mgsr.data.camera import Camera
+from mgsr.losses.alpha import silhouette
+from mgsr.losses.depths import depth_agreement, depth_unit
+from mgsr.losses.normals import normal_agreement
+from mgsr.losses.objective import mutual_terms, surfel_terms, volume_terms
+from mgsr.losses.target import Target
+from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+
+SIZE = 16
+CAMERA = Camera(np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]]), np.eye(4), SIZE, SIZE)
+STATS = SimpleNamespace()
+
+
+def random(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed)).requires_grad_()
+
+
+def surfels() -> SurfelOutputs:
+    image, alpha = random(SIZE, SIZE, 3), torch.full((SIZE, SIZE), 0.9, requires_grad=True)
+    return SurfelOutputs(image, alpha, random(SIZE, SIZE, seed=1), random(SIZE, SIZE), random(SIZE, SIZE, 3), None, STATS)
+
+
+def volumes() -> VolumeOutputs:
+    image, alpha = random(SIZE, SIZE, 3, seed=2), torch.full((SIZE, SIZE), 0.8, requires_grad=True)
+    depth = random(SIZE, SIZE, seed=4)
+    return VolumeOutputs(image, random(SIZE, SIZE, 3, seed=3), None, None, depth, alpha, STATS)
+
+
+def target(masked: bool = True) -> Target:
+    return Target(random(SIZE, SIZE, 3, seed=5).detach(), torch.ones(SIZE, SIZE) if masked else None, CAMERA)
+
+
+def test_depths_agree() -> None:
+    covered = torch.zeros(4, 4)
+    covered[1, 2] = 1
+    first, second = torch.full((4, 4), 3.0), torch.full((4, 4), 2.0)
+    assert float(depth_agreement(first, second, covered, 2.0)) == pytest.approx(0.25 / 16)
+    assert float(depth_agreement(first, first, covered, 2.0)) == 0.0
+
+
+def test_depth_units() -> None:
+    depth = torch.tensor([[1.0, 7.0]])
+    assert depth_unit(DepthUnit.DISTANCE, depth, 3.0) == 3.0
+    assert float(depth_unit(DepthUnit.MAXIMUM, depth, 3.0)) == 7.0
+    assert float(depth_unit(DepthUnit.MAXIMUM, 0 * depth, 3.0)) > 0
+
+
+def test_normals_of_a_tilted_plane_agree_with_its_depth() -> None:
+    normal = torch.tensor([0.3, 0.2, -1.0])
+    normal /= normal.norm()
+    rows, columns = torch.meshgrid(torch.arange(SIZE) + 0.5, torch.arange(SIZE) + 0.5, indexing="ij")
+    rays = torch.stack([(columns - 8) / 20, (rows - 8) / 20, torch.ones(SIZE, SIZE)], dim=-1)
+    depth = float(normal @ torch.tensor([0.0, 0.0, 2.0])) / (rays @ normal)
+    alpha, covered = torch.ones(SIZE, SIZE), torch.zeros(SIZE, SIZE)
+    covered[2:-2, 2:-2] = 1
+    agreeing = normal.expand(SIZE, SIZE, 3)
+    assert float(normal_agreement(agreeing, depth, alpha, CAMERA, covered)) == pytest.approx(0, abs=1e-3)
+    assert float(normal_agreement(-agreeing, depth, alpha, CAMERA, covered)) == pytest.approx(2, abs=1e-3)
+    assert float(normal_agreement(agreeing, depth, alpha, CAMERA, 0 * covered)) == 0.0
+
+
+@pytest.mark.parametrize("kind", AlphaLoss)
+def test_silhouettes(kind: AlphaLoss) -> None:
+    mask = torch.zeros(4, 4)
+    mask[:2] = 1
+    assert float(silhouette(mask, mask, kind)) < 1e-3
+    assert float(silhouette(1 - mask, mask, kind)) > 0.9
+
+
+def test_a_term_without_weight_is_not_computed() -> None:
+    config = make_config(overrides=["tv=off", "surfels.alpha_weight=0", "normal_weight=0"]).train
+    assert set(surfel_terms(surfels(), target(), config)) == {"surfels.photo"}
+    config = make_config(overrides=["tv=off"]).train
+    assert set(volume_terms(volumes(), target(masked=False), config)) == {"volumes.photo"}
+    assert set(surfel_terms(surfels(), target(), TrainConfig(), regularised=False)) == {"surfels.photo", "surfels.alpha"}
+
+
+@pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
+def test_who_is_taught(teaching: str) -> None:
+    """One way, the 2D branch's terms leave C_tran alone and the depth loss the 2D branch's depth."""
+    config = make_config(overrides=[f"teaching={teaching}"]).train
+    flat, full = surfels(), volumes()
+    terms = mutual_terms(flat, full, target(), config)
+    by_image = torch.autograd.grad(terms["surfels.transmitted"], full.transmitted, retain_graph=True, allow_unused=True)
+    by_depth = torch.autograd.grad(terms["mutual.depth"], flat.depth, retain_graph=True, allow_unused=True)
+    assert (by_image[0] is not None) == (by_depth[0] is not None) == (teaching == "both_ways")
+    assert torch.autograd.grad(terms["mutual.depth"], full.depth)[0].abs().sum() > 0
+
+
+def test_the_total_is_the_weighted_sum() -> None:
+    """Weights 0.5, 0.5, 0.01 and lambda_6 act on the terms as in Algorithm 2."""
+    flat, full = surfels(), volumes()
+    base = make_config(overrides=["photo_weight=0.8"]).train
+    terms = mutual_terms(flat, full, target(), base)
+    alone = surfel_terms(flat, target(), base)
+    assert float(terms["surfels.photo"]) == pytest.approx(0.5 * 0.8 * float(alone["surfels.photo"]), rel=1e-5)
+    doubled = replace(base, mutual=replace(base.mutual, surfel_weight=1.0, depth_weight=0.02))
+    again = mutual_terms(flat, full, target(), doubled)
+    for name in ("surfels.photo", "surfels.transmitted", "surfels.normal", "surfels.depth_tv", "mutual.depth"):
+        assert float(again[name]) == pytest.approx(2 * float(terms[name]), rel=1e-5)
+    assert float(again["volumes.photo"]) == pytest.approx(float(terms["volumes.photo"]), rel=1e-5)
+
+
+def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
+    alpha = torch.tensor([[0.9, 0.9, 0.1]])
+    masked = Target(torch.zeros(1, 3, 3), torch.tensor([[1.0, 0.0, 1.0]]), CAMERA)
+    assert masked.covered(alpha).tolist() == [[1.0, 0.0, 0.0]]
+    assert replace(masked, alpha=None).covered(alpha).tolist() == [[1.0, 1.0, 0.0]]

@@ -1,0 +1,107 @@
+"""Schedules, view order, targets and convergence tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.config import Background, RatesConfig, StopRule, WarmupConfig
+from mgsr.training.convergence import EpochMeans, HeldBack, LossRange, make_convergence
+from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
+from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
+from tests.training.ball import ball_scene
+
+
+def test_rates_fade_from_start_to_end() -> None:
+    config = RatesConfig(final=0.1)
+    assert rates_at(0.0, config, 2.0)["means"] == pytest.approx(2 * config.position)
+    assert rates_at(1.0, config, 2.0)["means"] == pytest.approx(2 * config.position_end)
+    assert rates_at(0.5, config, 1.0)["means"] == pytest.approx(1.6e-5)
+    assert rates_at(1.0, config, 1.0)["log_scales"] == pytest.approx(0.1 * config.scale)
+
+
+def test_higher_bands_learn_slower() -> None:
+    scale = rest_scale(torch.zeros(5, 4, 3), RatesConfig())
+    assert scale[0].tolist() == [1, 1, 1]
+    assert torch.allclose(scale[1:], torch.tensor(1 / 20))
+
+
+def test_sh_degree_rises_in_steps() -> None:
+    degrees = [sh_degree_at(i, 100, 0.1, 3) for i in (0, 9, 10, 20, 30, 99)]
+    assert degrees == [0, 0, 1, 2, 3, 3]
+    assert sh_degree_at(0, 100, 0.0, 3) == 3
+
+
+def test_each_view_comes_once_an_epoch() -> None:
+    cycle = ViewCycle(5, torch.Generator().manual_seed(0))
+    epochs = []
+    for _ in range(4):
+        epochs.append([cycle.next() for _ in range(5)])
+        assert cycle.at_epoch_end
+    assert all(sorted(epoch) == list(range(5)) for epoch in epochs)
+    assert len({tuple(epoch) for epoch in epochs}) > 1
+
+
+def test_targets_are_composited() -> None:
+    view = ball_scene().train[0]
+    (prepared,) = prepare_views([view], masked=True)
+    target = prepared.target((0.2, 0.4, 0.6))
+    alpha = view.alpha[..., None] / 255.0
+    expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
+    assert np.allclose(target.color.numpy(), expected, atol=1e-6)
+
+
+def test_region_bounds_the_mask() -> None:
+    alpha = np.zeros((20, 30), dtype=np.uint8)
+    alpha[5:8, 10:25] = 1
+    assert bounding_region(alpha, 2) == (3, 10, 8, 27)
+    assert bounding_region(alpha, 100) == (0, 20, 0, 30)
+    assert bounding_region(0 * alpha, 2) is None
+
+
+def test_backgrounds() -> None:
+    generator = torch.Generator().manual_seed(0)
+    assert pick_background(Background.AUTO, False, generator) == (1.0, 1.0, 1.0)
+    assert pick_background(Background.BLACK, True, generator) == (0.0, 0.0, 0.0)
+    first, second = (pick_background(Background.AUTO, True, generator) for _ in range(2))
+    assert first != second
+
+
+def feed(test: EpochMeans | LossRange, losses: list[float], epoch: int = 4) -> int | None:
+    """The iteration at which a test stops, if any."""
+    for i, loss in enumerate(losses, start=1):
+        if test.converged(torch.tensor(loss), i, i % epoch == 0):
+            return i
+    return None
+
+
+def test_epoch_means_ignore_the_difference_of_views() -> None:
+    """Losses that differ between views but not between epochs have converged; the paper's range sees only noise."""
+    views = [0.1, 0.5, 0.2, 0.9]
+    assert feed(EpochMeans(0, 2, 0.01), views * 30) == 16
+    assert feed(LossRange(0, 0.01), views * 30) is None
+    falling = [loss * 0.9**epoch for epoch in range(30) for loss in views]
+    assert feed(EpochMeans(0, 2, 0.01), falling) is None
+    assert feed(LossRange(0, 0.01), [0.2] * 120) == 100
+
+
+def test_no_test_stops_early() -> None:
+    assert feed(EpochMeans(50, 2, 0.01), [0.5] * 100) == 52
+
+
+def test_held_back_waits_for_its_patience() -> None:
+    psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
+    test = HeldBack(0, WarmupConfig(held_back_every=10, held_back_patience=3), lambda: next(psnrs))
+    stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
+    assert stops == [50]
+
+
+@pytest.mark.parametrize("rule", ["epoch", "held_back", "paper"])
+def test_state_goes_through_a_checkpoint(rule: str) -> None:
+    config = WarmupConfig(stop_rule=StopRule(rule), held_back_every=1, epoch_span=1)
+    first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))
+    for i in range(1, 6):
+        first.converged(torch.tensor(0.5), i, i % 2 == 0)
+    second.restore(first.state())
+    assert second.state() == first.state()

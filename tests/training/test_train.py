@@ -1,0 +1,169 @@
+"""Whole trainings of a tiny scene with a known answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.config import Config, make_config
+from mgsr.data.camera import Camera
+from mgsr.errors import Cancelled, CheckpointError, TrainingError
+from mgsr.render.surfels import render_surfels
+from mgsr.training.progress import Progress, TrainResult
+from mgsr.training.run import train
+from tests.training.ball import RADIUS, Points, ball_points, ball_scene
+
+SHORT = [
+    "warmup.surfel_iterations=24",
+    "warmup.volume_iterations=24",
+    "mutual.iterations=12",
+    "surfels.densify.every=8",
+    "volumes.densify.every=8",
+    "gradient_threshold=1e-5",
+    "mutual_stop=0.8",
+    "stop_rule=none",
+    "curve_every=20",
+    "check_every=5",
+]
+
+
+def short(method: str = "mgsr", *overrides: str) -> Config:
+    both = [item for key in SHORT for item in _each_branch(key)]
+    return make_config("draft", method, 0, [*both, *overrides])
+
+
+def _each_branch(override: str) -> list[str]:
+    shared = ("gradient_threshold", "mutual_stop", "reset_every", "prune_opacity")
+    if override.startswith(shared):
+        return [f"{branch}.densify.{override}" for branch in ("surfels", "volumes")]
+    return [override]
+
+
+def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
+    models = {"surfels": result.surfels, "volumes": result.volumes}
+    return {
+        f"{name}.{key}": tensor for name, model in models.items() if model is not None
+        for key, tensor in model.parameters().items()
+    }
+
+
+def assert_same(first: TrainResult, second: TrainResult) -> None:
+    one, two = tensors(first), tensors(second)
+    assert one.keys() == two.keys()
+    for name in one:
+        assert torch.equal(one[name], two[name]), name
+
+
+@pytest.mark.parametrize(
+    ("method", "names"),
+    [
+        ("mgsr", ["warmup_surfels", "warmup_volumes", "mutual"]),
+        ("2dgs", ["warmup_surfels", "alone"]),
+        ("3dgs", ["warmup_volumes", "alone"]),
+    ],
+)
+def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
+    reports: list[Progress] = []
+    result = train(ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append)
+    assert [stage.name for stage in result.stages] == names
+    assert (result.surfels is None, result.volumes is None) == (method == "3dgs", method == "2dgs")
+    assert all(np.isfinite(row.psnr) for row in result.curve)
+    assert reports[-1].done == 1.0
+    assert reports[-1].previews
+    assert not any(tensor.requires_grad for tensor in tensors(result).values())
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_training_finds_the_ball(masked: bool) -> None:
+    """300 iterations each bring the renders near the views and the surface onto the ball."""
+    overrides = ["warmup.surfel_iterations=300", "warmup.volume_iterations=300", "mutual.iterations=150"]
+    scene = ball_scene(48, train=16, masked=masked)
+    result = train(scene, ball_points(600), make_config("draft", overrides=overrides))
+    row = result.curve[-1]
+    assert row.psnr_volumes > 27
+    assert row.psnr_surfels > 25
+    errors = [surface_error(result, view.camera) for view in scene.test]
+    assert np.mean(errors) < 0.02 * RADIUS * 2
+
+
+def surface_error(result: TrainResult, camera: Camera) -> float:
+    """Mean distance of the surfels' depth points from the ball."""
+    outputs = render_surfels(result.surfels, camera)
+    depth, alpha = outputs.depth.numpy(), outputs.alpha.numpy()
+    rows, columns = np.nonzero(alpha > 0.5)
+    local = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
+    local *= depth[rows, columns][:, None]
+    points = (local - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+    return float(np.abs(np.linalg.norm(points, axis=1) - RADIUS).mean())
+
+
+def test_same_seed_same_bytes() -> None:
+    assert_same(*(train(ball_scene(32), ball_points(), short()) for _ in range(2)))
+
+
+@pytest.mark.parametrize("rule", ["none", "epoch", "held_back", "paper"])
+@pytest.mark.parametrize("stop_at", [5, 30, 55])
+def test_a_resumed_run_equals_one_that_was_not_stopped(tmp_path: Path, rule: str, stop_at: int) -> None:
+    config = short("mgsr", f"stop_rule={rule}", "held_back_every=6", "surfels.densify.reset_every=8", "stop_after=0.5")
+    scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
+    calls = iter(range(1000))
+    with pytest.raises(Cancelled, match="checkpoint"):
+        train(scene, points, config, should_stop=lambda: next(calls) >= stop_at, checkpoint_path=path)
+    resumed = train(scene, points, config, checkpoint_path=path, resume=True)
+    straight = train(scene, points, config)
+    assert_same(resumed, straight)
+    assert [s.iterations for s in resumed.stages] == [s.iterations for s in straight.stages]
+    assert [(r.stage, r.iteration, r.psnr) for r in resumed.curve] == [
+        (r.stage, r.iteration, r.psnr) for r in straight.curve
+    ]
+
+
+def test_resuming_a_finished_run_gives_its_result(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint"
+    finished = train(ball_scene(32), ball_points(), short(), checkpoint_path=path)
+    assert_same(finished, train(ball_scene(32), ball_points(), short(), checkpoint_path=path, resume=True))
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
+    path, scene, points = tmp_path / "checkpoint", ball_scene(32), ball_points()
+    train(scene, points, short("3dgs"), checkpoint_path=path)
+    with pytest.raises(CheckpointError, match="settings differ"):
+        train(scene, points, short("3dgs", "l1_weight=0.5"), checkpoint_path=path, resume=True)
+    with pytest.raises(CheckpointError, match="scene differ"):
+        train(ball_scene(32, train=11), points, short("3dgs"), checkpoint_path=path, resume=True)
+    train(scene, points, short("3dgs", "curve_every=7"), checkpoint_path=path, resume=True)  # only looked at
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match="not a readable checkpoint"):
+        train(scene, points, short("3dgs"), checkpoint_path=path, resume=True)
+
+
+def test_a_deadline_ends_the_run_and_says_so() -> None:
+    result = train(ball_scene(32), ball_points(), short("3dgs"), deadline=0.0)
+    assert [stage.stop_reason for stage in result.stages] == ["deadline", "deadline"]
+
+
+def test_torch_threads_are_put_back() -> None:
+    before = torch.get_num_threads()
+    train(ball_scene(32), ball_points(), short("3dgs"))
+    assert torch.get_num_threads() == before
+
+
+def test_numbers_that_go_bad_are_named() -> None:
+    with pytest.raises(TrainingError, match=r"warmup_volumes, iteration \d+: volumes\."):
+        train(ball_scene(32), ball_points(), short("3dgs", "volumes.rates.sh=1e38", "volumes.rates.sh_rest=1e38"))
+
+
+def test_a_branch_with_nothing_left_is_an_error() -> None:
+    with pytest.raises(TrainingError, match="every splat was pruned"):
+        train(ball_scene(32), ball_points(), short("3dgs", "volumes.densify.prune_opacity=0.9999"))
+
+
+def test_too_little_to_start_from() -> None:
+    with pytest.raises(TrainingError, match="at least 2 training views"):
+        train(ball_scene(32, train=1), ball_points(), short())
+    points = ball_points(3)
+    with pytest.raises(TrainingError, match="at least 4"):
+        train(ball_scene(32), Points(points.positions, None, points.colors), short())

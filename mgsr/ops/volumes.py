@@ -75,8 +75,9 @@ def rasterize_volumes(
     """Blend Gaussians front to back into images; gradients flow to all splat tensors.
 
     means [N,3] world; quats [N,4] wxyz, any length but zero; scales [N,3] world units, linear; opacities [N] in
-    [0,1]; colors [N,3]; background [3]. A splat with a non-finite value is left out. A pixel blends splats while
-    its transmittance is at least 1e-4; alpha = min(0.999, opacity * G) counts from 1/255.
+    [0,1]; colors [N,3]; background [3]. A splat with a non-finite value is left out. alpha =
+    min(0.999, opacity * G) counts from 1/255; a pixel stops before the splat that would leave a transmittance under
+    1e-4 (for each of the two opacities on its own).
 
     Raises TensorError for a wrong shape or dtype. Source: supplement, Eq. 16-19; method.md "3D branch".
     """

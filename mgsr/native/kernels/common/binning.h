@@ -71,11 +71,19 @@ struct TileLists {
     uint32_t tile, splat_mask;
   };
 
-  // Columns of sub-tiles whose pixel centres lie in [x0, x1]; first > last when there are none.
-  static void columns(float x0, float x1, int width, int& first, int& last) {
-    const float a = std::max(std::ceil(x0 - 0.5f), 0.0f), b = std::min(std::floor(x1 - 0.5f), float(width - 1));
-    first = a <= b ? int(a) / kSubTile : 1 << 30;
-    last = a <= b ? int(b) / kSubTile : -1;
+  // Columns of sub-tiles whose pixel centres lie in [x0, x1], as a first one and a number (0 when there are none).
+  struct Columns {
+    int first, number;
+    // Whether column c is one of them, as 0 or 1.
+    uint32_t has(int c) const { return uint32_t(c - first) < uint32_t(number); }
+  };
+
+  static Columns columns(float x0, float x1, int width) {
+    // Pixel i counts when x0 <= i + 0.5 <= x1. Held to the image first, where truncation rounds down.
+    const int first = int(std::min(std::max(x0 + 0.5f, 0.0f), float(width)));
+    const int last = int(std::min(std::max(x1 + 0.5f, 0.0f), float(width))) - 1;
+    if (first > last) return {0, 0};
+    return {first / kSubTile, last / kSubTile - first / kSubTile + 1};
   }
 
   template <class Rows>
@@ -85,21 +93,19 @@ struct TileLists {
     if (!(top <= bottom)) return;
     const int ty0 = int(top) / kTile, ty1 = int(bottom) / kTile;
     for (int ty = ty0; ty <= ty1; ++ty) {
-      int first[2], last[2];
+      Columns span[2] = {{0, 0}, {0, 0}};
       for (int half = 0; half < 2; ++half) {
-        first[half] = 1 << 30, last[half] = -1;
         const float y0 = std::max(top, float(ty * kTile + half * kSubTile));
         const float y1 = std::min(bottom, float(ty * kTile + half * kSubTile + kSubTile - 1));
         float x0, x1;
-        if (y0 <= y1 && rows(s, y0 + 0.5f, y1 + 0.5f, x0, x1)) columns(x0, x1, width, first[half], last[half]);
+        if (y0 <= y1 && rows(s, y0 + 0.5f, y1 + 0.5f, x0, x1)) span[half] = columns(x0, x1, width);
       }
-      const int tx0 = std::min(first[0], first[1]) / 2, tx1 = std::max(last[0], last[1]) / 2;
-      if (std::max(last[0], last[1]) < 0) continue;
+      if (span[0].number == 0 && span[1].number == 0) continue;
+      const Columns &upper = span[0].number ? span[0] : span[1], &lower = span[1].number ? span[1] : span[0];
+      const int tx0 = std::min(upper.first, lower.first) / 2;
+      const int tx1 = (std::max(upper.first + upper.number, lower.first + lower.number) - 1) / 2;
       for (int tx = tx0; tx <= tx1; ++tx) {
-        uint32_t mask = 0;
-        for (int half = 0; half < 2; ++half)
-          for (int c = 0; c < 2; ++c)
-            if (2 * tx + c >= first[half] && 2 * tx + c <= last[half]) mask |= 1u << (2 * half + c);
+        const uint32_t mask = span[0].has(2 * tx) | span[0].has(2 * tx + 1) << 1 | span[1].has(2 * tx) << 2 | span[1].has(2 * tx + 1) << 3;
         if (mask == 0) continue;
         const uint32_t tile = uint32_t(ty * tiles_x + tx);
         out.push_back({tile, uint32_t(s) << 4 | mask});
@@ -137,28 +143,29 @@ struct TileLists {
   std::vector<uint32_t> chunk_slot_;
 };
 
-// An ellipse (p - centre)^T Q (p - centre) <= r2, cut into bands of rows.
+// The outline of a splat with its centre at (x, y) and covariance (cxx, cxy, cyy), sqrt(r2) standard deviations out, in
+// the form that cutting it into bands of rows needs: no division, two square roots a band.
 struct Ellipse {
   float x, y;
-  float qxx, qxy, qyy, r2;
+  float hx, hy;   // half extents
+  float at_right; // dy of the rightmost point
+  float slope;    // the middle of the row at dy lies at x + slope dy ...
+  float w2, k;    // ... and its half width is sqrt(w2 - k dy^2)
 
   // A hair wider than exact, so that rounding never loses a pixel that the blending would keep.
-  PixelBox box() const {
-    const float det = qxx * qyy - qxy * qxy;
-    const float hx = std::sqrt(std::max(r2 * qyy / det, 0.0f)) + kSlack, hy = std::sqrt(std::max(r2 * qxx / det, 0.0f)) + kSlack;
-    return {x - hx, x + hx, y - hy, y + hy};
+  static Ellipse make(float x, float y, float cxx, float cxy, float cyy, float r2) {
+    const float det = cxx * cyy - cxy * cxy, hx = std::sqrt(r2 * cxx), hy = std::sqrt(r2 * cyy);
+    return {x, y, hx + kSlack, hy + kSlack, cxy / cxx * hx, cxy / cyy, r2 * det / cyy, det / (cyy * cyy)};
   }
 
+  PixelBox box() const { return {x - hx, x + hx, y - hy, y + hy}; }
+
   bool rows(float y0, float y1, float& x0, float& x1) const {
-    const float det = qxx * qyy - qxy * qxy;
-    const float hy = std::sqrt(std::max(r2 * qxx / det, 0.0f));
     const float low = std::max(y0 - y - kSlack, -hy), high = std::min(y1 - y + kSlack, hy);
     if (!(low <= high)) return false;
-    // The outline is x = (-qxy dy +- sqrt(qxx r2 - det dy^2)) / qxx; its right end lies at dy = -qxy/qyy * hx.
-    const float end = -qxy / qyy * std::sqrt(std::max(r2 * qyy / det, 0.0f));
-    const float right = std::min(std::max(end, low), high), left = std::min(std::max(-end, low), high);
-    x1 = x + (-qxy * right + std::sqrt(std::max(qxx * r2 - det * right * right, 0.0f))) / qxx + kSlack;
-    x0 = x + (-qxy * left - std::sqrt(std::max(qxx * r2 - det * left * left, 0.0f))) / qxx - kSlack;
+    const float right = std::min(std::max(at_right, low), high), left = std::min(std::max(-at_right, low), high);
+    x1 = x + slope * right + std::sqrt(std::max(w2 - k * right * right, 0.0f)) + kSlack;
+    x0 = x + slope * left - std::sqrt(std::max(w2 - k * left * left, 0.0f)) - kSlack;
     return true;
   }
 

@@ -74,33 +74,27 @@ inline float sum(vfloat v) {
   return s[0];
 }
 
-// sums[k] = the sum of v[k]'s lanes, for Count vectors. Pairs of lanes are added in a fixed tree.
+// sums[k] += the sum of v[k]'s lanes, for Count vectors. `sums` must have room for Count rounded up to 4; what lies in
+// the padding is unspecified. Lanes are added in a fixed tree.
 template <int Count>
-inline void sum_each(const vfloat* v, float* sums) {
+inline void add_sums(const vfloat* v, float* sums) {
 #if defined(MGSR_ISA_avx2) || defined(MGSR_ISA_avx512)
-  __m256 h[(Count + 7) / 8 * 8];
-  for (int k = 0; k < Count; ++k) {
+  for (int k = 0; k < Count; k += 4) {
+    __m256 h[4];
+    for (int j = 0; j < 4; ++j) {
+      const vfloat x = k + j < Count ? v[k + j] : vfloat{};
 #if defined(MGSR_ISA_avx512)
-    h[k] = _mm256_add_ps(_mm512_castps512_ps256((__m512)v[k]), _mm512_extractf32x8_ps((__m512)v[k], 1));
+      h[j] = _mm256_add_ps(_mm512_castps512_ps256((__m512)x), _mm512_extractf32x8_ps((__m512)x, 1));
 #else
-    h[k] = (__m256)v[k];
+      h[j] = (__m256)x;
 #endif
-  }
-  for (int k = Count; k < (Count + 7) / 8 * 8; ++k) h[k] = _mm256_setzero_ps();
-  for (int k = 0; k < Count; k += 8) {
-    const __m256 a = _mm256_hadd_ps(_mm256_hadd_ps(h[k], h[k + 1]), _mm256_hadd_ps(h[k + 2], h[k + 3]));
-    const __m256 b = _mm256_hadd_ps(_mm256_hadd_ps(h[k + 4], h[k + 5]), _mm256_hadd_ps(h[k + 6], h[k + 7]));
-    const __m256 s = _mm256_add_ps(_mm256_permute2f128_ps(a, b, 0x20), _mm256_permute2f128_ps(a, b, 0x31));
-    if (k + 8 <= Count) {
-      _mm256_storeu_ps(sums + k, s);
-    } else {
-      float rest[8];
-      _mm256_storeu_ps(rest, s);
-      for (int j = 0; k + j < Count; ++j) sums[k + j] = rest[j];
     }
+    const __m256 s = _mm256_hadd_ps(_mm256_hadd_ps(h[0], h[1]), _mm256_hadd_ps(h[2], h[3]));
+    const __m128 four = _mm_add_ps(_mm256_castps256_ps128(s), _mm256_extractf128_ps(s, 1));
+    _mm_storeu_ps(sums + k, _mm_add_ps(_mm_loadu_ps(sums + k), four));
   }
 #else
-  for (int k = 0; k < Count; ++k) sums[k] = sum(v[k]);
+  for (int k = 0; k < Count; ++k) sums[k] += sum(v[k]);
 #endif
 }
 

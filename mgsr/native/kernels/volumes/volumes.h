@@ -9,8 +9,8 @@
 
 namespace mgsr {
 
-// Blending rules, the same in every rasterizer here: a pixel blends splats while its transmittance is at least
-// kMinTransmittance; a splat counts for a pixel where its alpha is at least kMinAlpha.
+// Blending rules, the same in every rasterizer here: a splat counts for a pixel where its alpha is at least kMinAlpha;
+// a pixel stops before the first splat that would leave it less than kMinTransmittance.
 constexpr float kMinTransmittance = 1e-4f;
 constexpr float kMinAlpha = 1.0f / 255.0f;
 constexpr float kMaxAlpha = 0.999f;
@@ -40,9 +40,10 @@ struct VolumeGradients {
   float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
 };
 
-// One splat as the blending loops read it: one cache line.
-struct alignas(64) VolumeRecord {
-  float x, y;                // centre, pixels
+// One splat as the blending loops read it.
+struct VolumeRecord {
+  float x, y;                // centre, pixels: the whole part
+  float x_rest, y_rest;      // and the rest
   float qxx, qxy, qyy;       // exponent of 2: qxx dx^2 + qxy dx dy + qyy dy^2
   float opacity, depth;
   float color[3];

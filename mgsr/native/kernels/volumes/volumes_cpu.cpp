@@ -21,7 +21,7 @@ namespace MGSR_ISA {
 namespace {
 
 constexpr int kVectors = 16 / kWidth;          // vectors to a sub-tile
-constexpr float kLog2E = 1.4426950408889634f;
+constexpr double kLog2E = 1.4426950408889634;
 constexpr int kSplatChunk = 512;
 
 // Gradient of one (splat, tile) pair. The moments are of v_exponent over the pixels' offsets from the centre.
@@ -35,26 +35,41 @@ bool finite(const float* p, int n) {
   return zero == 0.0f;
 }
 
+// In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent, which is what float
+// leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
+ProjectedGaussian<double> project_exactly(const VolumeInputs& in, int64_t i) {
+  Camera<double> camera;
+  for (int k = 0; k < 9; ++k) camera.R[k] = in.camera.R[k];
+  for (int k = 0; k < 3; ++k) camera.t[k] = in.camera.t[k];
+  camera.fx = in.camera.fx, camera.fy = in.camera.fy, camera.cx = in.camera.cx, camera.cy = in.camera.cy;
+  camera.width = in.width, camera.height = in.height;
+  double mean[3], quat[4], scale[3];
+  for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
+  for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
+  return project_gaussian(camera, mean, quat, scale, double(in.low_pass));
+}
+
 // Fills the record and outline of splat i; false when it can't be seen or isn't finite.
 bool project_one(const VolumeInputs& in, int64_t i, VolumeRecord& record, Ellipse& outline) {
-  const ProjectedGaussian<float> g =
-      project_gaussian(in.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 3 * i, in.low_pass);
-  const float det = g.cxx * g.cyy - g.cxy * g.cxy;
+  const ProjectedGaussian<double> g = project_exactly(in, i);
+  const double det = g.cxx * g.cyy - g.cxy * g.cxy;
   if (!(g.depth > in.near) || !(det > 0) || !(g.cxx + g.cyy < 1e12f)) return false;
-  const float factor = in.compensate ? g.compensation : 1.0f;
+  const float factor = in.compensate ? float(g.compensation) : 1.0f;
   const float opacity = in.opacities[i] * factor;
   const float refl_opacity = in.refl_opacities ? in.refl_opacities[i] * factor : 0.0f;
   const float strongest = std::max(opacity, refl_opacity);
-  if (!(strongest >= kMinAlpha) || !(opacity >= 0) || !(refl_opacity >= 0)) return false;
+  if (!(strongest >= kMinAlpha) || !(strongest <= 1e6f) || !(opacity >= 0) || !(refl_opacity >= 0)) return false;
   if (!finite(in.colors + 3 * i, 3) || (in.refl_colors && !(finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1))))
     return false;
   const float r2 = 2.0f * std::log(strongest / kMinAlpha);
-  outline = {g.x, g.y, g.cyy / det, -g.cxy / det, g.cxx / det, r2};
-  const float hx = std::sqrt(r2 * g.cxx), hy = std::sqrt(r2 * g.cyy);
-  if (!(g.x + hx >= 0 && g.x - hx <= in.width && g.y + hy >= 0 && g.y - hy <= in.height)) return false;
+  outline = Ellipse::make(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
+  const PixelBox box = outline.box();
+  if (!(box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height)) return false;
   record = {};
-  record.x = g.x, record.y = g.y;
-  record.qxx = -0.5f * kLog2E * outline.qxx, record.qxy = -kLog2E * outline.qxy, record.qyy = -0.5f * kLog2E * outline.qyy;
+  record.x = std::floor(float(g.x)), record.y = std::floor(float(g.y));
+  record.x_rest = float(g.x - record.x), record.y_rest = float(g.y - record.y);
+  const double scale = -0.5 * kLog2E / det;
+  record.qxx = float(scale * g.cyy), record.qxy = float(-2.0 * scale * g.cxy), record.qyy = float(scale * g.cxx);
   record.opacity = opacity, record.depth = g.depth;
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (in.refl_opacities) {
@@ -73,8 +88,7 @@ void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
     int64_t place = begin;
     for (int64_t i = begin; i < end; ++i) {
       const bool seen = project_one(in, i, state.projected[place], state.outlines[place]);
-      const Ellipse& o = state.outlines[place];
-      radii[i] = seen ? std::sqrt(o.r2 * std::max(o.qxx, o.qyy) / (o.qxx * o.qyy - o.qxy * o.qxy)) : 0.0f;
+      radii[i] = seen ? std::max(state.outlines[place].hx, state.outlines[place].hy) : 0.0f;
       place += seen;
     }
     state.chunk_counts[begin / kSplatChunk] = place - begin;
@@ -109,16 +123,17 @@ void sort_and_bin(const VolumeInputs& in, VolumeState& state) {
                     [outlines](int s, float y0, float y1, float& x0, float& x1) { return outlines[s].rows(y0, y1, x0, x1); });
 }
 
-// The 16 pixels of a sub-tile as vectors of their centres.
+// The 16 pixels of a sub-tile: their offsets from its first pixel's centre.
 struct Pixels {
   vfloat x[kVectors], y[kVectors];
+  float x0, y0;
 
-  Pixels(int x0, int y0) {
+  Pixels(int left, int top) : x0(left + 0.5f), y0(top + 0.5f) {
     for (int v = 0; v < kVectors; ++v)
       for (int lane = 0; lane < kWidth; ++lane) {
         const int p = v * kWidth + lane;
-        x[v][lane] = float(x0 + p % kSubTile) + 0.5f;
-        y[v][lane] = float(y0 + p / kSubTile) + 0.5f;
+        x[v][lane] = float(p % kSubTile);
+        y[v][lane] = float(p / kSubTile);
       }
   }
 };
@@ -135,18 +150,30 @@ struct Footprint {
   vfloat dx, dy, weight;  // offsets from the centre; G
 };
 
-inline Footprint footprint(const VolumeRecord& r, vfloat px, vfloat py) {
+// A centre far from the image's origin is coarse in float; its whole and its fractional part are not, nor is their
+// difference to a pixel near by.
+inline Footprint footprint(const VolumeRecord& r, const Pixels& pixels, int v) {
   Footprint f;
-  f.dx = px - r.x, f.dy = py - r.y;
+  f.dx = pixels.x[v] + ((pixels.x0 - r.x) - r.x_rest), f.dy = pixels.y[v] + ((pixels.y0 - r.y) - r.y_rest);
   const vfloat ydy = (r.qyy * f.dy) * f.dy;
   f.weight = exp2_nonpositive(fma(f.dx, fma(splat(r.qxx), f.dx, r.qxy * f.dy), ydy));
   return f;
 }
 
-// alpha of a splat whose o G is `raw`, at pixels of transmittance T: zero where it doesn't count.
-inline vfloat blend_alpha(vfloat raw, vfloat T) {
-  return keep((raw >= kMinAlpha) & (T >= kMinTransmittance), min(raw, splat(kMaxAlpha)));
-}
+// What is left of the light at a vector of pixels, and which of them still blend: a pixel is closed by the first splat
+// that would leave less than kMinTransmittance, and that splat is not blended.
+struct Light {
+  vfloat T = splat(1.0f);
+  vint open = vint{} - 1;
+
+  // alpha of a splat whose o G is `raw`: zero where it doesn't count. T is that before the splat; call pass(alpha) then.
+  vfloat alpha(vfloat raw) {
+    const vfloat a = keep((raw >= kMinAlpha) & open, min(raw, splat(kMaxAlpha)));
+    open &= fma(-a, T, T) >= kMinTransmittance;
+    return keep(open, a);
+  }
+  void pass(vfloat a) { T = fma(-a, T, T); }
+};
 
 // For each of a tile's four sub-tiles, the entries that touch it, in depth order.
 struct SubTileLists {
@@ -170,37 +197,35 @@ template <bool Dual, bool Depth>
 void blend_subtile(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const TileEntry* entries,
                    const uint32_t* list, int count, int x0, int y0) {
   const Pixels pixels(x0, y0);
-  vfloat T[kVectors], C[kVectors][3] = {}, D[kVectors] = {}, Tr[kVectors], Cr[kVectors][3] = {}, W[kVectors] = {};
-  for (int v = 0; v < kVectors; ++v) T[v] = splat(1.0f), Tr[v] = splat(1.0f);
+  Light light[kVectors], refl_light[kVectors];
+  vfloat C[kVectors][3] = {}, D[kVectors] = {}, Cr[kVectors][3] = {}, W[kVectors] = {};
   for (int e = 0; e < count; ++e) {
     const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
     vint open = vint{};
     for (int v = 0; v < kVectors; ++v) {
-      const Footprint f = footprint(r, pixels.x[v], pixels.y[v]);
-      const vfloat alpha = blend_alpha(r.opacity * f.weight, T[v]);
-      const vfloat w = alpha * T[v];
+      const Footprint f = footprint(r, pixels, v);
+      const vfloat alpha = light[v].alpha(r.opacity * f.weight), w = alpha * light[v].T;
       for (int c = 0; c < 3; ++c) C[v][c] = fma(w, splat(r.color[c]), C[v][c]);
       if (Depth) D[v] = fma(w, splat(r.depth), D[v]);
-      T[v] = fma(-alpha, T[v], T[v]);
-      open |= T[v] >= kMinTransmittance;
+      light[v].pass(alpha);
+      open |= light[v].open;
       if (Dual) {
         W[v] = fma(w, splat(r.weight), W[v]);
-        const vfloat alpha_r = blend_alpha(r.refl_opacity * f.weight, Tr[v]);
-        const vfloat w_r = alpha_r * Tr[v];
+        const vfloat alpha_r = refl_light[v].alpha(r.refl_opacity * f.weight), w_r = alpha_r * refl_light[v].T;
         for (int c = 0; c < 3; ++c) Cr[v][c] = fma(w_r, splat(r.refl_color[c]), Cr[v][c]);
-        Tr[v] = fma(-alpha_r, Tr[v], Tr[v]);
-        open |= Tr[v] >= kMinTransmittance;
+        refl_light[v].pass(alpha_r);
+        open |= refl_light[v].open;
       }
     }
     if (!any(open)) break;
   }
   float t[16], c[3][16], d[16], tr[16], cr[3][16], w[16];
   for (int v = 0; v < kVectors; ++v) {
-    store(t + v * kWidth, T[v]);
+    store(t + v * kWidth, light[v].T);
     for (int k = 0; k < 3; ++k) store(c[k] + v * kWidth, C[v][k]);
     if (Depth) store(d + v * kWidth, D[v]);
     if (!Dual) continue;
-    store(tr + v * kWidth, Tr[v]), store(w + v * kWidth, W[v]);
+    store(tr + v * kWidth, refl_light[v].T), store(w + v * kWidth, W[v]);
     for (int k = 0; k < 3; ++k) store(cr[k] + v * kWidth, Cr[v][k]);
   }
   for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int p) {
@@ -263,51 +288,48 @@ void backward_subtile(const VolumeInputs& in, const VolumeState& state, const Vo
   constexpr int kFields = Dual ? kDualFields : Depth ? kSingleFields : kDepth;
   const Pixels pixels(x0, y0);
   PixelGradients<Dual, Depth> g(in, state, out, v_out, x0, y0);
-  vfloat T[kVectors], Tr[kVectors];
-  for (int v = 0; v < kVectors; ++v) T[v] = splat(1.0f), Tr[v] = splat(1.0f);
+  Light light[kVectors], refl_light[kVectors];
   for (int e = 0; e < count; ++e) {
     const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
     vfloat sums[kDualFields] = {};
     vint open = vint{};
     for (int v = 0; v < kVectors; ++v) {
-      const Footprint f = footprint(r, pixels.x[v], pixels.y[v]);
-      const vfloat raw = r.opacity * f.weight, alpha = blend_alpha(raw, T[v]), w = alpha * T[v];
+      const Footprint f = footprint(r, pixels, v);
+      const vfloat raw = r.opacity * f.weight, alpha = light[v].alpha(raw), w = alpha * light[v].T;
       vfloat gain = g.color[v][0] * r.color[0] + g.color[v][1] * r.color[1] + g.color[v][2] * r.color[2];
       if (Depth) gain += g.depth[v] * r.depth;
       if (Dual) gain += g.weight[v] * r.weight;
       g.behind[v] -= w * gain;
       // Zero where the splat doesn't count and where alpha is held at its maximum.
-      vfloat v_alpha = T[v] * gain - g.behind[v] / (1.0f - alpha);
+      vfloat v_alpha = light[v].T * gain - g.behind[v] / (1.0f - alpha);
       v_alpha = keep((alpha > 0.0f) & (raw < kMaxAlpha), v_alpha);
       vfloat v_exponent = v_alpha * raw;
       sums[kOpacity] += v_exponent;
       for (int c = 0; c < 3; ++c) sums[kColor + c] += w * g.color[v][c];
       if (Depth) sums[kDepth] += w * g.depth[v];
-      T[v] = fma(-alpha, T[v], T[v]);
-      open |= T[v] >= kMinTransmittance;
+      light[v].pass(alpha);
+      open |= light[v].open;
       if (Dual) {
         sums[kWeight] += w * g.weight[v];
-        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = blend_alpha(raw_r, Tr[v]), w_r = alpha_r * Tr[v];
+        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = refl_light[v].alpha(raw_r),
+                     w_r = alpha_r * refl_light[v].T;
         const vfloat gain_r =
             g.refl_color[v][0] * r.refl_color[0] + g.refl_color[v][1] * r.refl_color[1] + g.refl_color[v][2] * r.refl_color[2];
         g.refl_behind[v] -= w_r * gain_r;
-        vfloat v_alpha_r = Tr[v] * gain_r - g.refl_behind[v] / (1.0f - alpha_r);
+        vfloat v_alpha_r = refl_light[v].T * gain_r - g.refl_behind[v] / (1.0f - alpha_r);
         v_alpha_r = keep((alpha_r > 0.0f) & (raw_r < kMaxAlpha), v_alpha_r);
         const vfloat v_exponent_r = v_alpha_r * raw_r;
         sums[kReflOpacity] += v_exponent_r;
         v_exponent += v_exponent_r;
         for (int c = 0; c < 3; ++c) sums[kReflColor + c] += w_r * g.refl_color[v][c];
-        Tr[v] = fma(-alpha_r, Tr[v], Tr[v]);
-        open |= Tr[v] >= kMinTransmittance;
+        refl_light[v].pass(alpha_r);
+        open |= refl_light[v].open;
       }
       const vfloat vx = v_exponent * f.dx, vy = v_exponent * f.dy;
       sums[kDx] += vx, sums[kDy] += vy;
       sums[kDxx] += vx * f.dx, sums[kDxy] += vx * f.dy, sums[kDyy] += vy * f.dy;
     }
-    float total[kFields];
-    sum_each<kFields>(sums, total);
-    float* pair = pairs + size_t(list[e]) * stride(Dual);
-    for (int k = 0; k < kFields; ++k) pair[k] += total[k];
+    add_sums<kFields>(sums, pairs + size_t(list[e]) * stride(Dual));
     if (!any(open)) break;
   }
 }
@@ -356,7 +378,7 @@ void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImag
 void splat_backward(const VolumeInputs& in, const VolumeRecord& r, const float* total, bool dual, const VolumeGradients& v) {
   const int64_t i = r.index;
   // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
-  const float qxx = r.qxx * (-2.0f / kLog2E), qxy = r.qxy * (-1.0f / kLog2E), qyy = r.qyy * (-2.0f / kLog2E);
+  const float qxx = r.qxx * float(-2.0 / kLog2E), qxy = r.qxy * float(-1.0 / kLog2E), qyy = r.qyy * float(-2.0 / kLog2E);
   ProjectedGaussian<float> g = {};
   g.x = qxx * total[kDx] + qxy * total[kDy];
   g.y = qxy * total[kDx] + qyy * total[kDy];

@@ -35,7 +35,9 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) ->
     terms = {"volumes.photo": _photo(outputs.color, target.color, target, config)}
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
     if config.tv and settings.transmitted_tv_weight:
-        tv = edge_aware_tv(outputs.transmitted, target.color)
+        # With masks only inside: the step to a random background is no texture to smooth away.
+        inside = None if target.alpha is None else target.covered(outputs.alpha)
+        tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
     if config.tv and settings.depth_tv_weight:
         tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))

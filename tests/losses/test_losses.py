@@ -29,7 +29,8 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
 
 def surfels() -> SurfelOutputs:
     image, alpha = random(SIZE, SIZE, 3), torch.full((SIZE, SIZE), 0.9, requires_grad=True)
-    return SurfelOutputs(image, alpha, random(SIZE, SIZE, seed=1), random(SIZE, SIZE), random(SIZE, SIZE, 3), None, STATS)
+    depths = random(SIZE, SIZE, seed=1), random(SIZE, SIZE)
+    return SurfelOutputs(image, alpha, *depths, random(SIZE, SIZE, 3), None, STATS)
 
 
 def volumes() -> VolumeOutputs:
@@ -84,7 +85,8 @@ def test_a_term_without_weight_is_not_computed() -> None:
     assert set(surfel_terms(surfels(), target(), config)) == {"surfels.photo"}
     config = make_config(overrides=["tv=off"]).train
     assert set(volume_terms(volumes(), target(masked=False), config)) == {"volumes.photo"}
-    assert set(surfel_terms(surfels(), target(), TrainConfig(), regularised=False)) == {"surfels.photo", "surfels.alpha"}
+    unregularised = surfel_terms(surfels(), target(), TrainConfig(), regularised=False)
+    assert set(unregularised) == {"surfels.photo", "surfels.alpha"}
 
 
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
@@ -105,7 +107,7 @@ def test_the_total_is_the_weighted_sum() -> None:
     base = make_config(overrides=["photo_weight=0.8"]).train
     terms = mutual_terms(flat, full, target(), base)
     alone = surfel_terms(flat, target(), base)
-    assert float(terms["surfels.photo"]) == pytest.approx(0.5 * 0.8 * float(alone["surfels.photo"]), rel=1e-5)
+    assert terms["surfels.photo"].item() == pytest.approx(0.5 * 0.8 * alone["surfels.photo"].item(), rel=1e-5)
     doubled = replace(base, mutual=replace(base.mutual, surfel_weight=1.0, depth_weight=0.02))
     again = mutual_terms(flat, full, target(), doubled)
     for name in ("surfels.photo", "surfels.transmitted", "surfels.normal", "surfels.depth_tv", "mutual.depth"):

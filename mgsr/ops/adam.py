@@ -50,15 +50,17 @@ class FusedAdam:
 
     def step(self) -> None:
         """Update every parameter that has a gradient, in place."""
-        held = []  # the kernel keeps bare pointers until update
+        held = []  # the kernel keeps bare pointers until update, and these may be copies
         for name, param in self.params.items():
             if param.grad is None or not param.numel():
                 continue
             self._steps[name] += 1
             rows = (param.shape[0], -1)
-            arrays = [host(t).view(rows) for t in (param, param.grad, self._first[name], self._second[name])]
-            held.append(arrays)
-            self._batch.add(*arrays, self._scales.get(name), self.lrs[name], self._steps[name])
+            values, gradients = host(param).view(rows), host(param.grad).view(rows)
+            held.append(gradients)
+            first, second = self._first[name].view(rows), self._second[name].view(rows)
+            scales, rate, count = self._scales.get(name), self.lrs[name], self._steps[name]
+            self._batch.add(values, gradients, first, second, scales, rate, count)
         self._batch.update()
 
     def set_lr(self, name: str, lr: float) -> None:

@@ -17,9 +17,16 @@ namespace {
 
 constexpr int kNormalBandRows = 32;
 
-inline PixelRay<float> pixel_ray(const DepthNormalsParams& p, int x, int y) {
-  return {p.fx, p.fy, (float(x) + 0.5f - p.cx) / p.fx, (float(y) + 0.5f - p.cy) / p.fy};
-}
+// Camera numbers as locals of a row's loop: read through the parameters they would be loaded again at each pixel.
+struct RowCamera {
+  RowCamera(const DepthNormalsParams& p, int y)
+      : fx(p.fx), fy(p.fy), per_pixel(1 / p.fx), offset((0.5f - p.cx) / p.fx), ry((float(y) + 0.5f - p.cy) / p.fy) {
+    std::copy_n(p.world_from_cam, 9, R);
+  }
+  PixelRay<float> ray(int x) const { return {fx, fy, float(x) * per_pixel + offset, ry}; }
+
+  float fx, fy, per_pixel, offset, ry, R[9];
+};
 
 // Depths around (x, y); all 1 where one of them, or the pixel's own, is not a depth. Returns whether all are.
 inline bool neighbours(const float* row, int width, int x, DepthNeighbours<float>& d) {
@@ -34,12 +41,14 @@ void normals_row(const DepthNormalsParams& p, int y) {
   std::fill_n(out, 3 * p.width, 0.0f);
   if (y == 0 || y == p.height - 1) return;
   const float *row = p.depth + int64_t(y) * p.width, *alpha = p.alpha ? p.alpha + int64_t(y) * p.width : nullptr;
-  const float* R = p.world_from_cam;
+  const RowCamera camera(p, y);
+  const float* R = camera.R;
+#pragma GCC ivdep
   for (int x = 1; x < p.width - 1; ++x) {
     DepthNeighbours<float> d;
     float n[3];
     const bool valid = neighbours(row, p.width, x, d);
-    depth_normal(d, pixel_ray(p, x, y), n);
+    depth_normal(d, camera.ray(x), n);
     const float scale = !valid ? 0.0f : alpha ? alpha[x] : 1.0f;
     for (int i = 0; i < 3; ++i) out[3 * x + i] = scale * (R[3 * i] * n[0] + R[3 * i + 1] * n[1] + R[3 * i + 2] * n[2]);
   }
@@ -54,7 +63,10 @@ void derivative_row(const DepthNormalsParams& p, int y, const NeighbourRows& v) 
   std::fill_n(v.left, 4 * p.width, 0.0f);
   if (y <= 0 || y >= p.height - 1) return;
   const float *row = p.depth + int64_t(y) * p.width, *alpha = p.alpha ? p.alpha + int64_t(y) * p.width : nullptr;
-  const float *R = p.world_from_cam, *v_normals = p.v_normals + int64_t(y) * p.width * 3;
+  const float* v_normals = p.v_normals + int64_t(y) * p.width * 3;
+  const RowCamera camera(p, y);
+  const float* R = camera.R;
+#pragma GCC ivdep
   for (int x = 1; x < p.width - 1; ++x) {
     DepthNeighbours<float> d;
     const bool valid = neighbours(row, p.width, x, d);
@@ -63,7 +75,7 @@ void derivative_row(const DepthNormalsParams& p, int y, const NeighbourRows& v) 
     const float v_n[3] = {scale * (R[0] * g[0] + R[3] * g[1] + R[6] * g[2]),
                           scale * (R[1] * g[0] + R[4] * g[1] + R[7] * g[2]),
                           scale * (R[2] * g[0] + R[5] * g[1] + R[8] * g[2])};
-    const DepthNeighbours<float> v_d = depth_normal_vjp(d, pixel_ray(p, x, y), v_n);
+    const DepthNeighbours<float> v_d = depth_normal_vjp(d, camera.ray(x), v_n);
     v.left[x] = v_d.left, v.right[x] = v_d.right, v.up[x] = v_d.up, v.down[x] = v_d.down;
   }
 }

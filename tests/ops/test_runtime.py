@@ -1,0 +1,37 @@
+"""Settings that hold for all kernel families."""
+
+from __future__ import annotations
+
+import pytest
+
+from mgsr.errors import ConfigError
+from mgsr.native import _adam, _harmonics, _image, runtime
+
+FAMILIES = (_image, _harmonics, _adam)
+
+
+@pytest.fixture(autouse=True)
+def settings_come_back():
+    isa, threads = _image.isa(), _image.threads()
+    yield
+    runtime.set_isa(isa)
+    runtime.set_threads(threads)
+
+
+def test_every_family_follows() -> None:
+    for isa in runtime.isas():
+        runtime.set_isa(isa)
+        runtime.set_threads(3)
+        assert all(family.isa() == isa and family.threads() == 3 for family in FAMILIES)
+
+
+def test_zero_threads_means_all_processors() -> None:
+    runtime.set_threads(0)
+    assert all(family.threads() >= 1 for family in FAMILIES)
+
+
+def test_bad_settings_are_named() -> None:
+    with pytest.raises(ConfigError, match="isa"):
+        runtime.set_isa("mmx")
+    with pytest.raises(ConfigError, match="threads"):
+        runtime.set_threads(-1)

@@ -1,0 +1,244 @@
+"""COLMAP: a sparse model in sparse/0 or sparse (binary or text) and the photographs in images/.
+
+The files' layout is that of COLMAP's documentation, "Output Format".
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.files import find_mask, inside
+from mgsr.data.lens import Lens
+from mgsr.data.poses import intrinsics
+from mgsr.data.scene import PointCloud
+from mgsr.errors import SceneError
+
+_PLACES = ("sparse/0", "sparse")
+
+# Model number in binary files, name, count of parameters; those that can be read are in _to_pinhole.
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+}
+
+
+@dataclass(frozen=True)
+class _Camera:
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Image:
+    name: str
+    quat: tuple[float, ...]
+    translation: tuple[float, ...]
+    camera: int
+
+
+def recognises(root: Path) -> str | None:
+    """The model's images file, if there is one."""
+    model = _find_model(root)
+    return str(model.relative_to(root)) if model else None
+
+
+def read(root: Path) -> Capture:
+    """Every registered image and every 3D point."""
+    marker = _find_model(root)
+    assert marker is not None, "read() is for folders that were recognised"
+    suffix = marker.suffix
+    where = str(marker.parent.relative_to(root))
+    files = {stem: marker.with_name(stem + suffix) for stem in ("cameras", "images", "points3D")}
+    try:
+        cameras = _CAMERAS[suffix](files["cameras"])
+        images = _IMAGES[suffix](files["images"])
+        points = _POINTS[suffix](files["points3D"]) if files["points3D"].is_file() else None
+    except FileNotFoundError as error:
+        raise SceneError(f"{where}: {Path(error.filename).name} is missing from the COLMAP model") from error
+    except (struct.error, ValueError, IndexError, KeyError) as error:
+        raise SceneError(f"{where}: damaged COLMAP model: {error}; export it again") from error
+    return Capture([_photo(root, image, cameras, f"{where}/{marker.name}") for image in images], points)
+
+
+def _photo(root: Path, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+    source = f"{file}, image {image.name}"
+    if image.camera not in cameras:
+        raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
+    camera = cameras[image.camera]
+    path = inside(root, "images/" + image.name, source)
+    K, lens = _to_pinhole(camera, source)
+    return Photo(
+        image=path,
+        K=K,
+        size=(camera.width, camera.height),
+        cam_from_world=_pose(image, source),
+        source=source,
+        mask=find_mask(root, path),
+        lens=lens,
+    )
+
+
+def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, Lens | None]:
+    """The intrinsics, and the lens that the photographs must be rid of."""
+    p = camera.params
+    match camera.model:
+        case "SIMPLE_PINHOLE":
+            return intrinsics(p[0], p[0], p[1], p[2]), None
+        case "PINHOLE":
+            return intrinsics(*p), None
+        case "SIMPLE_RADIAL" | "RADIAL":
+            lens, K = Lens(*p[3:]), intrinsics(p[0], p[0], p[1], p[2])
+        case "OPENCV":
+            lens, K = Lens(*p[4:]), intrinsics(*p[:4])
+        case _:
+            raise SceneError(
+                f"{source}: camera model {camera.model} is not supported; "
+                "run `colmap image_undistorter` and give its output"
+            )
+    if not np.isfinite(p).all():
+        raise SceneError(f"{source}: the camera has NaN or infinite numbers")
+    return K, None if lens.flat else lens
+
+
+def _pose(image: _Image, source: str) -> np.ndarray:
+    """cam_from_world [4,4] from COLMAP's quaternion (wxyz) and translation."""
+    norm = np.linalg.norm(image.quat)
+    if not np.isfinite(norm) or norm == 0:
+        raise SceneError(f"{source}: the pose's quaternion is {list(image.quat)}; remove this view or mend its pose")
+    w, x, y, z = np.array(image.quat) / norm
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = image.translation
+    return pose
+
+
+def _find_model(root: Path) -> Path | None:
+    places = [root / place / ("images" + suffix) for place in _PLACES for suffix in (".bin", ".txt")]
+    return next((path for path in places if path.is_file()), None)
+
+
+# Text: one record a line; images take two lines, the second (their 2D points) may be empty.
+
+
+def _text_lines(path: Path) -> list[str]:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return [line.strip() for line in lines if not line.startswith("#")]
+
+
+def _text_cameras(path: Path) -> dict[int, _Camera]:
+    rows = [line.split() for line in _text_lines(path) if line]
+    return {int(row[0]): _checked(row[1], int(row[2]), int(row[3]), tuple(map(float, row[4:]))) for row in rows}
+
+
+def _text_images(path: Path) -> list[_Image]:
+    lines = _text_lines(path)
+    while lines and not lines[-1]:
+        lines.pop()
+    images = []
+    for line in lines[::2]:
+        row = line.split(maxsplit=9)
+        numbers = tuple(map(float, row[1:8]))
+        images.append(_Image(row[9], numbers[:4], numbers[4:], int(row[8])))
+    return images
+
+
+def _text_points(path: Path) -> PointCloud:
+    rows = [line.split(maxsplit=7)[1:7] for line in _text_lines(path) if line]
+    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    return PointCloud(table[:, :3], table[:, 3:].astype(np.uint8))
+
+
+# Binary: little endian, a 64-bit count and then the records.
+
+
+class _Bytes:
+    """A file's bytes, taken from the front."""
+
+    def __init__(self, path: Path) -> None:
+        self.data, self.at = path.read_bytes(), 0
+
+    def take(self, layout: str) -> tuple[Any, ...]:
+        values = struct.unpack_from("<" + layout, self.data, self.at)
+        self.skip(struct.calcsize("<" + layout))
+        return values
+
+    def skip(self, count: int) -> None:
+        self.at += count
+        if self.at > len(self.data):
+            raise ValueError("the file ends early")
+
+    def take_text(self) -> str:
+        end = self.data.index(b"\0", self.at)
+        text = self.data[self.at : end].decode("utf-8")
+        self.at = end + 1
+        return text
+
+    def records(self) -> Iterator[int]:
+        yield from range(self.take("Q")[0])
+
+
+def _binary_cameras(path: Path) -> dict[int, _Camera]:
+    data, cameras = _Bytes(path), {}
+    for _ in data.records():
+        number, kind, width, height = data.take("IiQQ")
+        model, count = _MODELS[kind]
+        cameras[number] = _checked(model, width, height, data.take(f"{count}d"))
+    return cameras
+
+
+def _binary_images(path: Path) -> list[_Image]:
+    data, images = _Bytes(path), []
+    for _ in data.records():
+        numbers = data.take("I7dI")
+        images.append(_Image(data.take_text(), numbers[1:5], numbers[5:8], numbers[8]))
+        data.skip(24 * data.take("Q")[0])
+    return images
+
+
+def _binary_points(path: Path) -> PointCloud:
+    data, positions, colors = _Bytes(path), [], []
+    for _ in data.records():
+        record = data.take("Q3d3BdQ")
+        positions.append(record[1:4])
+        colors.append(record[4:7])
+        data.skip(8 * record[8])
+    return PointCloud(np.array(positions, np.float64).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3))
+
+
+def _checked(model: str, width: int, height: int, params: tuple[float, ...]) -> _Camera:
+    """The camera, if it has as many parameters as its model asks for (models that aren't known are refused later)."""
+    count = dict(_MODELS.values()).get(model)
+    if count is not None and len(params) != count:
+        raise ValueError(f"camera model {model} has {count} parameters, got {len(params)}")
+    return _Camera(model, width, height, params)
+
+
+_CAMERAS = {".bin": _binary_cameras, ".txt": _text_cameras}
+_IMAGES = {".bin": _binary_images, ".txt": _text_images}
+_POINTS = {".bin": _binary_points, ".txt": _text_points}
+
+FORMAT = Format(
+    "colmap", "sparse/0 or sparse with images.bin or images.txt, and images/ (COLMAP)", recognises, read, rank=30
+)

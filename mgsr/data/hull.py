@@ -1,0 +1,121 @@
+"""The visual hull: the largest shape whose silhouettes fit the masks (Laurentini 1994), as a distance-like field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import reduce_area
+from mgsr.data.scene import View
+
+# A part of space is judged only if this share of the views looks at it: what lies outside nearly all images is
+# carved by nobody and would stay as a false block.
+MIN_SEEN = 0.25
+
+# The field between voxel centres changes a little faster than distance (perspective, skewed pixels).
+SLACK = 1.2
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera."""
+
+    camera: Camera
+    distance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Hull:
+    """field [R,R,R] float32 (x, y, z): about the signed distance to the hull's surface, positive inside, exact only
+    near the surface. Its samples are voxel centres; voxel is their spacing and origin the first one's place."""
+
+    field: np.ndarray
+    origin: np.ndarray
+    voxel: float
+
+    def occupied(self) -> np.ndarray:
+        """Centres [P,3] of the voxels inside."""
+        return np.argwhere(self.field > 0) * self.voxel + self.origin
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """The field at points [P,3], trilinear; far negative outside the grid."""
+        place = ((points - self.origin) / self.voxel).T
+        return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
+
+
+def silhouettes(views: Sequence[View], max_side: int = 400) -> list[Silhouette]:
+    """The masks of the views, reduced to a size at which a grid of 128 voxels has about two pixels a voxel."""
+    return [_silhouette(view, max_side) for view in views if view.alpha is not None]
+
+
+def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128) -> Hull:
+    """The hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
+
+    resolution: voxels a side, a multiple of 16; 64 and 128 start from 32.
+    """
+    size = resolution
+    while size % 2 == 0 and size > 32:
+        size //= 2
+    corner = np.asarray(center, dtype=np.float64) - half
+    active = np.stack(np.meshgrid(*[np.arange(size)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    field = np.empty((size,) * 3, dtype=np.float32)
+    while True:
+        voxel = 2 * half / size
+        values = signed_field(outlines, corner + (active + 0.5) * voxel)
+        field[tuple(active.T)] = values
+        if size == resolution:
+            return Hull(field, corner + voxel / 2, voxel)
+        # A child's centre is a quarter of the diagonal away, and one more child must lie around the surface.
+        near = np.abs(values) < SLACK * np.sqrt(3) * voxel * 0.75
+        active = _children(active[near])
+        field = np.repeat(np.repeat(np.repeat(field, 2, 0), 2, 1), 2, 2)
+        size *= 2
+
+
+def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> np.ndarray:
+    """The smallest signed distance [P] float32 over the views, in world units; outside where too few views look."""
+    lowest = np.full(len(points), np.inf, dtype=np.float32)
+    seen = np.zeros(len(points), dtype=np.int32)
+    for outline in outlines:
+        camera = outline.camera
+        pixels, depth = camera.project(points)
+        inside = (depth > 0) & (pixels > 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+        seen += inside
+        place = (pixels[inside, ::-1] - 0.5).T
+        distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
+        unit = depth[inside] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+        lowest[inside] = np.minimum(lowest[inside], distance * unit)
+    nearest = np.abs(lowest)
+    unseen = seen < max(2, MIN_SEEN * len(outlines))
+    return np.where(unseen, -np.where(np.isfinite(nearest), nearest, 1e3), lowest).astype(np.float32)
+
+
+def _children(parents: np.ndarray) -> np.ndarray:
+    corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return (parents[:, None] * 2 + corners).reshape(-1, 3)
+
+
+def _silhouette(view: View, max_side: int) -> Silhouette:
+    assert view.alpha is not None, "only views with masks have a silhouette"
+    camera, alpha = view.camera, view.alpha.astype(np.float32)
+    shrink = max_side / max(camera.width, camera.height)
+    if shrink < 1:
+        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        alpha = reduce_area(alpha[..., None], camera.width, camera.height)[..., 0]
+    return Silhouette(camera, _signed_distance(alpha / 255))
+
+
+def _signed_distance(alpha: np.ndarray) -> np.ndarray:
+    """Pixels to the outline at alpha 0.5, positive inside; on the outline's own pixels alpha tells the fraction."""
+    inside = alpha >= 0.5
+    if inside.all() or not inside.any():
+        return np.full(alpha.shape, 1e3 if inside.all() else -1e3, dtype=np.float32)
+    within = ndimage.distance_transform_edt(inside) - 0.5
+    beyond = ndimage.distance_transform_edt(~inside) - 0.5
+    distance = np.where(inside, within, -beyond)
+    soft = (alpha > 0.02) & (alpha < 0.98) & (np.abs(distance) < 1)
+    return np.where(soft, alpha - 0.5, distance).astype(np.float32)

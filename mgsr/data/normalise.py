@@ -1,0 +1,174 @@
+"""Where a scene's unit ball lies: around the object that the masks show, or around what the cameras look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from mgsr.data.camera import Camera
+from mgsr.data.hull import carve, silhouettes
+from mgsr.data.scene import PointCloud, Similarity, View
+from mgsr.errors import SceneError
+
+# Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.
+RESOLUTION = 64
+
+
+def normalisation(views: Sequence[View], points: PointCloud | None) -> Similarity:
+    """The similarity whose unit ball holds the object, from training views in the user's frame.
+
+    With masks: the smallest ball around the visual hull. Without: the ball around the point that the cameras look
+    at which all of them have in view, drawn in to the points that lie in it. Cameras that look into one direction
+    have no such point: there the ball holds nine tenths of the points, or what the cameras see in common.
+    Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
+    """
+    cameras = [view.camera for view in views]
+    centers = np.array([camera.center for camera in cameras])
+    if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
+        raise SceneError("all cameras stand at the same place; a surface needs views from different places")
+    if all(view.alpha is not None for view in views):
+        return Similarity(*_swapped(_masked_ball(views)))
+    return Similarity(*_swapped(_unmasked_ball(cameras, points)))
+
+
+def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
+    """The point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
+
+    None if the rays are nearly parallel or the point lies behind most of them.
+    """
+    keep = np.ones(len(origins), dtype=bool)
+    for _ in range(4):
+        across = np.eye(3) - directions[keep, :, None] * directions[keep, None, :]
+        total = across.sum(axis=0)
+        # The least eigenvalue is the mean squared sine between the rays and their main direction.
+        if np.linalg.eigvalsh(total)[0] < 0.02 * keep.sum():
+            return None
+        point = np.linalg.solve(total, np.einsum("vij,vj->i", across, origins[keep]))
+        offset = point - origins
+        miss = np.linalg.norm(np.cross(directions, offset), axis=1)
+        keep = miss <= 3 * np.median(miss) + 1e-9
+    ahead = (offset * directions).sum(axis=1) > 0
+    return point if ahead.mean() > 0.8 else None
+
+
+def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, float]:
+    """Centre and radius of about the smallest ball around points [P,3] (Badoiu and Clarkson 2003)."""
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except QhullError:  # fewer than four points, or all in a plane
+        corners = points
+    center = corners.mean(axis=0)
+    for step in range(1, steps + 1):
+        farthest = corners[np.argmax(((corners - center) ** 2).sum(axis=1))]
+        center = center + (farthest - center) / (step + 1)
+    return center, float(np.linalg.norm(corners - center, axis=1).max())
+
+
+def _masked_ball(views: Sequence[View]) -> tuple[np.ndarray, float]:
+    outlines = silhouettes(views, max_side=200)
+    center, radius = _ball_of_masks(views)
+    for _ in range(8):
+        half = 1.05 * radius
+        hull = carve(outlines, center, half, RESOLUTION)
+        inside = hull.occupied()
+        if not len(inside):
+            raise SceneError(
+                "the masks of the training views have no part of space in common: are they black on the object, do "
+                "they belong to other views, or are the poses wrong? Mend them, or run with masks=off"
+            )
+        cut = np.abs(inside - center).max() > half - 1.5 * hull.voxel
+        found, radius_found = smallest_ball(inside)
+        radius_found += hull.voxel / 2
+        # Enough once the grid is about as large as the hull, so that its voxels are small against it.
+        if not cut and radius_found > 0.6 * radius:
+            return found, radius_found
+        center, radius = found, radius * 1.6 if cut else radius_found
+    return found, radius_found
+
+
+def _ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, float]:
+    """A ball about as large as the object, from the masks' boxes."""
+    origins, directions, spreads = [], [], []
+    for view in views:
+        boxed = _box(view)
+        if boxed is not None:
+            middle, spread = boxed
+            origins.append(view.camera.center)
+            directions.append(middle)
+            spreads.append(spread)
+    if len(origins) < 2:
+        raise SceneError("fewer than 2 training views have anything in their masks; mend them, or run with masks=off")
+    point = focus(np.array(origins), np.array(directions))
+    if point is None:
+        point = _common_point(np.array(origins), np.array(directions))
+    distance = np.linalg.norm(np.array(origins) - point, axis=1)
+    return point, float(np.max(distance * np.array(spreads)))
+
+
+def _box(view: View) -> tuple[np.ndarray, float] | None:
+    """World direction to the middle of the mask, and half the mask's diagonal over depth; None if it is empty."""
+    assert view.alpha is not None, "called for masked scenes only"
+    rows, cols = np.flatnonzero((view.alpha > 127).any(axis=1)), np.flatnonzero((view.alpha > 127).any(axis=0))
+    if not len(rows):
+        return None
+    K = view.camera.K
+    x = (np.array([cols[0], cols[-1] + 1]) - K[0, 2]) / K[0, 0]
+    y = (np.array([rows[0], rows[-1] + 1]) - K[1, 2]) / K[1, 1]
+    direction = view.camera.cam_from_world[:3, :3].T @ [x.mean(), y.mean(), 1]
+    return direction / np.linalg.norm(direction), float(np.hypot(np.ptp(x), np.ptp(y)) / 2)
+
+
+def _unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
+    origins = np.array([camera.center for camera in cameras])
+    directions = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
+    center = focus(origins, directions)
+    if center is None:
+        return _one_sided_ball(cameras, origins, directions, positions)
+    # The median: a few cameras that came close must not shrink the ball to what they alone see.
+    radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
+    if positions is not None and len(positions):
+        distance = np.linalg.norm(positions - center, axis=1)
+        within = distance[distance < radius]
+        if len(within) >= 50:
+            radius = float(np.clip(1.05 * np.quantile(within, 0.99), 0.25 * radius, radius))
+    return center, radius
+
+
+def _one_sided_ball(
+    cameras: Sequence[Camera], origins: np.ndarray, directions: np.ndarray, positions: np.ndarray | None
+) -> tuple[np.ndarray, float]:
+    if positions is not None and len(positions) >= 50:
+        center = np.median(positions, axis=0)
+        return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))
+    center = _common_point(origins, directions)
+    return center, float(np.median([_radius_in_view(camera, center) for camera in cameras]))
+
+
+def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """A point before cameras that look into one direction: as far as they are apart, twice."""
+    spread = np.linalg.norm(origins - origins.mean(axis=0), axis=1).max()
+    return origins.mean(axis=0) + directions.mean(axis=0) * 4 * spread
+
+
+def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
+    """Radius of the ball around `center` that the camera's image shows whole, at least a tenth of its distance."""
+    local = camera.cam_from_world[:3, :3] @ center + camera.cam_from_world[:3, 3]
+    K = camera.K
+    edges = np.array(
+        [
+            [K[0, 0], 0, K[0, 2]],
+            [-K[0, 0], 0, camera.width - K[0, 2]],
+            [0, K[1, 1], K[1, 2]],
+            [0, -K[1, 1], camera.height - K[1, 2]],
+        ]
+    )
+    to_edges = edges @ local / np.linalg.norm(edges, axis=1)
+    return float(max(to_edges.min(), 0.1 * np.linalg.norm(local)))
+
+
+def _swapped(ball: tuple[np.ndarray, float]) -> tuple[float, np.ndarray]:
+    center, radius = ball
+    return radius, center

@@ -1,0 +1,110 @@
+"""Where the Gaussians start: the capture's own points, else the surface of the visual hull, else a random ball."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.hull import Hull, Silhouette, carve, signed_field, silhouettes
+from mgsr.data.scene import PointCloud, Scene, View
+from mgsr.data.view_colors import seen_colors
+from mgsr.errors import SceneError
+
+RESOLUTION = 128
+
+# With fewer points than this of its own, a masked scene does better with its hull.
+MIN_POINTS = 500
+
+# Points outside the unit ball by more than this are behind the cameras or wrong.
+FARTHEST = 50.0
+
+
+@dataclass(frozen=True)
+class StartingPoints:
+    """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
+    the surface is known, else None."""
+
+    positions: np.ndarray
+    colors: np.ndarray
+    normals: np.ndarray | None = None
+
+
+def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
+    """Points to start from. The same seed gives the same points.
+
+    At most `count` of the capture's own points (COLMAP), in a masked scene only those inside all masks; else `count`
+    points on the visual hull of the masks, spread evenly; else `count` points in the unit ball.
+    """
+    generator = np.random.default_rng(seed)
+    outlines = silhouettes(scene.train) if scene.masked else []
+    own = _own_points(scene.points, outlines, count, generator) if scene.points is not None else None
+    if own is not None:
+        return own
+    if outlines:
+        return _hull_points(scene.train, outlines, count, generator)
+    return _ball_points(scene.train, count, generator)
+
+
+def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [V,3] and outward faces [F,3] of the hull. Raises SceneError if it is empty."""
+    from skimage.measure import marching_cubes
+
+    if not (hull.field > 0).any():
+        raise SceneError("the masks of the training views have no part of space in common; run with masks=off")
+    # One layer of outside, so that the surface closes where the grid ends.
+    padded = np.pad(hull.field, 1, constant_values=-hull.voxel)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
+    return (vertices - 1) * hull.voxel + hull.origin, faces
+
+
+def _own_points(
+    points: PointCloud, outlines: Sequence[Silhouette], count: int, generator: np.random.Generator
+) -> StartingPoints | None:
+    """None if the capture has too few points of the object to be of use."""
+    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
+    if outlines:
+        # A point reconstructed on the outline lies a pixel off as often as not.
+        good[good] = signed_field(outlines, points.positions[good]) > -0.02
+    kept = np.flatnonzero(good)
+    if not len(kept) or (outlines and len(kept) < MIN_POINTS):
+        return None
+    if len(kept) > count:
+        kept = np.sort(generator.choice(kept, count, replace=False))
+    return StartingPoints(points.positions[kept], points.colors[kept])
+
+
+def _hull_points(
+    views: Sequence[View], outlines: Sequence[Silhouette], count: int, generator: np.random.Generator
+) -> StartingPoints:
+    vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, RESOLUTION))
+    positions, normals = _sample(vertices, faces, count, generator)
+    # Voxels below this size can't hide each other: the hull is only known to a voxel.
+    colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / RESOLUTION)
+    return StartingPoints(positions, colors, normals)
+
+
+def _sample(
+    vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread evenly over the area, and their faces' normals."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    across = np.cross(b - a, c - a)
+    area = np.linalg.norm(across, axis=1)
+    sums = np.cumsum(area)
+    # Stratified: one point in each of `count` equal parts of the area, so that none stays empty by chance.
+    place = (np.arange(count) + generator.random(count)) / count * sums[-1]
+    chosen = np.minimum(np.searchsorted(sums, place), len(faces) - 1)
+    u, v = generator.random((2, count))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    positions = a[chosen] + u[:, None] * (b - a)[chosen] + v[:, None] * (c - a)[chosen]
+    return positions, across[chosen] / np.maximum(area[chosen], 1e-20)[:, None]
+
+
+def _ball_points(views: Sequence[View], count: int, generator: np.random.Generator) -> StartingPoints:
+    """Evenly through the ball, in the colour that the views show in their direction."""
+    directions = generator.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions = directions * np.cbrt(generator.random(count))[:, None]
+    return StartingPoints(positions, seen_colors(views, positions))

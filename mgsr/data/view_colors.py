@@ -1,0 +1,77 @@
+"""The colours in which a set of views shows points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import View
+
+# A surface seen under a flatter angle than this (cosine) shows a colour mixed with its neighbours'.
+MIN_COSINE = 0.2
+
+# Pixels a side of the depth maps that tell which points are hidden: coarse, so that points leave no gaps.
+DEPTH_SIDE = 96
+
+_UNSEEN = 999
+
+
+def seen_colors(
+    views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None = None, tolerance: float = 0.05
+) -> np.ndarray:
+    """The colour [P,3] uint8 of each point: the median over the views that see it, so that highlights don't count.
+
+    With normals [P,3], the points are a surface: those turned away and those further than `tolerance` behind others
+    are not seen. A point that no view sees has its nearest seen neighbour's colour.
+    """
+    samples = np.full((len(views), len(positions), 3), _UNSEEN, dtype=np.int16)
+    for sample, view in zip(samples, views, strict=True):
+        _sample_view(sample, view, positions, normals, tolerance)
+    count = (samples[..., 0] != _UNSEEN).sum(axis=0)
+    samples.sort(axis=0)
+    middle = np.maximum(count - 1, 0) // 2
+    colors = np.take_along_axis(samples, middle[None, :, None], axis=0)[0]
+    return _fill(colors, positions, count > 0)
+
+
+def _sample_view(
+    sample: np.ndarray, view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float
+) -> None:
+    """Write the view's colours [P,3] into `sample` where it sees the points."""
+    camera = view.camera
+    pixels, depth = camera.project(positions)
+    seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+    if normals is not None:
+        towards = camera.center - positions
+        cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
+        seen &= cosine > MIN_COSINE
+        seen &= ~_hidden(camera, pixels, depth, seen, tolerance)
+    index = np.flatnonzero(seen)
+    cols, rows = pixels[index].astype(np.intp).T
+    if view.alpha is not None:
+        solid = view.alpha[rows, cols] > 127
+        index, rows, cols = index[solid], rows[solid], cols[solid]
+    sample[index] = view.image[rows, cols]
+
+
+def _hidden(camera: Camera, pixels: np.ndarray, depth: np.ndarray, seen: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which points lie behind others, by the nearest depth in cells of a coarse depth map."""
+    cells = (pixels / max(camera.width, camera.height) * DEPTH_SIDE).clip(0, DEPTH_SIDE - 1).astype(np.intp)
+    flat = cells[:, 1] * DEPTH_SIDE + cells[:, 0]
+    nearest = np.full(DEPTH_SIDE**2, np.inf)
+    np.minimum.at(nearest, flat[seen], depth[seen])
+    # Inside one cell a slanted surface has many depths.
+    slope = 2 * depth * max(camera.width, camera.height) / DEPTH_SIDE / camera.K[0, 0]
+    return depth > nearest[flat] + tolerance + slope
+
+
+def _fill(colors: np.ndarray, positions: np.ndarray, known: np.ndarray) -> np.ndarray:
+    if not known.any():
+        return np.full(colors.shape, 128, dtype=np.uint8)
+    if not known.all():
+        _, nearest = cKDTree(positions[known]).query(positions[~known])
+        colors[~known] = colors[known][nearest]
+    return colors.astype(np.uint8)

@@ -1,0 +1,67 @@
+// What the blending loops walk over: tiles over the threads, and in a tile four 4x4 sub-tiles, each with its own list.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "kernels/common/binning.h"
+#include "kernels/common/parallel.h"
+
+namespace mgsr {
+
+// An entry of a sub-tile's list: the splat's position in depth order, and the entry's position in the tile's list.
+struct SubTileItem {
+  uint32_t splat, entry;
+};
+
+// For each of a tile's four sub-tiles, the splats that touch it, in depth order.
+class SubTileLists {
+ public:
+  void fill(const TileEntry* entries, int n) {
+    if (items_[0].size() < size_t(n))
+      for (auto& items : items_) items.resize(n);
+    for (int& count : counts_) count = 0;
+    for (int e = 0; e < n; ++e) {
+      const uint32_t splat_mask = entries[e].splat_mask;
+      for (int s = 0; s < 4; ++s) {
+        items_[s][counts_[s]] = {splat_mask >> 4, uint32_t(e)};  // overwritten by the next one unless it counts
+        counts_[s] += splat_mask >> s & 1;
+      }
+    }
+  }
+
+  const SubTileItem* begin(int s) const { return items_[s].data(); }
+  int count(int s) const { return counts_[s]; }
+
+ private:
+  std::vector<SubTileItem> items_[4];
+  int counts_[4] = {};
+};
+
+// Calls work(tile, sub-tile lists, x0, y0 of the tile) for every tile, on all threads.
+template <class Work>
+void for_tiles(const TileLists& lists, const Work& work) {
+  ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
+    static thread_local SubTileLists sub;
+    sub.fill(lists.entries.data() + lists.begin[tile], int(lists.begin[tile + 1] - lists.begin[tile]));
+    work(tile, sub, tile % lists.tiles_x * kTile, tile / lists.tiles_x * kTile);
+  });
+}
+
+// Calls body(s, x, y) for the sub-tiles s = 0..3, at pixel (x, y), of the tile at (x0, y0) that lie on the image.
+template <class Body>
+void for_subtiles(int x0, int y0, int width, int height, const Body& body) {
+  for (int s = 0; s < 4; ++s) {
+    const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
+    if (x < width && y < height) body(s, x, y);
+  }
+}
+
+// Calls f(pixel index in the image, p) for the sub-tile's pixels p = 0..15 that lie on the image.
+template <class F>
+inline void for_pixels(int x0, int y0, int width, int height, const F& f) {
+  for (int j = 0; j < kSubTile && y0 + j < height; ++j)
+    for (int i = 0; i < kSubTile && x0 + i < width; ++i) f(int64_t(y0 + j) * width + x0 + i, j * kSubTile + i);
+}
+
+}  // namespace mgsr

@@ -1,0 +1,96 @@
+// The 2D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "kernels/common/binning.h"
+#include "math/camera.h"
+
+namespace mgsr {
+
+struct SurfelInputs {
+  int64_t count;
+  const float *means, *quats, *scales;  // [N,3], [N,4] wxyz, [N,2]
+  const float *opacities, *colors;      // [N], [N,3]
+  const float* background;              // [3]
+  Camera<float> camera;
+  int width, height;
+  float near, far;                      // camera units; far only sets the unit of distortion
+};
+
+struct SurfelImages {
+  float *color, *alpha;         // [H,W,3] with background, [H,W] 1 - transmittance
+  float *depth, *median_depth;  // [H,W] mean camera depth; depth where transmittance falls through 1/2; else 0
+  float* normal;                // [H,W,3] world frame, sum of alpha T n
+  float* distortion;            // [H,W], or null when not asked for
+};
+
+struct SurfelGradients {
+  float *means, *quats, *scales, *opacities, *colors;  // as in SurfelInputs
+  float* means2d;  // [N,2] pixels: gradient of the loss to a shift of each splat in the image plane
+};
+
+// One splat as the blending loops read it: one cache line. With d = pixel - (x, y) and w = 1 + g . d the splat's plane
+// is met at depth / w, where its weight is 2^-(|L d|^2 / w^2).
+struct alignas(64) SurfelRecord {
+  float x, y;
+  float L[4], g[2];
+  float depth, log2_opacity;
+  float color[3], normal[3];
+};
+
+// A splat's footprint on the image: where its disk is strong enough to count, and the circle of its low-pass.
+struct SurfelBounds {
+  Ellipse disk;
+  float x, y, radius;  // radius 0 where the disk is stronger than the low-pass everywhere
+
+  PixelBox box() const {
+    const PixelBox b = disk.box();
+    return {std::min(b.x0, x - radius), std::max(b.x1, x + radius), std::min(b.y0, y - radius), std::max(b.y1, y + radius)};
+  }
+
+  // The x interval of the pixels with y in [y0, y1]; false when there are none.
+  bool rows(float y0, float y1, float& x0, float& x1) const {
+    const bool on_disk = disk.rows(y0, y1, x0, x1);
+    const float dy = std::max(std::max(y0 - y, y - y1), 0.0f);
+    if (!(dy < radius)) return on_disk;
+    const float half = std::sqrt(radius * radius - dy * dy);
+    x0 = on_disk ? std::min(x0, x - half) : x - half;
+    x1 = on_disk ? std::max(x1, x + half) : x + half;
+    return true;
+  }
+};
+
+// Kept between forward and backward. Its vectors keep their memory when it is used again.
+struct SurfelState {
+  std::vector<uint32_t> visible;  // indices of splats that survived culling
+  std::vector<uint32_t> order;    // depth order over `visible`
+  std::vector<float> depths;      // of `visible`
+  std::vector<SurfelRecord> projected, records;        // in the order of `visible`; in depth order
+  std::vector<SurfelBounds> bounds, sorted_bounds;     // likewise
+  std::vector<PixelBox> boxes;                         // in depth order
+  TileLists lists;
+  std::vector<float> transmittance;   // [H,W], final
+  std::vector<float> moments;         // [H,W,2] of depth, for distortion
+  std::vector<float> pair_gradients;  // [pairs, 16]
+  std::vector<int64_t> chunk_counts;
+  DepthSort sorter;
+};
+
+struct SurfelKernels {
+  // radii: [N] pixels, 0 where culled.
+  void (*forward)(const SurfelInputs&, SurfelState&, const SurfelImages&, float* radii);
+  // `images` are the forward pass's outputs; a null gradient image means zero. Gradients are written where a splat is
+  // visible; the caller zeroes them first.
+  void (*backward)(const SurfelInputs&, SurfelState&, const SurfelImages& images, const SurfelImages& v_images,
+                   const SurfelGradients&);
+};
+
+namespace baseline { extern const SurfelKernels surfel_kernels; }
+namespace avx2 { extern const SurfelKernels surfel_kernels; }
+namespace avx512 { extern const SurfelKernels surfel_kernels; }
+
+}  // namespace mgsr

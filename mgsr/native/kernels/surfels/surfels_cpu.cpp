@@ -1,0 +1,523 @@
+// 2D surfels on the CPU.
+//
+// Forward: project and cull every splat (chunks of splats over the threads); sort the visible ones by depth; fill the
+// tile lists; blend tile by tile (one tile is one piece of work). Within a tile each 4x4 sub-tile is blended on its
+// own, its 16 pixels in registers, over the entries of the tile whose mask names it.
+// Backward: the same walk front to back. With q = v_out . (what the splat adds), the gradient to alpha_i is
+// T_i q_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
+// scalar however many outputs there are. A splat's footprint depends on nine numbers (centre, L, g, depth); over the
+// pixels their gradients need eight sums, since L enters only by its product with three second moments. With opacity,
+// colour and normal a (splat, tile) pair has 15 sums, one cache line, kept in the pair's own slot; a splat's slots are
+// then added in tile order, so the result doesn't depend on the number of threads.
+#include "kernels/surfels/surfels.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "kernels/common/simd.h"
+#include "kernels/common/subtiles.h"
+#include "math/surfel.h"
+
+namespace mgsr {
+namespace MGSR_ISA {
+namespace {
+
+// Blending rules, the same in every rasterizer here.
+constexpr float kMinTransmittance = 1e-4f;
+constexpr float kMinAlpha = 1.0f / 255.0f;
+constexpr float kLog2MinAlpha = -7.9943534f;
+constexpr float kMaxAlpha = 0.999f;
+
+constexpr int kVectors = 16 / kWidth;  // vectors to a sub-tile
+constexpr int kSplatChunk = 512;
+constexpr float kLog2E = 1.4426950408889634f, kLn2 = 0.69314718056f;
+constexpr float kExponentScale = 0.5f * kLog2E;       // 2^-(this * (u^2 + v^2)) is the weight ...
+constexpr float kRootExponentScale = 0.84932180028f;  // ... so that this, times L, leaves a plain square
+constexpr float kLowPassExponent = kLog2E;            // 2^-(this * d^2), a variance of 0.5 px^2
+constexpr float kNever = 1e6f;                        // L of an edge-on splat: its disk counts nowhere
+
+// Gradient of one (splat, tile) pair. kXX..kYY: second moments that give L's gradient; kMeanX, kMeanY: of the
+// projected centre; kDepth: the depth's, times the depth; kOpacity: the opacity's, times the opacity.
+enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
+constexpr int kFields = kNormal + 3, kStride = 16;
+
+bool finite(const float* p, int n) {
+  float zero = 0;
+  for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
+  return zero == 0.0f;
+}
+
+Ellipse ellipse_of_box(const PixelBox& b) {
+  const float hx = 0.5f * (b.x1 - b.x0), hy = 0.5f * (b.y1 - b.y0);
+  return {b.x0 + hx, b.y0 + hy, hx, hy, 0.0f, 0.0f, hx * hx, 0.0f};
+}
+
+// The image of that part of the disk's bounding square (half side r in u and v) that lies beyond `near`.
+PixelBox clipped_square(const Camera<float>& cam, const SurfelFrame<float>& f, const float scale[2], float r, float near) {
+  PixelBox box = {1e9f, -1e9f, 1e9f, -1e9f};
+  const auto add = [&](const float p[3]) {
+    const float x = cam.fx * p[0] / p[2] + cam.cx, y = cam.fy * p[1] / p[2] + cam.cy;
+    box = {std::min(box.x0, x), std::max(box.x1, x), std::min(box.y0, y), std::max(box.y1, y)};
+  };
+  constexpr float kU[5] = {-1, 1, 1, -1, -1}, kV[5] = {-1, -1, 1, 1, -1};
+  float last[3];
+  for (int corner = 0; corner < 5; ++corner) {
+    float p[3];
+    for (int i = 0; i < 3; ++i) p[i] = f.p[i] + r * (kU[corner] * scale[0] * f.tu[i] + kV[corner] * scale[1] * f.tv[i]);
+    if (corner > 0 && (p[2] > near) != (last[2] > near)) {
+      const float t = (near - last[2]) / (p[2] - last[2]);
+      const float cut[3] = {last[0] + t * (p[0] - last[0]), last[1] + t * (p[1] - last[1]), near};
+      add(cut);
+    }
+    if (p[2] > near) add(p);
+    std::memcpy(last, p, sizeof(p));
+  }
+  return box;
+}
+
+// The radius of the low-pass circle; 0 when within it the disk's weight is nowhere less than the low-pass's.
+float low_pass_radius(const ProjectedSurfel<float>& s, bool edge_on, float log_strength) {
+  const float radius = std::sqrt(log_strength);
+  const float trace = s.L[0] * s.L[0] + s.L[1] * s.L[1] + s.L[2] * s.L[2] + s.L[3] * s.L[3];
+  const float det = s.L[0] * s.L[3] - s.L[1] * s.L[2];
+  const float largest = 0.5f * (trace + std::sqrt(std::max(trace * trace - 4 * det * det, 0.0f)));
+  const float w = 1.0f - radius * std::sqrt(s.g[0] * s.g[0] + s.g[1] * s.g[1]);
+  return !edge_on && w > 0 && largest < 2.0f * w * w ? 0.0f : radius;
+}
+
+SurfelBounds surfel_bounds(const SurfelInputs& in, const SurfelFrame<float>& f, const ProjectedSurfel<float>& s,
+                           const float scale[2], float opacity) {
+  const float log_strength = std::log(opacity / kMinAlpha), r2 = 2.0f * log_strength;
+  SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength)};
+  SurfelOutline<float> o;
+  if (surfel_outline(in.camera, f, scale, r2, in.near, o)) {
+    b.disk = Ellipse::make(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f);
+    b.disk.w2 += 1e-6f * o.cxx;  // the rounding of a thin ellipse's determinant
+  } else {
+    const float w = float(in.width), h = float(in.height);
+    const PixelBox box = clipped_square(in.camera, f, scale, std::sqrt(r2), in.near);
+    b.disk = ellipse_of_box({std::max(box.x0, -w), std::min(box.x1, 2 * w), std::max(box.y0, -h), std::min(box.y1, 2 * h)});
+  }
+  return b;
+}
+
+// Fills the record and bounds of splat i; false when it can't be seen or isn't finite.
+bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, SurfelBounds& bounds) {
+  const float opacity = in.opacities[i], *scale = in.scales + 2 * i;
+  SurfelFrame<float> f;
+  surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f);
+  if (!(f.p[2] > in.near) || !(opacity >= kMinAlpha) || !(scale[0] > 0) || !(scale[1] > 0)) return false;
+  const ProjectedSurfel<float> s = project_surfel(in.camera, f);
+  record = {s.x, s.y, {}, {s.g[0], s.g[1]}, s.depth, std::log2(opacity), {}, {s.normal[0], s.normal[1], s.normal[2]}};
+  for (int k = 0; k < 4; ++k) record.L[k] = kRootExponentScale * s.L[k];
+  if (f.edge_on) record.L[0] = record.L[3] = kNever;
+  std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
+  if (!finite(&record.x, 16)) return false;
+  bounds = surfel_bounds(in, f, s, scale, opacity);
+  const PixelBox box = bounds.box();
+  return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
+}
+
+// Projects all splats; state.visible, projected, bounds and depths then hold the visible ones by index.
+void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
+  const int chunks = int((in.count + kSplatChunk - 1) / kSplatChunk);
+  state.projected.resize(in.count), state.bounds.resize(in.count), state.visible.resize(in.count);
+  state.chunk_counts.assign(chunks, 0);
+  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    int64_t place = begin;
+    for (int64_t i = begin; i < end; ++i) {
+      const bool seen = project_one(in, i, state.projected[place], state.bounds[place]);
+      const SurfelBounds& b = state.bounds[place];
+      radii[i] = seen ? std::max({b.disk.hx, b.disk.hy, b.radius}) : 0.0f;
+      state.visible[place] = uint32_t(i);
+      place += seen;
+    }
+    state.chunk_counts[begin / kSplatChunk] = place - begin;
+  });
+  // Close the gaps that culled splats left at the chunks' ends.
+  int64_t total = 0;
+  for (int c = 0; c < chunks; ++c) {
+    const int64_t begin = int64_t(c) * kSplatChunk, n = state.chunk_counts[c];
+    if (total != begin) {
+      std::copy_n(state.projected.begin() + begin, n, state.projected.begin() + total);
+      std::copy_n(state.bounds.begin() + begin, n, state.bounds.begin() + total);
+      std::copy_n(state.visible.begin() + begin, n, state.visible.begin() + total);
+    }
+    total += n;
+  }
+  state.projected.resize(total), state.bounds.resize(total), state.visible.resize(total), state.depths.resize(total);
+  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth;
+}
+
+void sort_and_bin(const SurfelInputs& in, SurfelState& state) {
+  state.sorter.sort(state.depths, state.order);
+  const int count = int(state.order.size());
+  state.records.resize(count), state.sorted_bounds.resize(count), state.boxes.resize(count);
+  parallel_chunks(count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    for (int64_t s = begin; s < end; ++s) {
+      state.records[s] = state.projected[state.order[s]];
+      state.sorted_bounds[s] = state.bounds[state.order[s]];
+      state.boxes[s] = state.sorted_bounds[s].box();
+    }
+  });
+  const SurfelBounds* bounds = state.sorted_bounds.data();
+  state.lists.build(count, in.width, in.height, state.boxes.data(),
+                    [bounds](int s, float y0, float y1, float& x0, float& x1) { return bounds[s].rows(y0, y1, x0, x1); });
+}
+
+// Good to the last two bits.
+inline vfloat reciprocal(vfloat x) {
+#if defined(MGSR_ISA_avx512)
+  const vfloat r = (vfloat)_mm512_rcp14_ps((__m512)x);
+  return r * fma(-x, r, splat(2.0f));
+#elif defined(MGSR_ISA_avx2)
+  const vfloat r = (vfloat)_mm256_rcp_ps((__m256)x);
+  return r * fma(-x, r, splat(2.0f));
+#else
+  return 1.0f / x;
+#endif
+}
+
+// 2^x for -8 <= x <= 1, with a relative error of 1e-7; anything outside (polynomial of degree 5, fitted on +-0.5).
+inline vfloat exp2_near_zero(vfloat x) {
+  const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
+  const vfloat shifted = x + shifter;
+  const vfloat f = x - (shifted - shifter);
+  vfloat p = fma(splat(1.3276479e-3f), f, splat(9.6755410e-3f));
+  p = fma(p, f, splat(5.5507131e-2f));
+  p = fma(p, f, splat(2.4022120e-1f));
+  p = fma(p, f, splat(6.9314694e-1f));
+  p = fma(p, f, splat(1.0000001f));
+  return (vfloat)((vint)p + ((vint)shifted << 23));
+}
+
+// The 16 pixels of a sub-tile as vectors of their centres. Every vector holds whole rows, so that x is the same in all.
+struct Pixels {
+  vfloat x, y[kVectors];
+
+  Pixels(int x0, int y0) {
+    for (int v = 0; v < kVectors; ++v)
+      for (int lane = 0; lane < kWidth; ++lane) {
+        x[lane] = float(x0 + lane % kSubTile) + 0.5f;
+        y[v][lane] = float(y0 + (v * kWidth + lane) / kSubTile) + 0.5f;
+      }
+  }
+};
+
+// A splat at a column of pixels: what its rows share.
+struct Column {
+  vfloat dx, a, b, w;
+
+  Column(const SurfelRecord& s, vfloat px) {
+    dx = px - s.x;
+    a = s.L[0] * dx, b = s.L[2] * dx, w = fma(splat(s.g[0]), dx, splat(1.0f));
+  }
+};
+
+// A splat at a vector of pixels.
+struct Footprint {
+  vfloat dy;
+  vfloat r;         // 1 / w at the hit, 1 where the low-pass is stronger
+  vfloat exponent;  // the weight is 2^-exponent
+  vfloat log2_raw;  // of opacity * weight
+  vfloat z;
+  vint on_disk;     // where the disk, not the low-pass, gives the weight
+
+  Footprint(const SurfelRecord& s, const Column& c, vfloat py, float near) {
+    dy = py - s.y;
+    const vfloat a = fma(splat(s.L[1]), dy, c.a), b = fma(splat(s.L[3]), dy, c.b);
+    const vfloat inverse = reciprocal(fma(splat(s.g[1]), dy, c.w));
+    const vfloat hit = fma(a, a, b * b) * (inverse * inverse);
+    const vfloat blur = kLowPassExponent * fma(c.dx, c.dx, dy * dy);
+    on_disk = (hit <= blur) & (s.depth * inverse > near);
+    r = select(on_disk, inverse, splat(1.0f));
+    exponent = select(on_disk, hit, blur);
+    log2_raw = s.log2_opacity - exponent;
+    z = s.depth * r;
+  }
+};
+
+// Depth measured from a sub-tile's first splat, in units of the depth range: distortion needs only differences, and
+// these lose no digits.
+struct DepthUnit {
+  float offset, scale;
+  vfloat of(vfloat z) const { return (z - offset) * scale; }
+};
+
+inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count) {
+  return {count > 0 ? state.records[items[0].splat].depth : 0.0f, 1.0f / (in.far - in.near)};
+}
+
+// What blending adds up at a vector of pixels.
+struct Blend {
+  vfloat T, color[3], normal[3], depth, median, m1, m2;
+};
+
+template <bool Distortion>
+inline void blend_one(const SurfelRecord& s, const Footprint& f, vint counts, const DepthUnit& unit, Blend& p) {
+  const vfloat alpha = keep(counts, min(exp2_near_zero(f.log2_raw), splat(kMaxAlpha)));
+  const vfloat w = alpha * p.T, after = p.T - w;
+  for (int k = 0; k < 3; ++k) p.color[k] = fma(w, splat(s.color[k]), p.color[k]);
+  for (int k = 0; k < 3; ++k) p.normal[k] = fma(w, splat(s.normal[k]), p.normal[k]);
+  p.depth = fma(w, f.z, p.depth);
+  p.median = select((p.T >= 0.5f) & (after < 0.5f), f.z, p.median);
+  if (Distortion) {
+    const vfloat m = unit.of(f.z), wm = w * m;
+    p.m1 += wm, p.m2 = fma(wm, m, p.m2);
+  }
+  p.T = after;
+}
+
+// One vector at a time: its sums then stay in registers, where two would not fit.
+template <bool Distortion>
+inline Blend blend_vector(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count, vfloat px,
+                          vfloat py, const DepthUnit& unit) {
+  Blend p = {};
+  p.T = splat(1.0f);
+  for (int e = 0; e < count; ++e) {
+    const SurfelRecord& s = state.records[items[e].splat];
+    const Footprint f(s, Column(s, px), py, in.near);
+    const vint counts = (f.log2_raw >= kLog2MinAlpha) & (p.T >= kMinTransmittance);
+    if (!any(counts)) {
+      if (!any(p.T >= kMinTransmittance)) break;
+      continue;
+    }
+    blend_one<Distortion>(s, f, counts, unit, p);
+  }
+  return p;
+}
+
+template <bool Distortion>
+void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const Blend p[kVectors], int x0, int y0) {
+  float f[11][16];
+  for (int v = 0; v < kVectors; ++v) {
+    const vfloat* fields = &p[v].T;
+    for (int k = 0; k < 11; ++k) store(f[k] + v * kWidth, fields[k]);
+  }
+  for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int j) {
+    const float T = f[0][j], alpha = 1.0f - T;
+    state.transmittance[i] = T, out.alpha[i] = alpha;
+    for (int k = 0; k < 3; ++k) {
+      out.color[3 * i + k] = f[1 + k][j] + T * in.background[k];
+      out.normal[3 * i + k] = f[4 + k][j];
+    }
+    out.depth[i] = alpha > 0.5f * kMinAlpha ? f[7][j] / alpha : 0.0f;
+    out.median_depth[i] = f[8][j];
+    if (!Distortion) return;
+    const float m1 = f[9][j], m2 = f[10][j];
+    state.moments[2 * i] = m1, state.moments[2 * i + 1] = m2;
+    out.distortion[i] = std::max(alpha * m2 - m1 * m1, 0.0f);
+  });
+}
+
+template <bool Distortion>
+void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) {
+  for_tiles(state.lists, [&](int, const SubTileLists& sub, int x0, int y0) {
+    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
+      const Pixels pixels(x, y);
+      const DepthUnit unit = depth_unit(in, state, sub.begin(s), sub.count(s));
+      Blend p[kVectors];
+      for (int v = 0; v < kVectors; ++v)
+        p[v] = blend_vector<Distortion>(in, state, sub.begin(s), sub.count(s), pixels.x, pixels.y[v], unit);
+      write_pixels<Distortion>(in, state, out, p, x, y);
+    });
+  });
+}
+
+// The gradient images at a sub-tile's pixels, made ready for the walk.
+struct PixelGradients {
+  struct Fields {
+    float color[3][16], normal[3][16], depth[16], median[16], m1[16], m2[16];
+    float behind[16];  // what the walk will have added up by its end, and what lies behind the last splat
+  } f = {};
+
+  PixelGradients(const SurfelInputs& in, const SurfelState& state, const SurfelImages& out, const SurfelImages& v, int x0,
+                 int y0) {
+    for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int j) {
+      const float T = state.transmittance[i], alpha = 1.0f - T;
+      float total = v.alpha ? -T * v.alpha[i] : 0.0f;
+      for (int k = 0; k < 3; ++k) {
+        f.color[k][j] = v.color ? v.color[3 * i + k] : 0.0f;
+        f.normal[k][j] = v.normal ? v.normal[3 * i + k] : 0.0f;
+        total += f.color[k][j] * out.color[3 * i + k] + f.normal[k][j] * out.normal[3 * i + k];
+      }
+      if (v.depth && alpha > 0.5f * kMinAlpha) {
+        // depth = sum / alpha: the sum's gradient is v / alpha, and alpha's loses v * depth / alpha.
+        f.depth[j] = v.depth[i] / alpha;
+        total += f.depth[j] * out.depth[i];
+      }
+      if (v.median_depth) f.median[j] = v.median_depth[i];
+      if (v.distortion) {
+        // distortion = alpha m2 - m1^2
+        const float m1 = state.moments[2 * i], m2 = state.moments[2 * i + 1];
+        f.m1[j] = -2.0f * m1 * v.distortion[i], f.m2[j] = alpha * v.distortion[i];
+        total += f.m1[j] * m1 + f.m2[j] * m2 - T * m2 * v.distortion[i];
+      }
+      f.behind[j] = total;
+    });
+  }
+};
+
+// A vector of pixels on the walk.
+struct Walk {
+  vfloat T, behind;
+};
+
+// The parts of a vector's gradient that its neighbours in the sub-tile share a sum with.
+struct VectorGradient {
+  vfloat second;  // of the disk's exponent, times 1/w^2: its moments give L's gradient
+  vfloat w;       // of w
+  vfloat blur;    // of the low-pass's d^2, doubled
+  vfloat depth, opacity;  // times depth, times opacity
+  vfloat share;   // alpha T
+};
+
+template <bool Distortion>
+inline VectorGradient walk_one(const SurfelRecord& s, const Footprint& f, vint counts, const PixelGradients::Fields& g,
+                               int lane, const DepthUnit& unit, Walk& p) {
+  const vfloat raw = exp2_near_zero(f.log2_raw);
+  const vfloat alpha = keep(counts, min(raw, splat(kMaxAlpha))), w = alpha * p.T, after = p.T - w;
+  vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
+  q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + load(g.normal[2] + lane) * s.normal[2];
+  q += load(g.depth + lane) * f.z;
+  vfloat v_z = w * load(g.depth + lane);
+  v_z += keep((p.T >= 0.5f) & (after < 0.5f), load(g.median + lane));
+  if (Distortion) {
+    const vfloat m = unit.of(f.z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
+    q += m * (v_m1 + m * v_m2);
+    v_z += w * unit.scale * (v_m1 + 2.0f * m * v_m2);
+  }
+  p.behind -= w * q;
+  const vfloat v_alpha = p.T * q - p.behind * reciprocal(1.0f - alpha);
+  VectorGradient v;
+  // Zero where the splat doesn't count and where alpha is held at its maximum.
+  v.opacity = keep(counts & (raw < kMaxAlpha), v_alpha * raw);
+  v.depth = v_z * f.z;
+  v.second = keep(f.on_disk, (-2.0f * kLn2) * v.opacity * f.r * f.r);
+  v.w = keep(f.on_disk, ((2.0f * kLn2) * f.exponent * v.opacity - v.depth) * f.r);
+  v.blur = keep(~f.on_disk, 2.0f * v.opacity);
+  v.share = w;
+  p.T = after;
+  return v;
+}
+
+// sums: [kFields] of the sub-tile's pixels, lane by lane.
+inline void gather(const SurfelRecord& s, vfloat dx, const vfloat dy[kVectors], const VectorGradient v[kVectors],
+                   const PixelGradients::Fields& g, vfloat sums[kFields]) {
+  vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
+  for (int k = 0; k < kFields; ++k) sums[k] = vfloat{};
+  for (int n = 0; n < kVectors; ++n) {
+    const vfloat y = v[n].second * dy[n];
+    second += v[n].second, second_y += y, yy += y * dy[n];
+    w += v[n].w, w_y += v[n].w * dy[n];
+    blur += v[n].blur, blur_y += v[n].blur * dy[n];
+    sums[kDepth] += v[n].depth, sums[kOpacity] += v[n].opacity;
+    for (int k = 0; k < 3; ++k) sums[kColor + k] += v[n].share * load(g.color[k] + n * kWidth);
+    for (int k = 0; k < 3; ++k) sums[kNormal + k] += v[n].share * load(g.normal[k] + n * kWidth);
+  }
+  const vfloat second_x = second * dx;
+  sums[kXX] = second_x * dx, sums[kXY] = second_y * dx, sums[kYY] = yy;
+  sums[kSlopeX] = w * dx, sums[kSlopeY] = w_y;
+  // Moving the centre moves every d the other way.
+  const vfloat a = s.L[0] * second_x + s.L[1] * second_y, b = s.L[2] * second_x + s.L[3] * second_y;
+  sums[kMeanX] = blur * dx - s.L[0] * a - s.L[2] * b - s.g[0] * w;
+  sums[kMeanY] = blur_y - s.L[1] * a - s.L[3] * b - s.g[1] * w;
+}
+
+// pairs: [tile's entries, kStride] gets each pair's sums added.
+template <bool Distortion>
+void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
+                      const SubTileItem* items, int count, const Pixels& pixels, float* pairs) {
+  const DepthUnit unit = depth_unit(in, state, items, count);
+  Walk p[kVectors];
+  for (int v = 0; v < kVectors; ++v) p[v] = {splat(1.0f), load(g.behind + v * kWidth)};
+  for (int e = 0; e < count; ++e) {
+    const SurfelRecord& s = state.records[items[e].splat];
+    const Column column(s, pixels.x);
+    vfloat dy[kVectors];
+    VectorGradient v[kVectors];
+    vint open = {};
+    for (int n = 0; n < kVectors; ++n) {
+      const Footprint f(s, column, pixels.y[n], in.near);
+      const vint counts = (f.log2_raw >= kLog2MinAlpha) & (p[n].T >= kMinTransmittance);
+      dy[n] = f.dy;
+      v[n] = walk_one<Distortion>(s, f, counts, g, n * kWidth, unit, p[n]);
+      open |= p[n].T >= kMinTransmittance;
+    }
+    vfloat sums[kFields];
+    gather(s, column.dx, dy, v, g, sums);
+    add_sums<kFields>(sums, pairs + size_t(items[e].entry) * kStride);
+    if (!any(open)) break;
+  }
+}
+
+template <bool Distortion>
+void blend_backward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const SurfelImages& v_out) {
+  state.pair_gradients.resize(size_t(state.lists.pairs()) * kStride);
+  for_tiles(state.lists, [&](int tile, const SubTileLists& sub, int x0, int y0) {
+    static thread_local std::vector<float> pairs;
+    const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
+    pairs.assign(size_t(n) * kStride, 0.0f);
+    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
+      const PixelGradients g(in, state, out, v_out, x, y);
+      backward_subtile<Distortion>(in, state, g.f, sub.begin(s), sub.count(s), Pixels(x, y), pairs.data());
+    });
+    for (int64_t e = 0; e < n; ++e)
+      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kStride], &pairs[size_t(e) * kStride],
+                  sizeof(float) * kStride);
+  });
+}
+
+// From the pairs' sums to the gradients of splat i, whose record is s.
+void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, const float* total, const SurfelGradients& v) {
+  const float *scale = in.scales + 2 * i, *quat = in.quats + 4 * i;
+  SurfelFrame<float> f;
+  surfel_frame(in.camera, in.means + 3 * i, quat, scale, f);
+  ProjectedSurfel<float> g = {};
+  g.x = total[kMeanX], g.y = total[kMeanY];
+  g.depth = total[kDepth] / s.depth;
+  for (int k = 0; k < 4; k += 2) {
+    g.L[k] = kRootExponentScale * (s.L[k] * total[kXX] + s.L[k + 1] * total[kXY]);
+    g.L[k + 1] = kRootExponentScale * (s.L[k] * total[kXY] + s.L[k + 1] * total[kYY]);
+  }
+  g.g[0] = total[kSlopeX], g.g[1] = total[kSlopeY];
+  for (int k = 0; k < 3; ++k) g.normal[k] = total[kNormal + k];
+  for (int k = 0; k < 3; ++k) v.colors[3 * i + k] = total[kColor + k];
+  v.opacities[i] = total[kOpacity] / in.opacities[i];
+  v.means2d[2 * i] = g.x, v.means2d[2 * i + 1] = g.y;
+  project_surfel_vjp(in.camera, quat, scale, f, g, v.means + 3 * i, v.quats + 4 * i, v.scales + 2 * i);
+}
+
+void reduce_pairs(const SurfelInputs& in, const SurfelState& state, const SurfelGradients& v) {
+  parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
+    for (int64_t s = begin; s < end; ++s) {
+      float total[kStride] = {};
+      for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
+        for (int k = 0; k < kStride; ++k) total[k] += state.pair_gradients[size_t(slot) * kStride + k];
+      splat_backward(in, state.visible[state.order[s]], state.records[s], total, v);
+    }
+  });
+}
+
+void forward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, float* radii) {
+  project_all(in, state, radii);
+  sort_and_bin(in, state);
+  const size_t pixels = size_t(in.width) * in.height;
+  state.transmittance.resize(pixels);
+  if (out.distortion) state.moments.resize(2 * pixels);
+  out.distortion ? blend<true>(in, state, out) : blend<false>(in, state, out);
+}
+
+void backward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const SurfelImages& v_out,
+              const SurfelGradients& v) {
+  v_out.distortion ? blend_backward<true>(in, state, out, v_out) : blend_backward<false>(in, state, out, v_out);
+  reduce_pairs(in, state, v);
+}
+
+}  // namespace
+
+const SurfelKernels surfel_kernels = {forward, backward};
+
+}  // namespace MGSR_ISA
+}  // namespace mgsr

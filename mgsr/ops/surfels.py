@@ -1,0 +1,120 @@
+"""Rasterize 2D surfels: colour, alpha, expected and median depth, normal and, when asked for, distortion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mgsr.checks import check_tensors
+from mgsr.data.camera import Camera
+from mgsr.errors import TensorError
+from mgsr.native import _surfels
+from mgsr.ops.volumes import SplatStats
+
+
+@dataclass(frozen=True)
+class SurfelOptions:
+    """near: camera units, splats whose centre is nearer are left out, and so are hits that are nearer; far: camera
+    units, with near the unit of distortion's depths, nothing is cut there; distortion: whether to render it."""
+
+    near: float = 0.01
+    far: float = 100.0
+    distortion: bool = False
+
+
+@dataclass(frozen=True)
+class SurfelRaster:
+    """color [H,W,3]: over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean camera z, 0 where nothing
+    is; median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not; normal
+    [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised; distortion [H,W]: sum over pairs of
+    splats of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or None; stats: of this render."""
+
+    color: Tensor
+    alpha: Tensor
+    depth: Tensor
+    median_depth: Tensor
+    normal: Tensor
+    distortion: Tensor | None
+    stats: SplatStats
+
+
+def rasterize_surfels(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    camera: Camera,
+    background: Tensor,
+    options: SurfelOptions | None = None,
+) -> SurfelRaster:
+    """Blend surfels front to back into images; gradients flow to all splat tensors and to the background.
+
+    means [N,3] world; quats [N,4] wxyz, any length but zero: the first two columns of their rotation are the surfel's
+    tangents, the third its normal; scales [N,2] world units, linear, > 0; opacities [N] in [0,1]; colors [N,3];
+    background [3]. A splat with a non-finite value is left out. The order is that of the centres' camera z.
+
+    The weight is the larger of exp(-(u^2 + v^2) / 2), at the point (u, v) where a pixel's ray meets the splat's plane
+    beyond `near`, and exp(-d^2) at d pixels from the projected centre, which has the centre's depth. A plane seen
+    under a sine below 1e-3 has only the latter. A pixel blends splats while its transmittance is at least 1e-4;
+    alpha = min(0.999, opacity * weight) counts from 1/255. stats.v_means2d is the gradient to moving a splat's weights
+    in the image plane.
+
+    Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far.
+    Source: 2DGS, Eq. 4-13; method.md "2D branch". Deviation: distortion squares differences of plain depth.
+    """
+    options = options or SurfelOptions()
+    if not 0 < options.near < options.far:
+        raise TensorError(f"options: expected 0 < near < far, got near={options.near}, far={options.far}")
+    check_tensors(
+        means=(means, "N 3"),
+        quats=(quats, "N 4"),
+        scales=(scales, "N 2"),
+        opacities=(opacities, "N"),
+        colors=(colors, "N 3"),
+        background=(background, "3"),
+    )
+    stats = SplatStats(radii=means.new_empty(len(means)))
+    images = _Rasterize.apply(means, quats, scales, opacities, colors, background, camera, options, stats)
+    return SurfelRaster(*images, stats)
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats):
+        splats = [t.detach().contiguous() for t in (means, quats, scales, opacities, colors, background)]
+        plane, triple = (camera.height, camera.width), (camera.height, camera.width, 3)
+        color, normal = means.new_empty(triple), means.new_empty(triple)
+        alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
+        distortion = means.new_empty(plane) if options.distortion else None
+        view = (
+            np.ascontiguousarray(camera.K, dtype=np.float64),
+            np.ascontiguousarray(camera.cam_from_world, dtype=np.float64),
+            camera.width,
+            camera.height,
+            options.near,
+            options.far,
+        )
+        images = (color, alpha, depth, median_depth, normal, distortion)
+        ctx.frame = _surfels.forward(*splats, *view, *images, stats.radii)
+        ctx.splats, ctx.view, ctx.stats = splats, view, stats
+        ctx.save_for_backward(*images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    def backward(ctx: Any, *v_images):
+        images = [t if t is None else t.detach() for t in ctx.saved_tensors]
+        v_images = [v if v is None else v.detach().contiguous() for v in v_images]
+        v_splats = [torch.zeros_like(t) for t in ctx.splats[:-1]]
+        v_means2d = torch.zeros(len(ctx.splats[0]), 2)
+        _surfels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
+        ctx.stats.v_means2d = v_means2d
+        v_background = None
+        if ctx.needs_input_grad[5] and v_images[0] is not None:
+            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        return *v_splats, v_background, None, None, None

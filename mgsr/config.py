@@ -167,6 +167,7 @@ class VolumeConfig:
     start_reflected: float = 0.5  # grey of the reflected colour, 0..1
     transmitted_tv_weight: float = 1.0  # lambda_2; the published program has 0.1
     depth_tv_weight: float = 0.0  # the published program has 0.05
+    reflected_cost: float = 0.0  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
     densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005))
@@ -180,8 +181,8 @@ class WarmupConfig:
     volume_iterations: int = 2500  # at most
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
-    epoch_span: int = 3  # epochs that are averaged and compared with as many before them
-    epoch_gain: float = 0.01  # relative fall of the loss under which a branch has converged
+    epoch_span: int = 5  # epochs that are averaged and compared with as many before them
+    epoch_gain: float = 0.002  # relative fall of the loss under which a branch has converged
     held_back_views: int = 3  # training views kept out of the warm-up under the rule held_back
     held_back_every: int = 100  # iterations between looks at them
     held_back_patience: int = 4  # looks without a gain

@@ -34,7 +34,8 @@ def test_surfels_lie_on_the_surface() -> None:
     assert len(model) == 500
     assert np.allclose(rotate(model.quats.numpy(), [0, 0, 1]), points.normals, atol=1e-5)
     assert torch.allclose(model.opacities(), torch.tensor(0.1))
-    assert torch.allclose(model.sh[:, 0] * SH_CONSTANT + 0.5, torch.tensor(128 / 255))
+    started = torch.from_numpy(points.colors / 255.0).float()
+    assert torch.allclose(model.sh[:, 0] * SH_CONSTANT + 0.5, started, atol=1e-5)
     # 500 points on this ball: a spacing of about sqrt(area / 500)
     area = 4 * np.pi * 0.525**2
     assert 0.5 < float(model.scales().median()) / np.sqrt(area / 500) < 1.5

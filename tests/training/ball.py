@@ -35,9 +35,9 @@ def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = Tr
 
 
 def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> Points:
-    """Points on a slightly larger ball, grey."""
+    """Points on a slightly larger ball, in paler colours than the ball's."""
     normals = _sphere(count)
-    return Points(normals * radius, normals, np.full((count, 3), 128, dtype=np.uint8))
+    return Points(normals * radius, normals, _bytes(0.25 + 0.5 * ball_color(normals * RADIUS)))
 
 
 def ball_color(points: np.ndarray) -> np.ndarray:

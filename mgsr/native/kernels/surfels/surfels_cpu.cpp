@@ -97,7 +97,8 @@ SurfelBounds surfel_bounds(const SurfelInputs& in, const SurfelFrame<float>& f, 
   } else {
     const float w = float(in.width), h = float(in.height);
     const PixelBox box = clipped_square(in.camera, f, scale, std::sqrt(r2), in.near);
-    b.disk = ellipse_of_box({std::max(box.x0, -w), std::min(box.x1, 2 * w), std::max(box.y0, -h), std::min(box.y1, 2 * h)});
+    // In this order a NaN, from an overflow, gives the bound.
+    b.disk = ellipse_of_box({std::max(-w, box.x0), std::min(2 * w, box.x1), std::max(-h, box.y0), std::min(2 * h, box.y1)});
   }
   return b;
 }
@@ -113,7 +114,7 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   for (int k = 0; k < 4; ++k) record.L[k] = kRootExponentScale * s.L[k];
   if (f.edge_on) record.L[0] = record.L[3] = kNever;
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
-  if (!finite(&record.x, 16)) return false;
+  if (!finite(&record.x, 16) || !finite(scale, 2)) return false;
   bounds = surfel_bounds(in, f, s, scale, opacity);
   const PixelBox box = bounds.box();
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;

@@ -78,18 +78,18 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
 
 @pytest.mark.parametrize("masked", [True, False])
 def test_training_finds_the_ball(masked: bool) -> None:
-    """300 iterations each bring the renders near the views and the surface onto the ball. So few need long steps: the
-    ball has to shrink by a pixel, which is 0.03 of the scene's unit here."""
+    """From a ball a fifth too large, 300 iterations each bring the renders near the views and the surface to within a
+    pixel, 0.033 here, of the ball. So few iterations need long steps."""
     overrides = ["warmup.surfel_iterations=300", "warmup.volume_iterations=300", "mutual.iterations=150"]
     overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "volumes")]
     overrides += [f"{branch}.rates.sh=1e-2" for branch in ("surfels", "volumes")]
     scene = ball_scene(48, train=16, masked=masked)
-    result = train(scene, ball_points(600), make_config("draft", overrides=overrides))
+    result = train(scene, ball_points(600, 1.2 * RADIUS), make_config("draft", overrides=overrides))
     row = result.curve[-1]
     assert row.psnr_volumes > 27
     assert row.psnr_surfels > 25
     errors = [surface_error(result, view.camera) for view in scene.test]
-    assert np.mean(errors) < 0.02 * RADIUS * 2
+    assert np.mean(errors) < 0.033
 
 
 def surface_error(result: TrainResult, camera: Camera) -> float:

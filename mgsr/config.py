@@ -33,9 +33,37 @@ class DataConfig:
     max_side: int = 1600  # pixels; larger images are reduced to this with area filtering
 
 
+class Extractor(StrEnum):
+    """poisson: screened Poisson on oriented points; tsdf: fusion of depth maps (the paper's)."""
+
+    POISSON = "poisson"
+    TSDF = "tsdf"
+
+
 @dataclass(frozen=True)
 class MeshConfig:
-    """How the surface is taken from the 2D branch."""
+    """How the surface is taken from the 2D branch. A footprint is what a pixel of the rendered views covers there."""
+
+    extractor: Extractor = Extractor.POISSON
+    view_scale: float = 2.0  # size of the rendered views against the photographs
+    max_pixels: int = 16_000_000  # of all rendered views together; they are made smaller to keep to it
+    extra_views: int = 0  # views rendered halfway between training views
+    min_alpha: float = 0.5  # pixels under it show no surface
+    min_cos: float = 0.3  # pixels seen at a more grazing angle are dropped
+    max_jump: float | None = 3.0  # footprints off a neighbour's plane at which a pixel counts as blended; none is off
+    radius: float | None = 1.25  # what lies farther from the scene's centre is dropped; none is off
+    consistency: float | None = 3.0  # footprints in front of another view's surface that are forgiven; none is off
+    hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
+    hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
+    poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
+    cell: float = 1.0  # octree cells in which points are averaged into one
+    trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
+    voxel: float = 2.0  # footprints in a voxel of the TSDF
+    truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
+    min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen
+    min_piece: float = 0.01  # connected pieces under this share of the area are dropped
+    close_holes: bool = False  # keep what Poisson invents where nothing was seen
+    max_faces: int | None = None  # decimate to this many; none is off
 
 
 class Branches(StrEnum):

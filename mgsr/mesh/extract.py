@@ -1,0 +1,130 @@
+"""From rendered views to a clean coloured mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.config import Extractor, MeshConfig
+from mgsr.errors import MeshError
+from mgsr.mesh import cleanup
+from mgsr.mesh.colors import vertex_colors
+from mgsr.mesh.consistency import Hull, agreed
+from mgsr.mesh.pixels import PixelRules, median_footprint, surface_pixels
+from mgsr.mesh.points import gather_points
+from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
+from mgsr.mesh.surface import SurfaceMesh, vertex_normals
+from mgsr.mesh.tsdf import tsdf_surface
+from mgsr.mesh.views import Silhouette, SurfaceView
+
+
+def extract_mesh(
+    views: Sequence[SurfaceView], config: MeshConfig, silhouettes: Sequence[Silhouette] = (), threads: int = -1
+) -> SurfaceMesh:
+    """The surface that the views show, in their frame.
+
+    silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them.
+    threads: for Poisson; -1 is all cores.
+
+    Raises MeshError, with the reason, where no surface comes out.
+    """
+    size = median_footprint(views, config.min_alpha)
+    if size is None:
+        raise MeshError(_nothing_seen(views, config))
+    hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
+    extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
+    vertices, faces = extract(views, config, size, hull, threads)
+    return _finish(vertices, faces, views, config, size, hull)
+
+
+def _rules(config: MeshConfig) -> PixelRules:
+    return PixelRules(config.min_alpha, config.min_cos, config.max_jump, config.radius)
+
+
+def _by_poisson(
+    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int
+) -> cleanup.Triangles:
+    cell = cell_size(_extent(views, config), config.poisson_depth)
+    points = gather_points(views, max(config.cell * cell, size), _rules(config))
+    if config.consistency is not None:
+        points = points.where(agreed(points, views, config.min_alpha, config.consistency))
+    if hull is not None:
+        points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
+    if len(points) < 4:
+        raise MeshError(_all_dropped(config))
+    vertices, faces = poisson_surface(points, config.poisson_depth, threads)
+    if config.close_holes:
+        return vertices, faces
+    return trim_unsupported(vertices, faces, points, config.trim * cell)
+
+
+def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
+    """The longest side of the box that holds the believable points, but for the outermost few."""
+    looks = [surface_pixels(view, _rules(config)) for view in views]
+    points = np.concatenate([look.positions[::4, ::4][look.believed[::4, ::4]] for look in looks])
+    if len(points) == 0:
+        raise MeshError(_all_dropped(config))
+    low, high = np.percentile(points, [0.1, 99.9], axis=0)
+    return float((high - low).max())
+
+
+def _by_tsdf(
+    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int
+) -> cleanup.Triangles:
+    return tsdf_surface(views, config.voxel * size, config.truncation, config.min_weight, _rules(config))
+
+
+def _finish(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    views: Sequence[SurfaceView],
+    config: MeshConfig,
+    size: float,
+    hull: Hull | None,
+) -> SurfaceMesh:
+    """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
+    cameras = [view.camera for view in views]
+    if hull is not None and len(faces):
+        vertices, faces = cleanup.pull_into_hull(
+            vertices, faces, hull, config.hull_margin or 0, config.hull_reach * size
+        )
+    vertices, faces = cleanup.drop_degenerate(vertices, faces)
+    _require_faces(faces, "no pixel's surface survived the fusion", config)
+    vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
+    seen = cleanup.seen_by(vertices, faces, cameras, gap=size)
+    faces = cleanup.turn_outwards(faces, cleanup.facing(vertices, faces, cameras, seen))
+    vertices, faces = cleanup.drop_unseen(vertices, faces, seen.any(0), whole_pieces=config.close_holes)
+    _require_faces(faces, "no camera sees any of the surface", config)
+    if config.max_faces is not None:
+        vertices, faces = cleanup.decimate(vertices, faces, config.max_faces)
+    seen = cleanup.seen_by(vertices, faces, cameras, gap=size)
+    normals = vertex_normals(vertices, faces)
+    return SurfaceMesh(vertices, faces, normals, vertex_colors(vertices, normals, views, seen))
+
+
+def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:
+    if len(faces) == 0:
+        raise MeshError(f"empty mesh: {reason}; {_CURE.format(config=config)}")
+
+
+_CURE = (
+    "look at the rendered depth of the 2D branch: train it longer, or relax mesh.min_alpha={config.min_alpha}, "
+    "mesh.min_cos={config.min_cos}, mesh.consistency={config.consistency} or mesh.radius={config.radius}"
+)
+
+
+def _nothing_seen(views: Sequence[SurfaceView], config: MeshConfig) -> str:
+    if not views:
+        return "empty mesh: no views were rendered; give at least two"
+    best = max(float(view.alpha.max()) for view in views)
+    return (
+        f"empty mesh: no pixel of the {len(views)} rendered views has a depth and an alpha of "
+        f"mesh.min_alpha={config.min_alpha} (the largest alpha is {best:.2f}): the 2D branch shows no surface; "
+        "train it longer or look at its opacities"
+    )
+
+
+def _all_dropped(config: MeshConfig) -> str:
+    reason = "every pixel's point was dropped as grazing, blended, contradicted or too far"
+    return f"empty mesh: {reason}; {_CURE.format(config=config)}"

@@ -1,0 +1,78 @@
+"""Which pixels of a rendered view are believed, and where in space they lie."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.mesh.views import SurfaceView
+from mgsr.metrics.raycast import pixel_rays
+
+
+@dataclass(frozen=True)
+class PixelRules:
+    """A pixel is believed with an alpha of at least min_alpha, seen under a cosine of at least min_cos, no farther
+    than max_jump footprints off any neighbour's tangent plane, and within `radius` of the scene's centre."""
+
+    min_alpha: float
+    min_cos: float
+    max_jump: float | None = None
+    radius: float | None = None
+
+
+@dataclass(frozen=True)
+class SurfacePixels:
+    """A view in space: positions [H,W,3] and unit normals [H,W,3] in the scene's frame, cosines [H,W] between normal
+    and ray, believed [H,W] bool; the first three mean nothing where it is False."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    cosines: np.ndarray
+    believed: np.ndarray
+
+
+def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
+    """Back-project a view and judge its pixels."""
+    rays = pixel_rays(view.camera)
+    normals = view.normal / np.maximum(np.linalg.norm(view.normal, axis=-1), 1e-9)[..., None]
+    cosines = -(normals * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
+    positions = view.camera.center.astype(np.float32) + rays * view.depth[..., None]
+    usable = view.usable(rules.min_alpha)
+    believed = usable & (cosines >= rules.min_cos)
+    if rules.radius is not None:
+        believed &= np.linalg.norm(positions, axis=-1) <= rules.radius
+    if rules.max_jump is not None:
+        believed &= ~_on_edge(usable, positions, normals, rules.max_jump * footprint(view))
+    return SurfacePixels(positions, normals, cosines, believed)
+
+
+def footprint(view: SurfaceView) -> np.ndarray:
+    """The size [H,W] of a pixel at the surface it shows, in the scene's unit."""
+    return view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
+
+
+def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | None:
+    """The size that half the surface pixels stay under; None where no view shows any surface."""
+    medians = [np.median(footprint(view)[usable]) for view in views if (usable := view.usable(min_alpha)).any()]
+    return float(np.median(medians)) if medians else None
+
+
+_ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)
+_NEIGHBOURS = [
+    ((_HEAD, _ALL), (_TAIL, _ALL)),
+    ((_TAIL, _ALL), (_HEAD, _ALL)),
+    ((_ALL, _HEAD), (_ALL, _TAIL)),
+    ((_ALL, _TAIL), (_ALL, _HEAD)),
+]
+
+
+def _on_edge(usable: np.ndarray, positions: np.ndarray, normals: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Pixels [H,W] with a neighbour that is empty or lies more than `limit` [H,W] off their tangent plane: splats of
+    both sides of an edge are blended there."""
+    edge = np.zeros(usable.shape, bool)
+    for here, there in _NEIGHBOURS:
+        off = np.abs(((positions[there] - positions[here]) * normals[here]).sum(-1))
+        edge[here] |= (off > limit[here]) | ~usable[there]
+    return edge

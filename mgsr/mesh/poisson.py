@@ -1,0 +1,40 @@
+"""Screened Poisson reconstruction: a surface whose normals are the points' normals."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mgsr.mesh.points import OrientedPoints
+from mgsr.mesh.surface import keep_faces
+from mgsr.open3d_library import load_open3d
+
+MARGIN = 1.1  # the octree's cube against the points' box
+
+
+def cell_size(extent: float, depth: int) -> float:
+    """The finest octree cell for points within a box whose longest side is `extent`."""
+    return MARGIN * extent / 2**depth
+
+
+def poisson_surface(points: OrientedPoints, depth: int, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [V,3] and faces [F,3] of the closed surface; counter-clockwise from outside.
+
+    Source: Kazhdan and Hoppe, Screened Poisson Surface Reconstruction (Open3D's build of the authors' code).
+    """
+    open3d = load_open3d()
+    cloud = open3d.geometry.PointCloud()
+    cloud.points = open3d.utility.Vector3dVector(points.positions.astype(np.float64))
+    cloud.normals = open3d.utility.Vector3dVector(points.normals.astype(np.float64))
+    mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+        cloud, depth=depth, scale=MARGIN, linear_fit=False, n_threads=threads
+    )
+    return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+
+
+def trim_unsupported(
+    vertices: np.ndarray, faces: np.ndarray, points: OrientedPoints, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh without the faces that Poisson put where no point is within `reach`."""
+    near = np.isfinite(cKDTree(points.positions).query(vertices, distance_upper_bound=reach, workers=-1)[0])
+    return keep_faces(vertices, faces, near[faces].all(1))

@@ -1,0 +1,47 @@
+"""Fusion of depth maps into a truncated signed distance on a sparse grid, and its zero surface (the paper's way)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.mesh.pixels import PixelRules, surface_pixels
+from mgsr.mesh.views import SurfaceView
+from mgsr.open3d_library import load_open3d
+
+BLOCK = 16  # voxels along a block's edge
+
+
+def tsdf_surface(
+    views: Sequence[SurfaceView], voxel: float, truncation: float, min_weight: float, rules: PixelRules
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [V,3] and faces [F,3], counter-clockwise from outside; both empty where no voxel was seen.
+
+    voxel: the grid's spacing in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must
+    have been seen.
+    """
+    grid = _empty_grid(voxel)
+    for view in views:
+        _integrate(grid, view, voxel, truncation, rules)
+    mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
+    return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+
+
+def _empty_grid(voxel: float) -> object:
+    open3d = load_open3d()
+    single = open3d.core.float32
+    return open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight"), (single, single), ((1), (1)), voxel, BLOCK, 4000)
+
+
+def _integrate(grid: object, view: SurfaceView, voxel: float, truncation: float, rules: PixelRules) -> None:
+    open3d = load_open3d()
+    depth = np.where(surface_pixels(view, rules).believed, view.depth, 0).astype(np.float32)
+    if not depth.any():
+        return
+    image = open3d.t.geometry.Image(open3d.core.Tensor(depth))
+    intrinsic = open3d.core.Tensor(view.camera.K)
+    extrinsic = open3d.core.Tensor(view.camera.cam_from_world)
+    limits = {"depth_scale": 1.0, "depth_max": float(depth.max()) + voxel, "trunc_voxel_multiplier": truncation}
+    blocks = grid.compute_unique_block_coordinates(image, intrinsic, extrinsic, **limits)  # type: ignore[attr-defined]
+    grid.integrate(blocks, image, intrinsic, extrinsic, **limits)  # type: ignore[attr-defined]

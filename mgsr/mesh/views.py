@@ -1,0 +1,75 @@
+"""What surface extraction takes in: rendered views of the surface, and the photographs' silhouettes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.errors import MeshError
+
+
+@dataclass(frozen=True)
+class SurfaceView:
+    """The surface rendered from one camera, float32, in the scene's frame.
+
+    depth [H,W] camera z, 0 where nothing is; normal [H,W,3] world frame, towards the camera, of any length; alpha
+    [H,W] 0..1; color [H,W,3] sRGB 0..1 (the transmitted colour, if no highlights are wanted on the mesh); mask [H,W]
+    bool, False where the pixel must not be used, or None.
+
+    Raises MeshError where an image's size is not the camera's.
+    """
+
+    camera: Camera
+    depth: np.ndarray
+    normal: np.ndarray
+    alpha: np.ndarray
+    color: np.ndarray
+    mask: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        for name, channels in (("depth", ()), ("normal", (3,)), ("alpha", ()), ("color", (3,)), ("mask", ())):
+            image = getattr(self, name)
+            if image is not None and image.shape != size + channels:
+                raise MeshError(
+                    f"{name} of a surface view: expected {[*size, *channels]} as its camera, got {list(image.shape)}"
+                )
+
+    def usable(self, min_alpha: float) -> np.ndarray:
+        """[H,W] bool: pixels that show a surface."""
+        valid = (self.alpha >= min_alpha) & (self.depth > 0) & np.isfinite(self.depth)
+        return valid if self.mask is None else valid & self.mask
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """The object's mask in one photograph: inside [H,W] bool."""
+
+    camera: Camera
+    inside: np.ndarray
+
+
+def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Bilinear values of image [H,W,...] at pixel coordinates [P,2] (centres at +0.5), held at the border."""
+    height, width = image.shape[:2]
+    x = np.clip(pixels[:, 0] - 0.5, 0, width - 1)
+    y = np.clip(pixels[:, 1] - 0.5, 0, height - 1)
+    left, top = np.minimum(x.astype(np.int64), width - 2), np.minimum(y.astype(np.int64), height - 2)
+    shape = (-1,) + (1,) * (image.ndim - 2)
+    fx, fy = (x - left).astype(np.float32).reshape(shape), (y - top).astype(np.float32).reshape(shape)
+    above = image[top, left] * (1 - fx) + image[top, left + 1] * fx
+    below = image[top + 1, left] * (1 - fx) + image[top + 1, left + 1] * fx
+    return above * (1 - fy) + below * fy
+
+
+def nearest(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Values of image [H,W,...] in the pixels that hold the coordinates [P,2], which must lie inside it."""
+    columns, rows = pixels.astype(np.int64).T
+    return image[rows, columns]
+
+
+def in_image(camera: Camera, pixels: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """[P] bool: which projected points lie in front of the camera and inside its image."""
+    return (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)

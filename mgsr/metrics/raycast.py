@@ -1,0 +1,75 @@
+"""What cameras see of a triangle mesh, by ray casting (Open3D's Embree)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.open3d_library import load_open3d
+
+NO_FACE = np.iinfo(np.uint32).max
+
+
+@dataclass(frozen=True)
+class RayHits:
+    """First hits of one camera's pixel centres: depth [H,W] float32 camera z, 0 where nothing is hit; normal [H,W,3]
+    of the hit facet, world frame, unit, towards the camera, 0 where nothing is hit; face [H,W] uint32, NO_FACE where
+    nothing is hit."""
+
+    depth: np.ndarray
+    normal: np.ndarray
+    face: np.ndarray
+
+    @property
+    def mask(self) -> np.ndarray:
+        """[H,W] bool, where something is hit."""
+        return self.face != NO_FACE
+
+
+class RayCaster:
+    """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        core = load_open3d().core
+        self._scene = load_open3d().t.geometry.RaycastingScene()
+        self._scene.add_triangles(
+            core.Tensor(np.ascontiguousarray(vertices, np.float32)), core.Tensor(np.ascontiguousarray(faces, np.uint32))
+        )
+
+    def cast(self, camera: Camera) -> RayHits:
+        """What `camera` sees, one ray through each pixel's centre."""
+        directions = pixel_rays(camera)
+        origins = np.broadcast_to(camera.center.astype(np.float32), directions.shape)
+        rays = np.concatenate([origins, directions], axis=-1)
+        hits = self._scene.cast_rays(load_open3d().core.Tensor(rays))
+        depth, normal, face = (hits[key].numpy() for key in ("t_hit", "primitive_normals", "primitive_ids"))
+        hit = face != NO_FACE
+        away = (normal * directions).sum(-1) > 0
+        normal = np.where(away[..., None], -normal, normal)
+        return RayHits(np.where(hit, depth, 0), np.where(hit[..., None], normal, 0), face)
+
+    def sees(self, camera: Camera, points: np.ndarray, gap: float) -> np.ndarray:
+        """Which of the points [P,3] lie inside the camera's image with nothing between; [P] bool.
+
+        Each ray ends `gap` before its point, so that the surface which the point lies on does not hide it.
+        """
+        core = load_open3d().core
+        pixels, depths = camera.project(points)
+        inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        offsets = (points - camera.center)[inside]
+        lengths = np.linalg.norm(offsets, axis=1)
+        rays = np.concatenate([np.broadcast_to(camera.center, offsets.shape), offsets / lengths[:, None]], axis=1)
+        first = self._scene.cast_rays(core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()
+        seen = np.zeros(len(points), bool)
+        seen[inside] = first >= lengths - gap
+        return seen
+
+
+def pixel_rays(camera: Camera) -> np.ndarray:
+    """World directions [H,W,3] float32 of the pixel centres' rays, with camera z 1: centre + depth * ray is the point."""
+    x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
+    y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
+    local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+    return (local @ camera.cam_from_world[:3, :3]).astype(np.float32)

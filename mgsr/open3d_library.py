@@ -1,0 +1,40 @@
+"""Open3D, loaded when it is first needed: it takes seconds to import, and the trainer runs without it."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+from mgsr.errors import MgsrError
+
+
+@cache
+def load_open3d() -> ModuleType:
+    """The module `open3d`.
+
+    Raises MgsrError where a library that it links against is missing on this machine.
+    """
+    _load_libusb()
+    try:
+        import open3d
+    except ImportError as error:
+        raise MgsrError(
+            f"Open3D does not load ({error}); on Debian: apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0"
+        ) from error
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    return open3d
+
+
+def _load_libusb() -> None:
+    """Open3D links against libusb for depth cameras. Where the system has none, the wheel's copy stands in: once it
+    is loaded, the dynamic linker finds it by its name."""
+    try:
+        ctypes.CDLL("libusb-1.0.so.0")
+    except OSError:
+        spec = importlib.util.find_spec("libusb_package")
+        for folder in (spec.submodule_search_locations or []) if spec else []:
+            for library in Path(folder).glob("libusb-1.0.so*"):
+                ctypes.CDLL(str(library))

@@ -39,6 +39,9 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) ->
         inside = None if target.alpha is None else target.covered(outputs.alpha)
         tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
+    if settings.reflected_cost and outputs.reflected is not None:
+        # The two lights are never negative, so their difference's mean is the added light's L1 norm.
+        terms["volumes.reflected_cost"] = settings.reflected_cost * (outputs.color - outputs.transmitted).mean()
     if config.tv and settings.depth_tv_weight:
         tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))
         terms["volumes.depth_tv"] = settings.depth_tv_weight * tv

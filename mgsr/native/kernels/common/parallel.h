@@ -45,14 +45,16 @@ class ThreadPool {
     body_ = [&body](int i) { body(i); };
     count_ = count;
     next_.store(0, std::memory_order_relaxed);
-    busy_.store(int(workers_.size()), std::memory_order_relaxed);
+    joined_.store(kOpen, std::memory_order_release);
     {
       std::lock_guard<std::mutex> lock(mutex_);
       generation_.fetch_add(1, std::memory_order_release);
     }
     wake_.notify_all();
     drain();
-    while (busy_.load(std::memory_order_acquire) != 0) pause();
+    // Only workers that joined are waited for: one that the system has not woken yet has nothing left to do.
+    joined_.fetch_and(~kOpen, std::memory_order_acq_rel);
+    for (int spin = 0; joined_.load(std::memory_order_acquire) != 0; ++spin) spin < 2000 ? pause() : std::this_thread::yield();
   }
 
   ~ThreadPool() { stop_workers(); }
@@ -107,17 +109,29 @@ class ThreadPool {
       }
       seen = generation_.load(std::memory_order_acquire);
       if (stopping_) return;
+      if (!join()) continue;
       drain();
-      busy_.fetch_sub(1, std::memory_order_release);
+      joined_.fetch_sub(1, std::memory_order_release);
     }
   }
+
+  // Whether there is a run that still takes workers; if so, this one is counted in.
+  bool join() {
+    uint32_t joined = joined_.load(std::memory_order_acquire);
+    while (joined & kOpen)
+      if (joined_.compare_exchange_weak(joined, joined + 1, std::memory_order_acq_rel)) return true;
+    return false;
+  }
+
+  static constexpr uint32_t kOpen = 1u << 31;
 
   int threads_;
   std::vector<std::thread> workers_;
   std::mutex run_mutex_, mutex_;
   std::condition_variable wake_;
   std::atomic<uint64_t> generation_{0};
-  std::atomic<int> next_{0}, busy_{0};
+  std::atomic<int> next_{0};
+  std::atomic<uint32_t> joined_{0};  // workers in the current run, and kOpen while it takes more
   int count_ = 0;
   bool stopping_ = false;
   std::function<void(int)> body_;

@@ -31,15 +31,16 @@ class Silhouette:
 @dataclass(frozen=True)
 class Hull:
     """field [R,R,R] float32 (x, y, z): about the signed distance to the hull's surface, positive inside, exact only
-    near the surface. Its samples are voxel centres; voxel is their spacing and origin the first one's place."""
+    near the surface and where enough views look. Its samples are voxel centres: voxel is their spacing, origin the
+    first one's place."""
 
     field: np.ndarray
     origin: np.ndarray
     voxel: float
 
-    def occupied(self) -> np.ndarray:
-        """Centres [P,3] of the voxels inside."""
-        return np.argwhere(self.field > 0) * self.voxel + self.origin
+    def reached(self) -> np.ndarray:
+        """Centres [P,3] of the voxels that the hull reaches into, thin tips too."""
+        return np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """The field at points [P,3], trilinear; far negative outside the grid."""
@@ -65,33 +66,33 @@ def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resol
     field = np.empty((size,) * 3, dtype=np.float32)
     while True:
         voxel = 2 * half / size
-        values = signed_field(outlines, corner + (active + 0.5) * voxel)
-        field[tuple(active.T)] = values
+        values, judged = signed_field(outlines, corner + (active + 0.5) * voxel)
+        field[tuple(active.T)] = np.where(judged, values, -voxel)
         if size == resolution:
             return Hull(field, corner + voxel / 2, voxel)
         # A child's centre is a quarter of the diagonal away, and one more child must lie around the surface.
         near = np.abs(values) < SLACK * np.sqrt(3) * voxel * 0.75
-        active = _children(active[near])
+        active = _children(active[near | ~judged])
         field = np.repeat(np.repeat(np.repeat(field, 2, 0), 2, 1), 2, 2)
         size *= 2
 
 
-def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> np.ndarray:
-    """The smallest signed distance [P] float32 over the views, in world units; outside where too few views look."""
+def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The smallest signed distance [P] float32 over the views that see each point, in world units, and whether
+    enough views see it [P] bool; where they don't, the point counts as outside."""
     lowest = np.full(len(points), np.inf, dtype=np.float32)
     seen = np.zeros(len(points), dtype=np.int32)
     for outline in outlines:
         camera = outline.camera
         pixels, depth = camera.project(points)
-        inside = (depth > 0) & (pixels > 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+        x, y = pixels.T
+        inside = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
         seen += inside
-        place = (pixels[inside, ::-1] - 0.5).T
+        place = [y - 0.5, x - 0.5]
         distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
-        unit = depth[inside] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-        lowest[inside] = np.minimum(lowest[inside], distance * unit)
-    nearest = np.abs(lowest)
-    unseen = seen < max(2, MIN_SEEN * len(outlines))
-    return np.where(unseen, -np.where(np.isfinite(nearest), nearest, 1e3), lowest).astype(np.float32)
+        unit = depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+        np.minimum(lowest, distance * unit, out=lowest, where=inside)
+    return lowest, seen >= max(2, MIN_SEEN * len(outlines))
 
 
 def _children(parents: np.ndarray) -> np.ndarray:

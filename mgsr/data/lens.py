@@ -48,9 +48,10 @@ def undistortion(lens: Lens, K: np.ndarray, width: int, height: int, source: str
     The borders that it doesn't show are cut off, so that no part of MGSR meets pixels that nobody saw.
     Raises SceneError naming `source` if nothing is left.
     """
-    x = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
-    y = (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
-    bent_x, bent_y = lens.distort(*np.meshgrid(x, y))
+    # float32 places a pixel to a thousandth, and takes half the time of float64.
+    x = ((np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]).astype(np.float32)
+    y = ((np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]).astype(np.float32)
+    bent_x, bent_y = lens.distort(x[None, :], y[:, None])
     source_x, source_y = bent_x * K[0, 0] + K[0, 2], bent_y * K[1, 1] + K[1, 2]
     seen = (source_x >= 0) & (source_x <= width) & (source_y >= 0) & (source_y <= height)
     rows, cols = _trim(seen & _unfolded(source_x, source_y))
@@ -78,9 +79,9 @@ def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
 
 def _unfolded(source_x: np.ndarray, source_y: np.ndarray) -> np.ndarray:
     """Where the mapping keeps its orientation: polynomials fold back over themselves far from the centre."""
-    dy_x, dx_x = np.gradient(source_x)
-    dy_y, dx_y = np.gradient(source_y)
-    return dx_x * dy_y - dy_x * dx_y > 0
+    turn = np.diff(source_x, axis=1)[1:] * np.diff(source_y, axis=0)[:, 1:]
+    shear = np.diff(source_x, axis=0)[:, 1:] * np.diff(source_y, axis=1)[1:]
+    return np.pad(turn > shear, ((1, 0), (1, 0)), mode="edge")
 
 
 def _trim(good: np.ndarray) -> tuple[slice, slice]:

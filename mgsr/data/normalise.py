@@ -72,15 +72,14 @@ def _masked_ball(views: Sequence[View]) -> tuple[np.ndarray, float]:
     for _ in range(8):
         half = 1.05 * radius
         hull = carve(outlines, center, half, RESOLUTION)
-        inside = hull.occupied()
-        if not len(inside):
+        if not (hull.field > 0).any():
             raise SceneError(
                 "the masks of the training views have no part of space in common: are they black on the object, do "
                 "they belong to other views, or are the poses wrong? Mend them, or run with masks=off"
             )
+        inside = hull.reached()
         cut = np.abs(inside - center).max() > half - 1.5 * hull.voxel
         found, radius_found = smallest_ball(inside)
-        radius_found += hull.voxel / 2
         # Enough once the grid is about as large as the hull, so that its voxels are small against it.
         if not cut and radius_found > 0.6 * radius:
             return found, radius_found

@@ -66,7 +66,8 @@ def _own_points(
     good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
     if outlines:
         # A point reconstructed on the outline lies a pixel off as often as not.
-        good[good] = signed_field(outlines, points.positions[good]) > -0.02
+        distance, judged = signed_field(outlines, points.positions[good])
+        good[good] = judged & (distance > -0.02)
     kept = np.flatnonzero(good)
     if not len(kept) or (outlines and len(kept) < MIN_POINTS):
         return None

@@ -43,7 +43,8 @@ def _sample_view(
     """Write the view's colours [P,3] into `sample` where it sees the points."""
     camera = view.camera
     pixels, depth = camera.project(positions)
-    seen = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+    x, y = pixels.T
+    seen = (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
     if normals is not None:
         towards = camera.center - positions
         cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)

@@ -1,0 +1,206 @@
+"""Each kind of bad input is one SceneError that names the file and the cure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.config import DataConfig, Masks
+from mgsr.data.readers import load_scene
+from mgsr.errors import SceneError
+from tests.data.captures import SIDE, BallCapture, edit_json, save
+
+
+@pytest.fixture
+def root(tmp_path):
+    return BallCapture().write_plain(tmp_path / "scene")
+
+
+def refuses(root, match, config=DataConfig()):  # noqa: B008 (frozen)
+    with pytest.raises(SceneError, match=match):
+        load_scene(root, config)
+
+
+def edit_view(root, index=3, **values):
+    edit_json(root / "cameras.json", lambda content: content["views"][index].update(values))
+
+
+def pose_with(change):
+    pose = BallCapture().poses()[3]
+    change(pose)
+    return pose.tolist()
+
+
+def test_no_such_path(tmp_path):
+    refuses(tmp_path / "nowhere", "nowhere: no such folder or file")
+
+
+def test_a_file_that_is_no_archive(tmp_path):
+    (tmp_path / "scene.rar").write_text("x")
+    refuses(tmp_path / "scene.rar", r"scene\.rar: expected a folder or a \.zip")
+
+
+def test_empty_folder(tmp_path):
+    refuses(tmp_path, "the folder is empty. Looked for: cameras.json")
+
+
+def test_unrecognised_folder_lists_what_was_looked_for(tmp_path):
+    (tmp_path / "notes.txt").write_text("x")
+    refuses(tmp_path, "no known scene.*cameras.json.*transforms_train.json.*sparse/0")
+
+
+def test_another_programs_cameras_json_is_not_ours(tmp_path):
+    (tmp_path / "cameras.json").write_text('[{"id": 0}]')
+    refuses(tmp_path, "no known scene")
+
+
+def test_empty_scene(root):
+    edit_json(root / "cameras.json", lambda content: content["views"].clear())
+    refuses(root, "the scene has no views")
+
+
+def test_single_view(root):
+    edit_json(root / "cameras.json", lambda content: content["views"].__delitem__(slice(1, None)))
+    refuses(root, "1 training views; at least 2")
+
+
+def test_missing_image(root):
+    (root / "photos/003.png").unlink()
+    refuses(root, r"003\.png is missing \(asked for by cameras\.json, view 3.*remove the view")
+
+
+def test_missing_images_of_blender_scene_are_one_message(tmp_path):
+    root = BallCapture().write_blender(tmp_path)
+    for number in (2, 5):
+        (root / f"train/r_{number}.png").unlink()
+    refuses(root, r"image train/r_2\.png and 1 more missing.*transforms_train\.json, frame 2")
+
+
+def test_damaged_image(root):
+    path = root / "photos/003.png"
+    path.write_bytes(path.read_bytes()[:60])
+    refuses(root, r"003\.png")
+
+
+def test_not_an_image(root):
+    (root / "photos/003.png").write_text("hello")
+    refuses(root, r"003\.png: not an image that can be read")
+
+
+def test_image_outside_the_folder(root):
+    edit_view(root, image="../../etc/hosts.png")
+    refuses(root, "lies outside the scene's folder")
+
+
+def test_image_that_is_no_text(root):
+    edit_view(root, image=5)
+    refuses(root, "view 3: expected the path of an image, got 5")
+
+
+def test_two_images_of_the_same_name(root):
+    save(root / "photos/004.jpg", np.zeros((SIDE, SIDE, 3), np.uint8), "RGB")
+    edit_view(root, image="photos/004.jpg")
+    refuses(root, r"two images have the same name '004': .*004\.jpg.*rename")
+
+
+def test_nan_pose(root):
+    edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__((0, 3), np.nan)))
+    refuses(root, r"view 3 \(photos/003\.png\): the pose has NaN")
+
+
+def test_scaled_pose(root):
+    edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__((slice(3), slice(3)), pose[:3, :3] * 2)))
+    refuses(root, "view 3.*the pose is not rigid")
+
+
+def test_mirrored_pose(root):
+    edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__(0, -pose[0])))
+    refuses(root, "view 3.*mirrors space")
+
+
+def test_pose_of_wrong_shape(root):
+    edit_view(root, cam_from_world=[[1, 0, 0, 0]] * 3)
+    refuses(root, "view 3.*cam_from_world: expected a 4x4 matrix, got shape")
+
+
+def test_missing_pose(root):
+    edit_view(root, cam_from_world=None)
+    refuses(root, "view 3.*cam_from_world: expected a 4x4 matrix")
+
+
+@pytest.mark.parametrize(
+    ("K", "message"),
+    [
+        ([[0, 0, 32], [0, 90, 32], [0, 0, 1]], "the focal length is zero"),
+        ([[-80, 0, 32], [0, 90, 32], [0, 0, 1]], "the focal length is negative"),
+        ([[80, 0, 32], [0, 90, 32], [0, 0, 0]], "the intrinsics are singular"),
+        ([[80, 2, 32], [0, 90, 32], [0, 0, 1]], "the intrinsics have skew"),
+        ([[80, 0, None], [0, 90, 32], [0, 0, 1]], "NaN or infinite|matrix of numbers"),
+        ([[80, 0, 32], [0, 90, 32]], "K: expected a 3x3 matrix, got shape"),
+    ],
+)
+def test_bad_intrinsics(root, K, message):
+    edit_view(root, K=K)
+    refuses(root, f"view 3.*({message})")
+
+
+def test_mask_of_another_size(root):
+    save(root / "masks/003.png", np.zeros((10, 20), np.uint8), "L")
+    refuses(root, r"003\.png: 20x10 pixels, but its image has 64x64")
+
+
+def test_named_mask_that_is_missing(root):
+    edit_view(root, mask="masks/gone.png")
+    refuses(root, r"mask masks/gone\.png missing.*view 3")
+
+
+def test_masks_that_exclude_each_other(tmp_path):
+    ball = BallCapture()
+    root = ball.write_plain(tmp_path, mode="RGB")
+    for i in range(ball.views):
+        block = np.zeros((SIDE, SIDE), np.uint8)
+        block[:8, :8] = 255
+        save(root / f"masks/{i:03d}.png", block, "L")
+    refuses(root, "masks of the training views have no part of space in common.*masks=off")
+    assert not load_scene(root, DataConfig(masks=Masks.OFF)).masked
+
+
+def test_black_masks(tmp_path):
+    ball = BallCapture()
+    root = ball.write_plain(tmp_path, mode="RGB")
+    for i in range(ball.views):
+        save(root / f"masks/{i:03d}.png", np.zeros((SIDE, SIDE), np.uint8), "L")
+    refuses(root, "fewer than 2 training views have anything in their masks")
+
+
+def test_all_cameras_at_one_place(root):
+    pose = BallCapture().poses()[0].tolist()
+    edit_json(root / "cameras.json", lambda content: [view.update(cam_from_world=pose) for view in content["views"]])
+    refuses(root, "all cameras stand at the same place")
+
+
+def test_bad_json_names_the_line(root):
+    (root / "cameras.json").write_text('{"views": [\n{]}')
+    refuses(root, r"cameras\.json: not valid JSON at line 2")
+
+
+def test_unknown_split(root):
+    edit_view(root, split="val")
+    refuses(root, "view 3: split: expected 'train' or 'test', got 'val'")
+
+
+def test_blender_without_focal_length(tmp_path):
+    root = BallCapture().write_blender(tmp_path)
+    edit_json(root / "transforms_train.json", lambda content: (content.pop("fl_x"), content.pop("fl_y")))
+    refuses(root, "frame 0.*no focal length; expected camera_angle_x")
+
+
+def test_blender_without_frames(tmp_path):
+    (tmp_path / "transforms_train.json").write_text("[]")
+    refuses(tmp_path, r"transforms_train\.json: expected an object with a list 'frames'")
+
+
+def test_camera_of_another_shape_of_image(tmp_path):
+    root = BallCapture().write_blender(tmp_path)
+    edit_json(root / "transforms_train.json", lambda content: content.update(w=128))
+    refuses(root, r"the camera is for 128x64 pixels, but r_\d+\.png has 64x64")

@@ -1,0 +1,182 @@
+"""COLMAP models that pycolmap wrote, held to pycolmap's own projection."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import map_coordinates
+
+from mgsr.config import DataConfig
+from mgsr.data.readers import load_scene
+from mgsr.errors import SceneError
+from tests.data.captures import BallCapture
+
+pycolmap = pytest.importorskip("pycolmap")
+
+WIDTH, HEIGHT = 96, 64
+PARAMS = {
+    "SIMPLE_PINHOLE": [110, 45, 30],
+    "PINHOLE": [110, 120, 45, 30],
+    "SIMPLE_RADIAL": [110, 47, 31, -0.12],
+    "RADIAL": [110, 47, 31, 0.15, -0.05],
+    "OPENCV": [110, 120, 47, 31, -0.2, 0.06, 0.01, -0.008],
+}
+
+
+def paint(camera) -> np.ndarray:
+    """A smooth picture of the rays' directions, as the camera with its lens sees it: the undistorted image is then
+    known in closed form."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    rays = camera.cam_from_img(np.stack([x.ravel(), y.ravel()], axis=1))
+    return pattern(rays).reshape(HEIGHT, WIDTH, 3)
+
+
+def pattern(rays: np.ndarray) -> np.ndarray:
+    u, v = rays[:, 0], rays[:, 1]
+    colors = np.stack([np.sin(9 * u), np.cos(11 * v), np.sin(7 * (u + v))], axis=-1)
+    return np.rint(127.5 + 100 * colors).astype(np.uint8)
+
+
+def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -> object:
+    reconstruction = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, model, 100.0, WIDTH, HEIGHT)
+    camera.params = PARAMS.get(model, camera.params)
+    reconstruction.add_camera_with_trivial_rig(camera)
+    (root / "images").mkdir(parents=True)
+    for i, pose in enumerate(BallCapture(views=10, center=np.array([1.0, 2, 3])).poses(), start=1):
+        name = f"photo {i:02d}.png"
+        image = pycolmap.Image(name=name, camera_id=1, image_id=i)
+        reconstruction.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+        if model in PARAMS:
+            Image.fromarray(paint(camera)).save(root / "images" / name)
+    points = np.random.default_rng(0).normal(size=(40, 3)) * 0.3 + [1, 2, 3]
+    for point in points:
+        reconstruction.add_point3D(point, pycolmap.Track(), np.array([10, 20, 30], np.uint8))
+    folder = root / place
+    folder.mkdir(parents=True)
+    (reconstruction.write_text if text else reconstruction.write_binary)(str(folder))
+    return reconstruction
+
+
+def check_cameras(scene, reconstruction, model: str) -> None:
+    """Undistorted pinholes: the same rays as pycolmap's, on which its lens then acts."""
+    points = np.random.default_rng(2).normal(size=(30, 3)) * 0.2 + [1, 2, 3]
+    images = {Path(image.name).stem: image for image in reconstruction.images.values()}
+    for view in scene.train + scene.test:
+        rigid = images[view.name].cam_from_world()
+        local = points @ rigid.rotation.matrix().T + rigid.translation
+        pixels, depth = view.camera.project(scene.user_from_scene.to_scene(points))
+        np.testing.assert_allclose(depth * scene.user_from_scene.scale, local[:, 2], atol=1e-6)
+        if "PINHOLE" in model:
+            camera = reconstruction.cameras[1]
+            np.testing.assert_allclose(pixels, camera.img_from_cam(local), atol=1e-6)
+        else:
+            rays = (pixels - view.camera.K[:2, 2]) / view.camera.K[[0, 1], [0, 1]]
+            np.testing.assert_allclose(rays, local[:, :2] / local[:, 2:], atol=1e-9)
+
+
+@pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
+@pytest.mark.parametrize("model", PARAMS)
+def test_cameras_agree_with_pycolmap(tmp_path, model, text):
+    reconstruction = write(tmp_path, model, text)
+    scene = load_scene(tmp_path, DataConfig())
+    assert scene.format == "colmap" and (len(scene.train), len(scene.test)) == (8, 2)
+    assert scene.points is not None
+    positions = scene.user_from_scene.to_user(scene.points.positions)
+    expected = np.array([point.xyz for point in reconstruction.points3D.values()])
+    np.testing.assert_allclose(np.sort(positions, axis=0), np.sort(expected, axis=0), atol=1e-6)
+    assert (scene.points.colors == [10, 20, 30]).all()
+    check_cameras(scene, reconstruction, model)
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "RADIAL", "OPENCV"])
+def test_images_are_undistorted(tmp_path, model):
+    """Each pixel must show what a pinhole sees along its ray: the pattern in closed form. 2 grey levels are the
+    rounding of both images and the bicubic interpolation."""
+    write(tmp_path, model)
+    view = load_scene(tmp_path, DataConfig()).train[0]
+    height, width = view.image.shape[:2]
+    y, x = np.mgrid[:height, :width] + 0.5
+    K = view.camera.K
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]], axis=-1).reshape(-1, 2)
+    expected = pattern(rays).reshape(height, width, 3).astype(int)
+    error = np.abs(view.image - expected)[1:-1, 1:-1]
+    assert error.max() <= 3 and error.mean() < 0.7
+    assert width > 0.8 * WIDTH and height > 0.8 * HEIGHT
+
+
+def test_resampling_agrees_with_scipys_spline(tmp_path):
+    from mgsr.data.lens import Lens, resample, undistortion
+
+    K = np.array([[60.0, 0, 47], [0, 60, 31], [0, 0, 1]])
+    image = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
+    for _ in range(3):  # smooth: the kernels of the two differ on noise
+        image = sum(np.roll(image, shift, axis) for shift in (-1, 0, 1) for axis in (0, 1)) / 6
+    how = undistortion(Lens(k1=0.05), K, WIDTH, HEIGHT, "test")
+    expected = map_coordinates(image[..., 0], [how.source_y - 0.5, how.source_x - 0.5], order=3, mode="nearest")
+    np.testing.assert_allclose(resample(image, how)[3:-3, 3:-3, 0], expected[3:-3, 3:-3], atol=0.02)
+
+
+def test_a_lens_that_folds_is_cut_before_the_fold():
+    from mgsr.data.lens import Lens, undistortion
+
+    K = np.array([[30.0, 0, 48], [0, 30, 32], [0, 0, 1]])
+    how = undistortion(Lens(k1=-0.3), K, WIDTH, HEIGHT, "test")
+    assert (np.diff(how.source_x, axis=1) > 0).all() and (np.diff(how.source_y, axis=0) > 0).all()
+
+
+def test_model_in_sparse_itself(tmp_path):
+    write(tmp_path, "PINHOLE", place="sparse")
+    assert load_scene(tmp_path, DataConfig()).format == "colmap"
+
+
+def test_unsupported_camera_model_names_the_cure(tmp_path):
+    write(tmp_path, "OPENCV_FISHEYE")
+    with pytest.raises(SceneError, match="OPENCV_FISHEYE is not supported; run `colmap image_undistorter`"):
+        load_scene(tmp_path, DataConfig())
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
+def test_truncated_binary_model(tmp_path, name):
+    write(tmp_path, "PINHOLE")
+    path = tmp_path / "sparse/0" / name
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(SceneError, match="damaged COLMAP model"):
+        load_scene(tmp_path, DataConfig())
+
+
+def test_damaged_text_model(tmp_path):
+    write(tmp_path, "PINHOLE", text=True)
+    (tmp_path / "sparse/0/cameras.txt").write_text("1 PINHOLE ninety 64 1 2 3 4\n")
+    with pytest.raises(SceneError, match="damaged COLMAP model"):
+        load_scene(tmp_path, DataConfig())
+
+
+def test_missing_cameras_file(tmp_path):
+    write(tmp_path, "PINHOLE")
+    (tmp_path / "sparse/0/cameras.bin").unlink()
+    with pytest.raises(SceneError, match=r"cameras\.bin is missing"):
+        load_scene(tmp_path, DataConfig())
+
+
+@pytest.mark.slow
+def test_real_photographs(shared_data):
+    root = shared_data / "real" / "beercan_colmap"
+    scene = load_scene(root, DataConfig(max_side=640))
+    assert (len(scene.train), len(scene.test)) == (62, 9)
+    reconstruction = pycolmap.Reconstruction(str(root / "sparse/0"))
+    check_points_are_seen_where_colmap_saw_them(scene, reconstruction)
+
+
+def check_points_are_seen_where_colmap_saw_them(scene, reconstruction) -> None:
+    image = next(image for image in reconstruction.images.values() if Path(image.name).stem == scene.train[0].name)
+    camera, view = reconstruction.cameras[image.camera_id], scene.train[0]
+    seen = [point for point in image.points2D if point.has_point3D()]
+    points = np.array([reconstruction.points3D[point.point3D_id].xyz for point in seen])
+    rays = camera.cam_from_img(np.array([point.xy for point in seen]))
+    pixels, _ = view.camera.project(scene.user_from_scene.to_scene(points))
+    expected = rays * view.camera.K[[0, 1], [0, 1]] + view.camera.K[:2, 2]
+    assert np.median(np.linalg.norm(pixels - expected, axis=1)) < 1.0

@@ -1,0 +1,102 @@
+"""The unit ball: around a known ball, with and without masks, and back again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.config import DataConfig, Masks
+from mgsr.data.camera import Camera
+from mgsr.data.normalise import focus, normalisation, smallest_ball
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import PointCloud, View
+from tests.data.captures import SIDE, BallCapture, look_at
+
+CENTER = np.array([5.0, -2.0, 1.0])
+
+
+def bare_views(ball: BallCapture) -> list[View]:
+    image = np.zeros((SIDE, SIDE, 3), np.uint8)
+    return [View(str(i), Camera(ball.K, pose, SIDE, SIDE), image) for i, pose in enumerate(ball.poses())]
+
+
+@pytest.mark.parametrize("scale", [0.01, 1.0, 300.0])
+def test_masks_give_the_ball(tmp_path, scale):
+    ball = BallCapture(views=40, center=CENTER * scale, scale=scale)
+    frame = load_scene(ball.write_plain(tmp_path), DataConfig()).user_from_scene
+    # The hull of 35 silhouettes sticks out of the ball by a few per cent, and pixels are 1/30 of its radius.
+    assert frame.scale == pytest.approx(ball.radius * scale, rel=0.1)
+    np.testing.assert_allclose(frame.offset, ball.center, atol=0.05 * scale)
+    assert np.linalg.norm(frame.offset - ball.center) + ball.radius * scale <= 1.01 * frame.scale
+
+
+def test_cameras_alone_give_what_they_see_in_common():
+    ball = BallCapture(center=CENTER, scale=2.0)
+    frame = normalisation(bare_views(ball), None)
+    np.testing.assert_allclose(frame.offset, CENTER, atol=1e-9)
+    # The narrowest side: the right edge at (64-30)/80 and the lower at 29/90; 6 is the distance.
+    assert frame.scale == pytest.approx(6 * np.sin(np.arctan(29 / 90)), rel=1e-6)
+
+
+def test_far_points_do_not_matter():
+    ball = BallCapture(center=CENTER)
+    rng = np.random.default_rng(0)
+    near = CENTER + rng.normal(size=(500, 3)) * 0.15
+    far = rng.normal(size=(50, 3)) * 1e4
+    alone = normalisation(bare_views(ball), PointCloud(near, np.zeros((500, 3), np.uint8)))
+    both = normalisation(bare_views(ball), PointCloud(np.r_[near, far], np.zeros((550, 3), np.uint8)))
+    assert both.scale == pytest.approx(alone.scale, rel=1e-6)
+    assert 0.3 < both.scale < 0.6
+
+
+def test_one_camera_that_looks_elsewhere():
+    ball = BallCapture(views=20, center=CENTER)
+    poses = ball.poses()
+    poses[4] = look_at(CENTER + np.array([3, 0, 0]), CENTER + np.array([3, 9, 0.1]))
+    origins = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+    point = focus(origins, np.array([pose[2, :3] for pose in poses]))
+    assert np.linalg.norm(point - CENTER) < 0.01
+
+
+def test_cameras_that_look_into_one_direction():
+    poses = [look_at(np.array([x, -5.0, z]), np.array([x, 0.0, z])) for x in (-1.0, 0, 1) for z in (-0.5, 0, 0.5)]
+    K = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
+    views = [
+        View(str(i), Camera(K, pose, SIDE, SIDE), np.zeros((SIDE, SIDE, 3), np.uint8)) for i, pose in enumerate(poses)
+    ]
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-1, 1, -1], [1, 3, 1], (400, 3))
+    frame = normalisation(views, PointCloud(points, np.zeros((400, 3), np.uint8)))
+    np.testing.assert_allclose(frame.offset, [0, 2, 0], atol=0.2)
+    blind = normalisation(views, None)
+    assert blind.offset[1] > -5 and blind.scale > 0
+
+
+def test_smallest_ball_of_a_lopsided_cloud():
+    points = np.array([[-2.0, 0, 0], [2, 0, 0], [1, 1, 0], [1, -1, 0], [1, 0, 1]])
+    center, radius = smallest_ball(points)
+    np.testing.assert_allclose(center, 0, atol=0.01)
+    assert radius == pytest.approx(2, rel=0.01)
+
+
+def test_round_trip_of_points_and_cameras(tmp_path):
+    ball = BallCapture(center=CENTER, scale=2.0)
+    frame = load_scene(ball.write_plain(tmp_path), DataConfig()).user_from_scene
+    points = np.random.default_rng(0).normal(size=(20, 3)) * 10
+    np.testing.assert_allclose(frame.to_user(frame.to_scene(points)), points, atol=1e-12)
+    camera = Camera(ball.K, ball.poses()[0], SIDE, SIDE)
+    inner = frame.camera_to_scene(camera)
+    np.testing.assert_allclose(frame.camera_to_user(inner).cam_from_world, camera.cam_from_world, atol=1e-12)
+    np.testing.assert_allclose(inner.project(frame.to_scene(points))[0], camera.project(points)[0], atol=1e-8)
+    np.testing.assert_allclose(inner.center, frame.to_scene(camera.center[None])[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["bunny_flash", "spot_soft", "teapot_hdr", "wingnut_dark"])
+@pytest.mark.parametrize("masks", list(Masks)[:2])
+def test_shared_scenes_lie_in_the_unit_ball(shared_data, name, masks):
+    root = shared_data / "scenes" / name
+    frame = load_scene(root, DataConfig(masks=masks)).user_from_scene
+    vertices = frame.to_scene(trimesh.load(root / "mesh_gt.ply").vertices)
+    assert np.linalg.norm(vertices, axis=1).max() < 1.02
+    assert 0.85 < frame.scale < 1.15 and np.linalg.norm(frame.offset) < 0.2

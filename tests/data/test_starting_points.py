@@ -1,0 +1,111 @@
+"""Starting points on a known ball, and on the hulls of the measurement scenes against their true meshes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from mgsr.config import DataConfig, Masks
+from mgsr.data.hull import carve, signed_field, silhouettes
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import PointCloud
+from mgsr.data.starting_points import hull_surface, starting_points
+from tests.data.captures import BallCapture
+
+
+@pytest.fixture
+def ball_scene(tmp_path):
+    return load_scene(BallCapture(views=40).write_plain(tmp_path), DataConfig())
+
+
+def test_hull_points_lie_on_the_ball(ball_scene):
+    points = starting_points(ball_scene, 3000, seed=0)
+    assert points.positions.shape == (3000, 3) and points.normals is not None
+    user = ball_scene.user_from_scene.to_user(points.positions)
+    radius = np.linalg.norm(user, axis=1)
+    # Pixels are 0.037 wide at the ball; the hull of 35 views sticks out of it by as much.
+    assert abs(np.median(radius) - 0.8) < 0.02 and radius.min() > 0.75 and radius.max() < 0.92
+    np.testing.assert_allclose(np.linalg.norm(points.normals, axis=1), 1, atol=1e-6)
+    assert ((points.normals * user).sum(axis=1) / radius).mean() > 0.95, "normals point outwards"
+    assert (points.colors == [200, 100, 50]).all()
+
+
+def test_the_seed_decides(ball_scene):
+    first, again, other = (starting_points(ball_scene, 500, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.positions, again.positions)
+    np.testing.assert_array_equal(first.colors, again.colors)
+    assert (first.positions != other.positions).any()
+
+
+def test_without_masks_or_points_a_ball(tmp_path):
+    scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
+    points = starting_points(scene, 4000, seed=0)
+    radius = np.linalg.norm(points.positions, axis=1)
+    assert points.normals is None and radius.max() <= 1
+    assert abs((radius < 0.5).mean() - 1 / 8) < 0.03, "even through the volume"
+    np.testing.assert_array_equal(points.positions, starting_points(scene, 4000, seed=0).positions)
+
+
+def test_own_points_come_first_and_are_thinned(tmp_path):
+    scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
+    rng = np.random.default_rng(0)
+    positions = np.r_[rng.normal(size=(100, 3)), [[1e6, 0, 0], [np.nan, 0, 0]]]
+    colors = rng.integers(0, 256, (102, 3), dtype=np.uint8)
+    scene = replace(scene, points=PointCloud(positions, colors))
+    everything = starting_points(scene, 1000, seed=0)
+    np.testing.assert_array_equal(everything.positions, positions[:100])
+    np.testing.assert_array_equal(everything.colors, colors[:100])
+    assert len(starting_points(scene, 30, seed=0).positions) == 30
+
+
+def test_own_points_outside_the_masks_are_dropped(ball_scene):
+    rng = np.random.default_rng(0)
+    on_ball = rng.normal(size=(800, 3))
+    on_ball *= 0.8 / np.linalg.norm(on_ball, axis=1, keepdims=True)
+    table = np.c_[rng.uniform(-3, 3, (400, 2)), np.full(400, -1.2)]
+    user = np.r_[on_ball, table]
+    cloud = PointCloud(ball_scene.user_from_scene.to_scene(user), np.zeros((1200, 3), np.uint8))
+    points = starting_points(replace(ball_scene, points=cloud), 5000, seed=0)
+    assert points.normals is None
+    assert (np.linalg.norm(ball_scene.user_from_scene.to_user(points.positions), axis=1) < 0.9).all()
+    assert len(points.positions) > 700
+
+
+def test_with_few_own_points_the_hull_is_better(ball_scene):
+    cloud = PointCloud(np.zeros((10, 3)), np.zeros((10, 3), np.uint8))
+    assert len(starting_points(replace(ball_scene, points=cloud), 600, seed=0).positions) == 600
+
+
+def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene):
+    outlines = silhouettes(ball_scene.train)
+    fine = carve(outlines, np.zeros(3), 1.05, 64)
+    corner = fine.origin + np.stack(np.meshgrid(*[np.arange(64)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
+    values, judged = signed_field(outlines, corner)
+    exact = np.where(judged, values, -fine.voxel).reshape(64, 64, 64)
+    np.testing.assert_array_equal(fine.field > 0, exact > 0)
+    near = np.abs(exact) < 1.2 * fine.voxel
+    np.testing.assert_allclose(fine.field[near], exact[near], atol=1e-6)
+
+
+# Chamfer (mean of both ways, x1000 of the radius) of the hull that another program carved from the same masks.
+HULLS = {"spot_soft": 2.75, "teapot_hdr": 3.02}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HULLS)
+def test_hull_against_ground_truth(shared_data, name):
+    root = shared_data / "scenes" / name
+    scene = load_scene(root, DataConfig())
+    surface = hull_surface(carve(silhouettes(scene.train), np.zeros(3), 1.05, 128))
+    truth = trimesh.load(root / "mesh_gt.ply")
+    ours = trimesh.Trimesh(scene.user_from_scene.to_user(surface[0]), surface[1], process=False)
+    assert ours.volume > 0, "faces point outwards"
+    meshes = (ours, truth)
+    sparse = [trimesh.sample.sample_surface(mesh, 50_000, seed=0)[0] for mesh in meshes]
+    dense = [trimesh.sample.sample_surface(mesh, 1_000_000, seed=1)[0] for mesh in meshes]
+    chamfer = 500 * sum(cKDTree(dense[1 - i]).query(sparse[i])[0].mean() for i in (0, 1))
+    assert chamfer < 1.1 * HULLS[name]

@@ -15,13 +15,16 @@ from mgsr.errors import SceneError
 # Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.
 RESOLUTION = 64
 
+# Fewer points than this say nothing about where the object is.
+MIN_POINTS = 50
+
 
 def normalisation(views: Sequence[View], points: PointCloud | None) -> Similarity:
     """The similarity whose unit ball holds the object, from training views in the user's frame.
 
     With masks: the smallest ball around the visual hull. Without: the ball around the point that the cameras look
-    at which all of them have in view, drawn in to the points that lie in it. Cameras that look into one direction
-    have no such point: there the ball holds nine tenths of the points, or what the cameras see in common.
+    at that most of them have in view, moved and drawn in to the points that crowd in it. Cameras that look into one
+    direction have no such point: there the ball holds nine tenths of the points, or what the cameras see in common.
     Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
     """
     cameras = [view.camera for view in views]
@@ -128,18 +131,32 @@ def _unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tupl
         return _one_sided_ball(cameras, origins, directions, positions)
     # The median: a few cameras that came close must not shrink the ball to what they alone see.
     radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
-    if positions is not None and len(positions):
-        distance = np.linalg.norm(positions - center, axis=1)
-        within = distance[distance < radius]
-        if len(within) >= 50:
-            radius = float(np.clip(1.05 * np.quantile(within, 0.99), 0.25 * radius, radius))
-    return center, radius
+    return (center, radius) if positions is None else _ball_of_points(positions, center, radius)
+
+
+def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
+    """The ball moved to where the points in it crowd, and drawn in to them: people aim beside the object, but its
+    texture gets most of the points. It stays within its own radius of the focus."""
+    center = focus_point
+    for _ in range(10):
+        within = positions[np.linalg.norm(positions - center, axis=1) < radius]
+        if len(within) < MIN_POINTS:
+            break
+        moved = np.median(within, axis=0)
+        if np.linalg.norm(moved - focus_point) > radius:
+            break
+        center = moved
+    distance = np.linalg.norm(positions - center, axis=1)
+    distance = distance[distance < radius]
+    if len(distance) < MIN_POINTS:
+        return center, radius
+    return center, float(np.clip(1.05 * np.quantile(distance, 0.99), 0.25 * radius, radius))
 
 
 def _one_sided_ball(
     cameras: Sequence[Camera], origins: np.ndarray, directions: np.ndarray, positions: np.ndarray | None
 ) -> tuple[np.ndarray, float]:
-    if positions is not None and len(positions) >= 50:
+    if positions is not None and len(positions) >= MIN_POINTS:
         center = np.median(positions, axis=0)
         return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))
     center = _common_point(origins, directions)

@@ -50,6 +50,16 @@ def test_far_points_do_not_matter():
     assert 0.3 < both.scale < 0.6
 
 
+def test_the_ball_moves_to_the_points_beside_the_focus():
+    rng = np.random.default_rng(0)
+    can = CENTER + np.array([0.4, 0, 0]) + rng.normal(size=(2000, 3)) * 0.1
+    table = np.c_[rng.uniform(-4, 4, (500, 2)) + CENTER[:2], np.full(500, CENTER[2] - 0.3)]
+    cloud = PointCloud(np.r_[can, table], np.zeros((2500, 3), np.uint8))
+    frame = normalisation(bare_views(BallCapture(center=CENTER)), cloud)
+    assert np.quantile(np.linalg.norm(frame.to_scene(can), axis=1), 0.98) < 1
+    np.testing.assert_allclose(frame.offset, CENTER + np.array([0.4, 0, 0]), atol=0.05)
+
+
 def test_one_camera_that_looks_elsewhere():
     ball = BallCapture(views=20, center=CENTER)
     poses = ball.poses()

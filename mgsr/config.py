@@ -40,6 +40,13 @@ class Extractor(StrEnum):
     TSDF = "tsdf"
 
 
+class MeshColor(StrEnum):
+    """The mesh's vertex colours: transmitted, without the highlights; full, the mean of all that the views show."""
+
+    TRANSMITTED = "transmitted"
+    FULL = "full"
+
+
 @dataclass(frozen=True)
 class MeshConfig:
     """How the surface is taken from the 2D branch. A footprint is what a pixel of the rendered views covers there."""
@@ -64,6 +71,7 @@ class MeshConfig:
     min_piece: float = 0.01  # connected pieces under this share of the area are dropped
     close_holes: bool = False  # keep what Poisson invents where nothing was seen
     max_faces: int | None = None  # decimate to this many; none is off
+    color: MeshColor = MeshColor.TRANSMITTED
 
 
 class Branches(StrEnum):

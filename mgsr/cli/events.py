@@ -1,0 +1,25 @@
+"""What a run tells its caller while it goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mgsr.training.progress import Progress
+
+
+@dataclass(frozen=True)
+class Event:
+    """step: load, start, train, render, mesh, evaluate, export or report; text: one line for a person; training:
+    where training is, in events of the training itself."""
+
+    step: str
+    text: str
+    training: Progress | None = None
+
+
+EventCallback = Callable[[Event], None]
+
+
+def ignore(event: Event) -> None:
+    """For callers that want no events."""

@@ -1,0 +1,111 @@
+"""The part of report.json that says what was run, on what, and how long it took."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import sys
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import mgsr
+from mgsr.cli.clock import StepClock
+from mgsr.cli.device import Device
+from mgsr.cli.models import Models
+from mgsr.config import Config
+from mgsr.data.scene import Scene
+from mgsr.native.runtime import isas
+from mgsr.training.progress import CurveRow, TrainResult
+
+PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
+
+
+def run_facts(
+    scene: Scene, path: Path, config: Config, device: Device, trained: TrainResult, clock: StepClock
+) -> dict[str, Any]:
+    """Everything that report.json says but the mesh and the scores (README, "What comes out")."""
+    return {
+        "scene": scene.name,
+        "preset": config.preset,
+        "method": config.method,
+        "device": str(device),
+        "seed": config.seed,
+        "versions": _versions(),
+        "machine": _machine(),
+        "input": _input(scene, path),
+        "settings": asdict(config),
+        "seconds": _seconds(trained, clock),
+        "iterations": {
+            stage.name: {"iterations": stage.iterations, "stopped": stage.stop_reason} for stage in trained.stages
+        },
+        "gaussians": Models(trained.surfels, trained.volumes).counts,
+        "curve": [_curve_row(row) for row in trained.curve],
+        "peak_memory_mib": peak_memory_mib(),
+    }
+
+
+def scene_line(scene: Scene) -> str:
+    """What was read, in one line."""
+    camera = scene.train[0].camera
+    masks = "with masks" if scene.masked else "without masks"
+    points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"
+    return (
+        f"{scene.name}: {scene.format}, {len(scene.train)} training and {len(scene.test)} test views, "
+        f"{camera.width}x{camera.height}, {masks}, {points}"
+    )
+
+
+def peak_memory_mib() -> float:
+    """The most memory that this process has held, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def _input(scene: Scene, path: Path) -> dict[str, Any]:
+    camera = scene.train[0].camera
+    return {
+        "path": str(path),
+        "format": scene.format,
+        "train_views": [view.name for view in scene.train],
+        "test_views": [view.name for view in scene.test],
+        "image_size": [camera.width, camera.height],
+        "masked": scene.masked,
+        "points": 0 if scene.points is None else len(scene.points.positions),
+        "user_from_scene": {
+            "scale": float(scene.user_from_scene.scale),
+            "offset": [float(x) for x in scene.user_from_scene.offset],
+        },
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"mgsr": mgsr.__version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "system": platform.platform(),
+        "processor": platform.machine(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "kernels": isas()[0],
+    }
+
+
+def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:
+    """The total is this process's; `train` and its stages also hold what was spent before a resume."""
+    stages = {stage.name: stage.seconds for stage in trained.stages}
+    before = trained.seconds - clock.steps["train"]
+    return {"total": clock.total + max(0.0, before), **clock.steps, "train": trained.seconds, **stages}
+
+
+def _curve_row(row: CurveRow) -> dict[str, Any]:
+    return asdict(row) | {"psnr": row.psnr}

@@ -1,0 +1,135 @@
+"""Renders the trained branches: the test views for the person, the training views for the surface."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mgsr.cli.models import Models
+from mgsr.config import Config, MeshColor, SurfaceDepth
+from mgsr.data.camera import Camera
+from mgsr.data.scene import Scene, View
+from mgsr.mesh.cameras import surface_cameras
+from mgsr.mesh.views import Silhouette, SurfaceView
+from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.render.surfels import render_surfels
+from mgsr.render.volumes import render_volumes
+
+# A mask's pixel counts as object from here on (of 255).
+OBJECT_ALPHA = 128
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """One camera's images, float32, rendered over black, so colours are premultiplied by alpha.
+
+    color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
+    frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
+    a light split.
+    """
+
+    name: str
+    camera: Camera
+    color: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    transmitted: np.ndarray | None = None
+    reflected: np.ndarray | None = None
+    weight: np.ndarray | None = None
+
+    def on_white(self) -> np.ndarray:
+        """[H,W,3] 0..1: the colour over white."""
+        return np.clip(self.color + (1 - self.alpha[..., None]), 0, 1)
+
+
+def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[RenderedView]:
+    """Each view's camera seen by the branches, one after the other.
+
+    Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
+    """
+    for view in views:
+        with torch.no_grad():
+            yield _render_view(models, view, config)
+
+
+def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceView]:
+    """What surface extraction takes in: the training cameras, and those between them that `config.mesh` asks for."""
+    cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
+    with torch.no_grad():
+        return [_surface_view(models, camera, config) for camera in cameras]
+
+
+def scene_silhouettes(scene: Scene) -> list[Silhouette]:
+    """The training photographs' masks; none where the scene has none."""
+    if not scene.masked:
+        return []
+    return [Silhouette(view.camera, view.alpha >= OBJECT_ALPHA) for view in scene.train if view.alpha is not None]
+
+
+def photograph_on_white(view: View) -> np.ndarray:
+    """[H,W,3] float32 0..1: what a rendering over white is compared with."""
+    color = view.image.astype(np.float32) / 255
+    if view.alpha is None:
+        return color
+    alpha = view.alpha.astype(np.float32)[..., None] / 255
+    return color * alpha + (1 - alpha)
+
+
+def _render_view(models: Models, view: View, config: Config) -> RenderedView:
+    flat, full = _see(models, view.camera, depth=True)
+    depth, normal = _surface(flat, full, view.camera, config)
+    if full is None:
+        assert flat is not None
+        return RenderedView(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal)
+    light = [None if image is None else _numpy(image) for image in (full.reflected, full.weight)]
+    transmitted = None if full.reflected is None else _numpy(full.transmitted)
+    images = (_numpy(full.color), _numpy(full.alpha), depth, normal, transmitted)
+    return RenderedView(view.name, view.camera, *images, *light)
+
+
+def _surface_view(models: Models, camera: Camera, config: Config) -> SurfaceView:
+    flat, full = _see(models, camera, depth=models.surfels is None)
+    depth, normal = _surface(flat, full, camera, config)
+    shape = flat if flat is not None else full
+    assert shape is not None
+    return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color))
+
+
+def _see(models: Models, camera: Camera, depth: bool) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
+    flat = None if models.surfels is None else render_surfels(models.surfels, camera)
+    full = None if models.volumes is None else render_volumes(models.volumes, camera, depth=depth)
+    return flat, full
+
+
+def _surface(
+    flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, config: Config
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and normal of the 2D branch; of the 3D branch's depth where it stands alone."""
+    if flat is not None:
+        median = config.train.surfels.depth is SurfaceDepth.MEDIAN
+        return _numpy(flat.median_depth if median else flat.depth), _numpy(flat.normal)
+    assert full is not None and full.depth is not None
+    return _numpy(full.depth), _numpy(depth_to_normals(full.depth, camera, full.alpha))
+
+
+def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind: MeshColor) -> np.ndarray:
+    """Straight colour, so that the mesh gets no dark rim where the splats thin out."""
+    outputs = full if full is not None else flat
+    assert outputs is not None
+    whole = full is None or kind is MeshColor.FULL
+    return straight(_numpy(outputs.color if whole else full.transmitted), _numpy(outputs.alpha))  # type: ignore[union-attr]
+
+
+def straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Colours [H,W,3] 0..1 that give the premultiplied ones when multiplied by alpha [H,W]."""
+    return np.clip(premultiplied / np.maximum(alpha, 1e-6)[..., None], 0, 1)
+
+
+def _numpy(image: Tensor) -> np.ndarray:
+    return image.numpy()

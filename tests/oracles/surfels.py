@@ -51,7 +51,19 @@ def pixel_rays(K: torch.Tensor, width: int, height: int) -> tuple[torch.Tensor, 
 
 
 def render(
-    means, quats, scales, opacities, colors, K, cam_from_world, width, height, background, near=0.01, far=100.0, shift=None
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    K,
+    cam_from_world,
+    width,
+    height,
+    background,
+    near=0.01,
+    far=100.0,
+    shift=None,
 ) -> SurfelImages:
     """All outputs. `shift` [N,2] moves each splat's weights in the image plane (pixels), keeping their shape."""
     local = means @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
@@ -92,7 +104,7 @@ def render(
     share = alpha * before
     final = torch.prod(1 - alpha, dim=1)
     total = 1 - final
-    depth = torch.where(total > 0, (share * z).sum(1) / torch.where(total > 0, total, torch.ones_like(total)), total * 0)
+    depth = (share * z).sum(1) / torch.where(total > 0, total, torch.ones_like(total))
     median = torch.where((before >= 0.5) & (after < 0.5), z, torch.zeros_like(z)).sum(1)
     m = (z - near) / (far - near)
     distortion = (share * (m * m)).sum(1) * share.sum(1) - (share * m).sum(1) ** 2

@@ -17,17 +17,22 @@ struct SubTileItem {
 // For each of a tile's four sub-tiles, the splats that touch it, in depth order.
 class SubTileLists {
  public:
-  void fill(const TileEntry* entries, int n) {
-    if (items_[0].size() < size_t(n))
-      for (auto& items : items_) items.resize(n);
-    for (int& count : counts_) count = 0;
+  // Also asks for the records of the splats to be brought near, all at once: they lie scattered.
+  template <class Record>
+  void fill(const TileEntry* entries, int n, const Record* records) {
+    if (items_[0].size() < size_t(n) + 1)
+      for (auto& items : items_) items.resize(n + 1);
+    SubTileItem* end[4];
+    for (int s = 0; s < 4; ++s) end[s] = items_[s].data();
     for (int e = 0; e < n; ++e) {
-      const uint32_t splat_mask = entries[e].splat_mask;
+      const uint32_t splat = entries[e].splat_mask >> 4, mask = entries[e].splat_mask;
+      __builtin_prefetch(records + splat);
       for (int s = 0; s < 4; ++s) {
-        items_[s][counts_[s]] = {splat_mask >> 4, uint32_t(e)};  // overwritten by the next one unless it counts
-        counts_[s] += splat_mask >> s & 1;
+        *end[s] = {splat, uint32_t(e)};  // overwritten by the next one unless it counts
+        end[s] += mask >> s & 1;
       }
     }
+    for (int s = 0; s < 4; ++s) counts_[s] = int(end[s] - items_[s].data());
   }
 
   const SubTileItem* begin(int s) const { return items_[s].data(); }
@@ -39,11 +44,12 @@ class SubTileLists {
 };
 
 // Calls work(tile, sub-tile lists, x0, y0 of the tile) for every tile, on all threads.
-template <class Work>
-void for_tiles(const TileLists& lists, const Work& work) {
+template <class Record, class Work>
+void for_tiles(const TileLists& lists, const Record* records, const Work& work) {
   ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
     static thread_local SubTileLists sub;
-    sub.fill(lists.entries.data() + lists.begin[tile], int(lists.begin[tile + 1] - lists.begin[tile]));
+    sub.fill(lists.entries.data() + lists.begin[tile], int(lists.begin[tile + 1] - lists.begin[tile]),
+             records);
     work(tile, sub, tile % lists.tiles_x * kTile, tile / lists.tiles_x * kTile);
   });
 }

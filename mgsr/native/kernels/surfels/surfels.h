@@ -38,14 +38,19 @@ struct SurfelGradients {
 struct alignas(64) SurfelRecord {
   float x, y;
   float L[4], g[2];
-  float depth, log2_opacity;
+  float signed_depth;  // of the centre; negative where the low-pass or the near plane may decide for a pixel
+  float log2_opacity;
   float color[3], normal[3];
+
+  bool plain() const { return signed_depth > 0; }
+  float depth() const { return signed_depth > 0 ? signed_depth : -signed_depth; }
 };
 
 // A splat's footprint on the image: where its disk is strong enough to count, and the circle of its low-pass.
 struct SurfelBounds {
   Ellipse disk;
   float x, y, radius;  // radius 0 where the disk is stronger than the low-pass everywhere
+  bool clipped;        // the disk reaches behind the near plane
 
   PixelBox box() const {
     const PixelBox b = disk.box();

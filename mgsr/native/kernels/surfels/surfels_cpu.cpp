@@ -39,8 +39,8 @@ constexpr float kNever = 1e6f;                        // L of an edge-on splat: 
 
 // Gradient of one (splat, tile) pair. kXX..kYY: second moments that give L's gradient; kMeanX, kMeanY: of the
 // projected centre; kDepth: the depth's, times the depth; kOpacity: the opacity's, times the opacity.
-enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
-constexpr int kFields = kNormal + 3, kStride = 16;
+enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
+constexpr int kFields = 16;
 
 bool finite(const float* p, int n) {
   float zero = 0;
@@ -89,12 +89,13 @@ float low_pass_radius(const ProjectedSurfel<float>& s, bool edge_on, float log_s
 SurfelBounds surfel_bounds(const SurfelInputs& in, const SurfelFrame<float>& f, const ProjectedSurfel<float>& s,
                            const float scale[2], float opacity) {
   const float log_strength = std::log(opacity / kMinAlpha), r2 = 2.0f * log_strength;
-  SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength)};
+  SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength), false};
   SurfelOutline<float> o;
   if (surfel_outline(in.camera, f, scale, r2, in.near, o)) {
     b.disk = Ellipse::make(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f);
     b.disk.w2 += 1e-6f * o.cxx;  // the rounding of a thin ellipse's determinant
   } else {
+    b.clipped = true;
     const float w = float(in.width), h = float(in.height);
     const PixelBox box = clipped_square(in.camera, f, scale, std::sqrt(r2), in.near);
     // In this order a NaN, from an overflow, gives the bound.
@@ -116,6 +117,7 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (!finite(&record.x, 16) || !finite(scale, 2)) return false;
   bounds = surfel_bounds(in, f, s, scale, opacity);
+  if (bounds.radius > 0 || bounds.clipped) record.signed_depth = -s.depth;
   const PixelBox box = bounds.box();
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
 }
@@ -148,7 +150,7 @@ void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
     total += n;
   }
   state.projected.resize(total), state.bounds.resize(total), state.visible.resize(total), state.depths.resize(total);
-  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth;
+  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth();
 }
 
 void sort_and_bin(const SurfelInputs& in, SurfelState& state) {
@@ -206,38 +208,55 @@ struct Pixels {
   }
 };
 
-// A splat at a column of pixels: what its rows share.
-struct Column {
-  vfloat dx, a, b, w;
-
-  Column(const SurfelRecord& s, vfloat px) {
-    dx = px - s.x;
-    a = s.L[0] * dx, b = s.L[2] * dx, w = fma(splat(s.g[0]), dx, splat(1.0f));
-  }
+// A splat met by the pixels of a sub-tile, whatever lies before it.
+struct Hit {
+  const SurfelRecord* splat;
+  float depth;               // of the splat's centre
+  vfloat alpha[kVectors];    // 0 where the splat does not count
+  vfloat r[kVectors];        // depth = centre's depth * r: 1 / w, or 1 where the low-pass is stronger
+  vfloat exponent[kVectors]; // the weight is 2^-exponent
+  vint on_disk[kVectors];    // where the disk, not the low-pass, gives the weight; not set for plain splats
 };
 
-// A splat at a vector of pixels.
-struct Footprint {
-  vfloat dy;
-  vfloat r;         // 1 / w at the hit, 1 where the low-pass is stronger
-  vfloat exponent;  // the weight is 2^-exponent
-  vfloat log2_raw;  // of opacity * weight
-  vfloat z;
-  vint on_disk;     // where the disk, not the low-pass, gives the weight
-
-  Footprint(const SurfelRecord& s, const Column& c, vfloat py, float near) {
-    dy = py - s.y;
-    const vfloat a = fma(splat(s.L[1]), dy, c.a), b = fma(splat(s.L[3]), dy, c.b);
-    const vfloat inverse = reciprocal(fma(splat(s.g[1]), dy, c.w));
-    const vfloat hit = fma(a, a, b * b) * (inverse * inverse);
-    const vfloat blur = kLowPassExponent * fma(c.dx, c.dx, dy * dy);
-    on_disk = (hit <= blur) & (s.depth * inverse > near);
-    r = select(on_disk, inverse, splat(1.0f));
-    exponent = select(on_disk, hit, blur);
-    log2_raw = s.log2_opacity - exponent;
-    z = s.depth * r;
+// Plain splats need neither the low-pass nor the near plane looked at.
+template <bool Plain>
+inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, Hit& hit) {
+  hit.splat = &s, hit.depth = Plain ? s.signed_depth : -s.signed_depth;
+  const vfloat dx = pixels.x - s.x;
+  const vfloat ax = s.L[0] * dx, bx = s.L[2] * dx, wx = fma(splat(s.g[0]), dx, splat(1.0f));
+  for (int v = 0; v < kVectors; ++v) {
+    const vfloat dy = pixels.y[v] - s.y;
+    const vfloat a = fma(splat(s.L[1]), dy, ax), b = fma(splat(s.L[3]), dy, bx);
+    const vfloat inverse = reciprocal(fma(splat(s.g[1]), dy, wx));
+    vfloat exponent = fma(a, a, b * b) * (inverse * inverse), r = inverse;
+    if (!Plain) {
+      const vfloat blur = kLowPassExponent * fma(dx, dx, dy * dy);
+      const vint on_disk = (exponent <= blur) & (hit.depth * inverse > near);
+      exponent = select(on_disk, exponent, blur), r = select(on_disk, inverse, splat(1.0f));
+      hit.on_disk[v] = on_disk;
+    }
+    const vfloat log2_raw = s.log2_opacity - exponent;
+    hit.alpha[v] = keep(log2_raw >= kLog2MinAlpha, min(exp2_near_zero(log2_raw), splat(kMaxAlpha)));
+    hit.r[v] = r, hit.exponent[v] = exponent;
   }
-};
+}
+
+// The walk goes in batches: first the footprints of a batch's splats, which do not wait for one another, then their
+// blending, which does. In one loop the processor would not see far enough ahead to overlap them.
+constexpr int kBatch = 8;
+
+inline int meet_batch(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count,
+                      const Pixels& pixels, Hit* hits) {
+  const int n = count < kBatch ? count : kBatch;
+  for (int e = 0; e < n; ++e) {
+    const SurfelRecord& s = state.records[items[e].splat];
+    if (s.plain())
+      meet<true>(s, pixels, in.near, hits[e]);
+    else
+      meet<false>(s, pixels, in.near, hits[e]);
+  }
+  return n;
+}
 
 // Depth measured from a sub-tile's first splat, in units of the depth range: distortion needs only differences, and
 // these lose no digits.
@@ -247,7 +266,7 @@ struct DepthUnit {
 };
 
 inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count) {
-  return {count > 0 ? state.records[items[0].splat].depth : 0.0f, 1.0f / (in.far - in.near)};
+  return {count > 0 ? state.records[items[0].splat].depth() : 0.0f, 1.0f / (in.far - in.near)};
 }
 
 // What blending adds up at a vector of pixels.
@@ -256,37 +275,46 @@ struct Blend {
 };
 
 template <bool Distortion>
-inline void blend_one(const SurfelRecord& s, const Footprint& f, vint counts, const DepthUnit& unit, Blend& p) {
-  const vfloat alpha = keep(counts, min(exp2_near_zero(f.log2_raw), splat(kMaxAlpha)));
-  const vfloat w = alpha * p.T, after = p.T - w;
-  for (int k = 0; k < 3; ++k) p.color[k] = fma(w, splat(s.color[k]), p.color[k]);
-  for (int k = 0; k < 3; ++k) p.normal[k] = fma(w, splat(s.normal[k]), p.normal[k]);
-  p.depth = fma(w, f.z, p.depth);
-  p.median = select((p.T >= 0.5f) & (after < 0.5f), f.z, p.median);
-  if (Distortion) {
-    const vfloat m = unit.of(f.z), wm = w * m;
-    p.m1 += wm, p.m2 = fma(wm, m, p.m2);
+inline void blend_vector(const Hit* hits, int n, int v, const DepthUnit& unit, Blend& sums) {
+  // Copied out one by one, so that the loop has them in registers.
+  vfloat T = sums.T, depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
+  vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2];
+  vfloat nx = sums.normal[0], ny = sums.normal[1], nz = sums.normal[2];
+  for (int e = 0; e < n; ++e) {
+    const SurfelRecord& s = *hits[e].splat;
+    const vfloat alpha = keep(T >= kMinTransmittance, hits[e].alpha[v]), z = hits[e].depth * hits[e].r[v];
+    const vfloat w = alpha * T, after = T - w;
+    red = fma(w, splat(s.color[0]), red), green = fma(w, splat(s.color[1]), green), blue = fma(w, splat(s.color[2]), blue);
+    nx = fma(w, splat(s.normal[0]), nx), ny = fma(w, splat(s.normal[1]), ny), nz = fma(w, splat(s.normal[2]), nz);
+    depth = fma(w, z, depth);
+    median = select((T >= 0.5f) & (after < 0.5f), z, median);
+    if (Distortion) {
+      const vfloat m = unit.of(z), wm = w * m;
+      m1 += wm, m2 = fma(wm, m, m2);
+    }
+    T = after;
   }
-  p.T = after;
+  sums.T = T, sums.depth = depth, sums.median = median;
+  sums.color[0] = red, sums.color[1] = green, sums.color[2] = blue;
+  sums.normal[0] = nx, sums.normal[1] = ny, sums.normal[2] = nz;
+  if (Distortion) sums.m1 += m1, sums.m2 += m2;
 }
 
-// One vector at a time: its sums then stay in registers, where two would not fit.
 template <bool Distortion>
-inline Blend blend_vector(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count, vfloat px,
-                          vfloat py, const DepthUnit& unit) {
-  Blend p = {};
-  p.T = splat(1.0f);
-  for (int e = 0; e < count; ++e) {
-    const SurfelRecord& s = state.records[items[e].splat];
-    const Footprint f(s, Column(s, px), py, in.near);
-    const vint counts = (f.log2_raw >= kLog2MinAlpha) & (p.T >= kMinTransmittance);
-    if (!any(counts)) {
-      if (!any(p.T >= kMinTransmittance)) break;
-      continue;
+inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count,
+                          const Pixels& pixels, Blend p[kVectors]) {
+  const DepthUnit unit = depth_unit(in, state, items, count);
+  Hit hits[kBatch];
+  for (int v = 0; v < kVectors; ++v) p[v].T = splat(1.0f);
+  for (int e = 0; e < count; e += kBatch) {
+    const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
+    vint open = {};
+    for (int v = 0; v < kVectors; ++v) {
+      blend_vector<Distortion>(hits, n, v, unit, p[v]);
+      open |= p[v].T >= kMinTransmittance;
     }
-    blend_one<Distortion>(s, f, counts, unit, p);
+    if (!any(open)) break;
   }
-  return p;
 }
 
 template <bool Distortion>
@@ -314,13 +342,11 @@ void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages
 
 template <bool Distortion>
 void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) {
-  for_tiles(state.lists, [&](int, const SubTileLists& sub, int x0, int y0) {
+  for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
-      const DepthUnit unit = depth_unit(in, state, sub.begin(s), sub.count(s));
-      Blend p[kVectors];
-      for (int v = 0; v < kVectors; ++v)
-        p[v] = blend_vector<Distortion>(in, state, sub.begin(s), sub.count(s), pixels.x, pixels.y[v], unit);
+      Blend p[kVectors] = {};
+      blend_subtile<Distortion>(in, state, sub.begin(s), sub.count(s), pixels, p);
       write_pixels<Distortion>(in, state, out, p, x, y);
     });
   });
@@ -365,108 +391,141 @@ struct Walk {
   vfloat T, behind;
 };
 
-// The parts of a vector's gradient that its neighbours in the sub-tile share a sum with.
-struct VectorGradient {
-  vfloat second;  // of the disk's exponent, times 1/w^2: its moments give L's gradient
-  vfloat w;       // of w
-  vfloat blur;    // of the low-pass's d^2, doubled
-  vfloat depth, opacity;  // times depth, times opacity
-  vfloat share;   // alpha T
+// What the walk finds for one splat.
+struct Step {
+  vfloat opacity[kVectors], depth[kVectors];  // gradients of opacity and depth, times opacity and depth
+  vfloat share[kVectors];                     // alpha T
 };
 
 template <bool Distortion>
-inline VectorGradient walk_one(const SurfelRecord& s, const Footprint& f, vint counts, const PixelGradients::Fields& g,
-                               int lane, const DepthUnit& unit, Walk& p) {
-  const vfloat raw = exp2_near_zero(f.log2_raw);
-  const vfloat alpha = keep(counts, min(raw, splat(kMaxAlpha))), w = alpha * p.T, after = p.T - w;
-  vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
-  q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + load(g.normal[2] + lane) * s.normal[2];
-  q += load(g.depth + lane) * f.z;
-  vfloat v_z = w * load(g.depth + lane);
-  v_z += keep((p.T >= 0.5f) & (after < 0.5f), load(g.median + lane));
-  if (Distortion) {
-    const vfloat m = unit.of(f.z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
-    q += m * (v_m1 + m * v_m2);
-    v_z += w * unit.scale * (v_m1 + 2.0f * m * v_m2);
+inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fields& g, const DepthUnit& unit, Walk& walk,
+                        Step* steps) {
+  const int lane = v * kWidth;
+  vfloat T = walk.T, behind = walk.behind;
+  for (int e = 0; e < n; ++e) {
+    const SurfelRecord& s = *hits[e].splat;
+    const vfloat alpha = keep(T >= kMinTransmittance, hits[e].alpha[v]), z = hits[e].depth * hits[e].r[v];
+    const vfloat w = alpha * T, after = T - w;
+    const vfloat v_depth = load(g.depth + lane);
+    vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
+    q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + (load(g.normal[2] + lane) * s.normal[2] + v_depth * z);
+    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (after < 0.5f), load(g.median + lane));
+    if (Distortion) {
+      const vfloat m = unit.of(z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
+      q += m * (v_m1 + m * v_m2);
+      v_z += w * unit.scale * (v_m1 + 2.0f * m * v_m2);
+    }
+    behind -= w * q;
+    const vfloat v_alpha = T * q - behind * reciprocal(1.0f - alpha);
+    // Zero where alpha is held at its maximum, and where it is 0.
+    steps[e].opacity[v] = keep(alpha < kMaxAlpha, v_alpha * alpha);
+    steps[e].depth[v] = v_z * z;
+    steps[e].share[v] = w;
+    T = after;
   }
-  p.behind -= w * q;
-  const vfloat v_alpha = p.T * q - p.behind * reciprocal(1.0f - alpha);
-  VectorGradient v;
-  // Zero where the splat doesn't count and where alpha is held at its maximum.
-  v.opacity = keep(counts & (raw < kMaxAlpha), v_alpha * raw);
-  v.depth = v_z * f.z;
-  v.second = keep(f.on_disk, (-2.0f * kLn2) * v.opacity * f.r * f.r);
-  v.w = keep(f.on_disk, ((2.0f * kLn2) * f.exponent * v.opacity - v.depth) * f.r);
-  v.blur = keep(~f.on_disk, 2.0f * v.opacity);
-  v.share = w;
-  p.T = after;
-  return v;
+  walk = {T, behind};
 }
 
 // sums: [kFields] of the sub-tile's pixels, lane by lane.
-inline void gather(const SurfelRecord& s, vfloat dx, const vfloat dy[kVectors], const VectorGradient v[kVectors],
-                   const PixelGradients::Fields& g, vfloat sums[kFields]) {
+template <bool Plain>
+inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g, vfloat sums[kFields]) {
+  const SurfelRecord& s = *hit.splat;
+  const vfloat dx = pixels.x - s.x;
   vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
   for (int k = 0; k < kFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
-    const vfloat y = v[n].second * dy[n];
-    second += v[n].second, second_y += y, yy += y * dy[n];
-    w += v[n].w, w_y += v[n].w * dy[n];
-    blur += v[n].blur, blur_y += v[n].blur * dy[n];
-    sums[kDepth] += v[n].depth, sums[kOpacity] += v[n].opacity;
-    for (int k = 0; k < 3; ++k) sums[kColor + k] += v[n].share * load(g.color[k] + n * kWidth);
-    for (int k = 0; k < 3; ++k) sums[kNormal + k] += v[n].share * load(g.normal[k] + n * kWidth);
+    const vfloat dy = pixels.y[n] - s.y, scaled = (2.0f * kLn2) * step.opacity[n], r = hit.r[n];
+    // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
+    vfloat v_w = (scaled * hit.exponent[n] - step.depth[n]) * r, v_second = scaled * (r * r);
+    if (!Plain) {
+      v_second = keep(hit.on_disk[n], v_second), v_w = keep(hit.on_disk[n], v_w);
+      const vfloat v_blur = keep(~hit.on_disk[n], 2.0f * step.opacity[n]);
+      blur += v_blur, blur_y += v_blur * dy;
+    }
+    const vfloat y = v_second * dy;
+    second += v_second, second_y += y, yy += y * dy;
+    w += v_w, w_y += v_w * dy;
+    sums[kDepth] += step.depth[n], sums[kOpacity] += step.opacity[n];
+    for (int k = 0; k < 3; ++k) sums[kColor + k] += step.share[n] * load(g.color[k] + n * kWidth);
+    for (int k = 0; k < 3; ++k) sums[kNormal + k] += step.share[n] * load(g.normal[k] + n * kWidth);
   }
   const vfloat second_x = second * dx;
   sums[kXX] = second_x * dx, sums[kXY] = second_y * dx, sums[kYY] = yy;
   sums[kSlopeX] = w * dx, sums[kSlopeY] = w_y;
-  // Moving the centre moves every d the other way.
-  const vfloat a = s.L[0] * second_x + s.L[1] * second_y, b = s.L[2] * second_x + s.L[3] * second_y;
-  sums[kMeanX] = blur * dx - s.L[0] * a - s.L[2] * b - s.g[0] * w;
-  sums[kMeanY] = blur_y - s.L[1] * a - s.L[3] * b - s.g[1] * w;
+  if (Plain) {
+    sums[kMeanX] = second_x, sums[kMeanY] = second_y, sums[kW] = w;
+  } else {
+    // Moving the centre moves every d the other way.
+    const vfloat a = s.L[0] * second_x + s.L[1] * second_y, b = s.L[2] * second_x + s.L[3] * second_y;
+    sums[kMeanX] = blur * dx + s.L[0] * a + s.L[2] * b - s.g[0] * w;
+    sums[kMeanY] = blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
+  }
 }
 
-// pairs: [tile's entries, kStride] gets each pair's sums added.
+#if defined(MGSR_ISA_avx2)
+inline vfloat reduce8(const vfloat* x) {
+  const __m256* v = (const __m256*)x;
+  const __m256 a = _mm256_add_ps(_mm256_unpacklo_ps(v[0], v[1]), _mm256_unpackhi_ps(v[0], v[1]));
+  const __m256 b = _mm256_add_ps(_mm256_unpacklo_ps(v[2], v[3]), _mm256_unpackhi_ps(v[2], v[3]));
+  const __m256 c = _mm256_add_ps(_mm256_unpacklo_ps(v[4], v[5]), _mm256_unpackhi_ps(v[4], v[5]));
+  const __m256 d = _mm256_add_ps(_mm256_unpacklo_ps(v[6], v[7]), _mm256_unpackhi_ps(v[6], v[7]));
+  const __m256 ab = _mm256_add_ps(_mm256_shuffle_ps(a, b, 0x44), _mm256_shuffle_ps(a, b, 0xee));
+  const __m256 cd = _mm256_add_ps(_mm256_shuffle_ps(c, d, 0x44), _mm256_shuffle_ps(c, d, 0xee));
+  return (vfloat)_mm256_add_ps(_mm256_permute2f128_ps(ab, cd, 0x20), _mm256_permute2f128_ps(ab, cd, 0x31));
+}
+#endif
+
+inline void add16(const vfloat* v, float* sums) {
+#if defined(MGSR_ISA_avx2)
+  store(sums, load(sums) + reduce8(v));
+  store(sums + 8, load(sums + 8) + reduce8(v + 8));
+#else
+  add_sums<kFields>(v, sums);
+#endif
+}
+
+// pairs: [tile's entries, kFields] gets each pair's sums added.
 template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
                       const SubTileItem* items, int count, const Pixels& pixels, float* pairs) {
   const DepthUnit unit = depth_unit(in, state, items, count);
   Walk p[kVectors];
+  Hit hits[kBatch];
+  Step steps[kBatch];
   for (int v = 0; v < kVectors; ++v) p[v] = {splat(1.0f), load(g.behind + v * kWidth)};
-  for (int e = 0; e < count; ++e) {
-    const SurfelRecord& s = state.records[items[e].splat];
-    const Column column(s, pixels.x);
-    vfloat dy[kVectors];
-    VectorGradient v[kVectors];
+  for (int e = 0; e < count; e += kBatch) {
+    const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
     vint open = {};
-    for (int n = 0; n < kVectors; ++n) {
-      const Footprint f(s, column, pixels.y[n], in.near);
-      const vint counts = (f.log2_raw >= kLog2MinAlpha) & (p[n].T >= kMinTransmittance);
-      dy[n] = f.dy;
-      v[n] = walk_one<Distortion>(s, f, counts, g, n * kWidth, unit, p[n]);
-      open |= p[n].T >= kMinTransmittance;
+    for (int v = 0; v < kVectors; ++v) {
+      walk_vector<Distortion>(hits, n, v, g, unit, p[v], steps);
+      open |= p[v].T >= kMinTransmittance;
     }
-    vfloat sums[kFields];
-    gather(s, column.dx, dy, v, g, sums);
-    add_sums<kFields>(sums, pairs + size_t(items[e].entry) * kStride);
+    for (int i = 0; i < n; ++i) {
+      vfloat sums[kFields];
+      if (hits[i].splat->plain())
+        gather<true>(hits[i], steps[i], pixels, g, sums);
+      else
+        gather<false>(hits[i], steps[i], pixels, g, sums);
+      add16(sums, pairs + size_t(items[e + i].entry) * kFields);
+    }
     if (!any(open)) break;
   }
 }
 
 template <bool Distortion>
 void blend_backward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const SurfelImages& v_out) {
-  state.pair_gradients.resize(size_t(state.lists.pairs()) * kStride);
-  for_tiles(state.lists, [&](int tile, const SubTileLists& sub, int x0, int y0) {
+  state.pair_gradients.resize(size_t(state.lists.pairs()) * kFields);
+  for_tiles(state.lists, state.records.data(), [&](int tile, const SubTileLists& sub, int x0, int y0) {
     static thread_local std::vector<float> pairs;
     const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
-    pairs.assign(size_t(n) * kStride, 0.0f);
+    pairs.assign(size_t(n) * kFields, 0.0f);
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const PixelGradients g(in, state, out, v_out, x, y);
       backward_subtile<Distortion>(in, state, g.f, sub.begin(s), sub.count(s), Pixels(x, y), pairs.data());
     });
     for (int64_t e = 0; e < n; ++e)
-      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kStride], &pairs[size_t(e) * kStride],
-                  sizeof(float) * kStride);
+      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kFields], &pairs[size_t(e) * kFields],
+                  sizeof(float) * kFields);
   });
 }
 
@@ -477,10 +536,16 @@ void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, co
   surfel_frame(in.camera, in.means + 3 * i, quat, scale, f);
   ProjectedSurfel<float> g = {};
   g.x = total[kMeanX], g.y = total[kMeanY];
-  g.depth = total[kDepth] / s.depth;
+  if (s.plain()) {
+    // Moving the centre moves every d the other way.
+    const float a = s.L[0] * g.x + s.L[1] * g.y, b = s.L[2] * g.x + s.L[3] * g.y;
+    g.x = s.L[0] * a + s.L[2] * b - s.g[0] * total[kW];
+    g.y = s.L[1] * a + s.L[3] * b - s.g[1] * total[kW];
+  }
+  g.depth = total[kDepth] / s.depth();
   for (int k = 0; k < 4; k += 2) {
-    g.L[k] = kRootExponentScale * (s.L[k] * total[kXX] + s.L[k + 1] * total[kXY]);
-    g.L[k + 1] = kRootExponentScale * (s.L[k] * total[kXY] + s.L[k + 1] * total[kYY]);
+    g.L[k] = -kRootExponentScale * (s.L[k] * total[kXX] + s.L[k + 1] * total[kXY]);
+    g.L[k + 1] = -kRootExponentScale * (s.L[k] * total[kXY] + s.L[k + 1] * total[kYY]);
   }
   g.g[0] = total[kSlopeX], g.g[1] = total[kSlopeY];
   for (int k = 0; k < 3; ++k) g.normal[k] = total[kNormal + k];
@@ -493,9 +558,9 @@ void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, co
 void reduce_pairs(const SurfelInputs& in, const SurfelState& state, const SurfelGradients& v) {
   parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
     for (int64_t s = begin; s < end; ++s) {
-      float total[kStride] = {};
+      float total[kFields] = {};
       for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
-        for (int k = 0; k < kStride; ++k) total[k] += state.pair_gradients[size_t(slot) * kStride + k];
+        for (int k = 0; k < kFields; ++k) total[k] += state.pair_gradients[size_t(slot) * kFields + k];
       splat_backward(in, state.visible[state.order[s]], state.records[s], total, v);
     }
   });

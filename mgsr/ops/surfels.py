@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _surfels
+from mgsr.ops.arrays import host
 from mgsr.ops.volumes import SplatStats
 
 
@@ -28,10 +30,11 @@ class SurfelOptions:
 
 @dataclass(frozen=True)
 class SurfelRaster:
-    """color [H,W,3]: over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean camera z, 0 where nothing
-    is; median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not; normal
-    [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised; distortion [H,W]: sum over pairs of
-    splats of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or None; stats: of this render."""
+    """color [H,W,3]: over the background. alpha [H,W]: 1 - transmittance. depth [H,W]: mean camera z, 0 where nothing
+    is. median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not.
+    normal [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised. distortion [H,W]: sum over
+    pairs of splats (each pair once) of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or
+    None where not asked for."""
 
     color: Tensor
     alpha: Tensor
@@ -79,14 +82,16 @@ def rasterize_surfels(
         background=(background, "3"),
     )
     stats = SplatStats(radii=means.new_empty(len(means)))
-    images = _Rasterize.apply(means, quats, scales, opacities, colors, background, camera, options, stats)
-    return SurfelRaster(*images, stats)
+    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(
+        means, quats, scales, opacities, colors, background, camera, options, stats
+    )
+    return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, stats)
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats):
-        splats = [t.detach().contiguous() for t in (means, quats, scales, opacities, colors, background)]
+        splats = [host(t) for t in (means, quats, scales, opacities, colors, background)]
         plane, triple = (camera.height, camera.width), (camera.height, camera.width, 3)
         color, normal = means.new_empty(triple), means.new_empty(triple)
         alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
@@ -107,14 +112,16 @@ class _Rasterize(torch.autograd.Function):
         return images
 
     @staticmethod
-    def backward(ctx: Any, *v_images):
-        images = [t if t is None else t.detach() for t in ctx.saved_tensors]
-        v_images = [v if v is None else v.detach().contiguous() for v in v_images]
+    @once_differentiable
+    def backward(ctx: Any, *v_outputs: Tensor | None):
+        images = ctx.saved_tensors
+        v_images = [v if v is None else host(v) for v in v_outputs]
         v_splats = [torch.zeros_like(t) for t in ctx.splats[:-1]]
         v_means2d = torch.zeros(len(ctx.splats[0]), 2)
         _surfels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
         ctx.stats.v_means2d = v_means2d
         v_background = None
-        if ctx.needs_input_grad[5] and v_images[0] is not None:
-            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        v_color = v_images[0]
+        if ctx.needs_input_grad[5] and v_color is not None:
+            v_background = (v_color * (1 - images[1])[..., None]).sum((0, 1))
         return *v_splats, v_background, None, None, None

@@ -6,8 +6,8 @@
 // Backward: the same walk front to back. With q = v_out . (what the splat adds), the gradient to alpha_i is
 // T_i q_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
 // scalar however many outputs there are. A splat's footprint depends on nine numbers (centre, L, g, depth); over the
-// pixels their gradients need eight sums, since L enters only by its product with three second moments. With opacity,
-// colour and normal a (splat, tile) pair has 15 sums, one cache line, kept in the pair's own slot; a splat's slots are
+// pixels their gradients need nine sums, since L enters only by its product with three second moments. With opacity,
+// colour and normal a (splat, tile) pair has 16 sums, one cache line, kept in the pair's own slot; a splat's slots are
 // then added in tile order, so the result doesn't depend on the number of threads.
 #include "kernels/surfels/surfels.h"
 
@@ -37,8 +37,9 @@ constexpr float kRootExponentScale = 0.84932180028f;  // ... so that this, times
 constexpr float kLowPassExponent = kLog2E;            // 2^-(this * d^2), a variance of 0.5 px^2
 constexpr float kNever = 1e6f;                        // L of an edge-on splat: its disk counts nowhere
 
-// Gradient of one (splat, tile) pair. kXX..kYY: second moments that give L's gradient; kMeanX, kMeanY: of the
-// projected centre; kDepth: the depth's, times the depth; kOpacity: the opacity's, times the opacity.
+// Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient /
+// w^2, which give L's. kSlopeX, kSlopeY, kW: w's gradient times dx, dy, 1. kMeanX, kMeanY: first moments where the splat
+// is plain, else the centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
 enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
 constexpr int kFields = 16;
 
@@ -462,28 +463,6 @@ inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const
   }
 }
 
-#if defined(MGSR_ISA_avx2)
-inline vfloat reduce8(const vfloat* x) {
-  const __m256* v = (const __m256*)x;
-  const __m256 a = _mm256_add_ps(_mm256_unpacklo_ps(v[0], v[1]), _mm256_unpackhi_ps(v[0], v[1]));
-  const __m256 b = _mm256_add_ps(_mm256_unpacklo_ps(v[2], v[3]), _mm256_unpackhi_ps(v[2], v[3]));
-  const __m256 c = _mm256_add_ps(_mm256_unpacklo_ps(v[4], v[5]), _mm256_unpackhi_ps(v[4], v[5]));
-  const __m256 d = _mm256_add_ps(_mm256_unpacklo_ps(v[6], v[7]), _mm256_unpackhi_ps(v[6], v[7]));
-  const __m256 ab = _mm256_add_ps(_mm256_shuffle_ps(a, b, 0x44), _mm256_shuffle_ps(a, b, 0xee));
-  const __m256 cd = _mm256_add_ps(_mm256_shuffle_ps(c, d, 0x44), _mm256_shuffle_ps(c, d, 0xee));
-  return (vfloat)_mm256_add_ps(_mm256_permute2f128_ps(ab, cd, 0x20), _mm256_permute2f128_ps(ab, cd, 0x31));
-}
-#endif
-
-inline void add16(const vfloat* v, float* sums) {
-#if defined(MGSR_ISA_avx2)
-  store(sums, load(sums) + reduce8(v));
-  store(sums + 8, load(sums + 8) + reduce8(v + 8));
-#else
-  add_sums<kFields>(v, sums);
-#endif
-}
-
 // pairs: [tile's entries, kFields] gets each pair's sums added.
 template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
@@ -506,7 +485,7 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
         gather<true>(hits[i], steps[i], pixels, g, sums);
       else
         gather<false>(hits[i], steps[i], pixels, g, sums);
-      add16(sums, pairs + size_t(items[e + i].entry) * kFields);
+      add_sums<kFields>(sums, pairs + size_t(items[e + i].entry) * kFields);
     }
     if (!any(open)) break;
   }

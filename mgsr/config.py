@@ -63,7 +63,7 @@ class MeshConfig:
     hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
-    cell: float = 1.0  # octree cells in which points are averaged into one
+    cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
@@ -184,6 +184,8 @@ class SurfelConfig:
     depth_tv_weight: float = 1.0  # lambda_5
     distortion_weight: float = 0.0  # 2DGS's; the method has none
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
+    edge_band: int = 1  # pixels on either side of the mask's outline where this branch is not judged: there the soft
+    # edges of splats would be paid for by a smaller object
     regularise_from: float = 0.0  # fraction of the warm-up after which lambda_3 to lambda_5 count
     rates: RatesConfig = field(default_factory=RatesConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)

@@ -18,13 +18,13 @@ Triangles = tuple[np.ndarray, np.ndarray]  # vertices [V,3], faces [F,3]
 def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: float, reach: float) -> Triangles:
     """Move vertices that lie outside a silhouette inwards along their normals; cut off the faces that would have to
     move more than `reach`. margin: pixels outside a silhouette that are forgiven."""
-    keep = hull.excess(vertices, margin) <= reach
-    vertices, faces = keep_faces(vertices, faces, keep[faces].all(1))
+    excess = hull.excess(vertices, margin)
+    outside = np.flatnonzero((excess > 0) & (excess <= reach))
+    inwards, moved = -vertex_normals(vertices, faces)[outside], vertices.copy()
     for _ in range(3):
         # At a silhouette the normal lies in the image plane, so the excess there is the distance along the normal.
-        normals = vertex_normals(vertices, faces)
-        vertices = vertices - normals * hull.excess(vertices, margin)[:, None]
-    return vertices, faces
+        moved[outside] += inwards * hull.excess(moved[outside], margin)[:, None]
+    return keep_faces(moved, faces, (excess <= reach)[faces].all(1))
 
 
 def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
@@ -34,25 +34,37 @@ def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     return keep_faces(vertices, faces, (a != b) & (b != c) & (c != a) & np.isfinite(areas) & (areas > 1e-14))
 
 
-def seen_by(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], gap: float) -> np.ndarray:
-    """Which vertices each camera sees, [C,V] bool; `gap` forgives what lies that close before a vertex."""
-    caster = RayCaster(vertices, faces)
-    return np.stack([caster.sees(camera, vertices, gap) for camera in cameras])
+def seen_sides(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], gap: float) -> np.ndarray:
+    """By ray casting, for each vertex [V]: 1 if a camera sees it from its front, -1 from its back, 0 if none sees it.
+
+    The first camera that sees a vertex decides. What lies within `gap` before a vertex does not hide it.
+    """
+    caster, normals = RayCaster(vertices, faces), vertex_normals(vertices, faces)
+    sides, open_ = np.zeros(len(vertices), np.int8), np.arange(len(vertices))
+    for camera in _spread(cameras):
+        visible = caster.sees(camera, vertices[open_], gap)
+        index = open_[visible]
+        front = ((camera.center - vertices[index]) * normals[index]).sum(1) >= 0
+        sides[index], open_ = np.where(front, 1, -1), open_[~visible]
+    return sides
 
 
-def facing(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], seen: np.ndarray) -> np.ndarray:
-    """By how many of the cameras that see it [C,V] each vertex is seen from its front, less from its back; [V]."""
-    normals = vertex_normals(vertices, faces)
-    score = np.zeros(len(vertices), np.int32)
-    for camera, visible in zip(cameras, seen, strict=True):
-        score += np.where(visible, np.sign(((camera.center - vertices) * normals).sum(1)), 0).astype(np.int32)
-    return score
+def _spread(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras, each as far as can be from those before it: the first few see most of the surface."""
+    centers = np.array([camera.center for camera in cameras])
+    order, nearest = [0], np.linalg.norm(centers - centers[0], axis=1)
+    nearest[0] = -1
+    while len(order) < len(cameras):
+        order.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(centers - centers[order[-1]], axis=1))
+        nearest[order] = -1
+    return [cameras[index] for index in order]
 
 
-def turn_outwards(faces: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """The faces with every piece turned round whose vertices are mostly seen from the back (`facing`)."""
-    count, pieces = face_components(faces, len(score))
-    votes = np.bincount(pieces, score[faces].sum(1), count)
+def turn_outwards(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """The faces with every piece turned round whose vertices are mostly seen from the back (`seen_sides`)."""
+    count, pieces = face_components(faces, len(sides))
+    votes = np.bincount(pieces, sides[faces].sum(1), count)
     return np.where((votes < 0)[pieces][:, None], faces[:, ::-1], faces)
 
 

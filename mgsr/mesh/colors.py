@@ -3,53 +3,62 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.mesh.views import SurfaceView, sample
+from mgsr.mesh.views import SurfaceView, nearest, project, sample
 
-SPREAD = 0.1  # a colour this far from the first mean counts half
+SPREAD = 0.1  # a colour this far from the others' mean counts half
 ROUNDS = 2
 
 
 def vertex_colors(
-    vertices: np.ndarray, normals: np.ndarray, views: Sequence[SurfaceView], seen: np.ndarray
+    vertices: np.ndarray, normals: np.ndarray, views: Sequence[SurfaceView], min_alpha: float, tolerance: float
 ) -> np.ndarray:
-    """Colours [V,3] float32 0..1: the mean over the views that see a vertex (seen [C,V]), where head-on views count
-    more and colours far from the others' mean count less. A vertex that none sees takes its nearest neighbour's."""
-    mean, total = _blend(vertices, normals, views, seen, None)
+    """Colours [V,3] float32 0..1: the mean over the views that show a vertex, where head-on views count more and
+    colours far from the others' mean count less. A vertex that none shows takes its nearest neighbour's.
+
+    A view shows a vertex that faces it and lies within `tolerance` pixel footprints of its depth.
+    """
+    looks = [_look(vertices, normals, view, min_alpha, tolerance) for view in views]
+    mean, total = _blend(looks, len(vertices), None)
     for _ in range(ROUNDS):
-        mean, _ = _blend(vertices, normals, views, seen, mean)
+        mean, _ = _blend(looks, len(vertices), mean)
     known = total > 0
     if known.any() and not known.all():
         mean[~known] = mean[known][cKDTree(vertices[known]).query(vertices[~known])[1]]
-    return np.clip(mean, 0, 1).astype(np.float32)
+    return np.clip(mean, 0, 1)
 
 
-def _blend(
-    vertices: np.ndarray,
-    normals: np.ndarray,
-    views: Sequence[SurfaceView],
-    seen: np.ndarray,
-    around: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class _Look:
+    """What one view says: of the vertices index [Q] their colors [Q,3] and weights [Q]."""
+
+    index: np.ndarray
+    colors: np.ndarray
+    weights: np.ndarray
+
+
+def _look(vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float) -> _Look:
+    index, pixels, depths = project(view.camera, vertices)
+    to_camera = view.camera.center.astype(np.float32) - vertices[index].astype(np.float32)
+    cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
+    limit = tolerance * depths / np.float32(view.camera.K[0, 0]) / np.maximum(cosines, 0.3)
+    shown = (cosines > 0.05) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
+    shown &= nearest(view.usable(min_alpha), pixels)
+    return _Look(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
+
+
+def _blend(looks: Sequence[_Look], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Weighted mean colours [V,3] and the sum of the weights [V]; around [V,3] is where colours should lie."""
-    sums, total = np.zeros((len(vertices), 3)), np.zeros(len(vertices))
-    for view, visible in zip(views, seen, strict=True):
-        index = np.flatnonzero(visible)
-        pixels, _ = view.camera.project(vertices[index])
-        colors = sample(view.color, pixels)
-        weights = _head_on(view, vertices[index], normals[index]) * sample(view.alpha, pixels)
+    sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    for look in looks:
+        weights = look.weights
         if around is not None:
-            off = np.linalg.norm(colors - around[index], axis=1)
-            weights = weights / (1 + (off / SPREAD) ** 2)
-        sums[index] += colors * weights[:, None]
-        total[index] += weights
+            off = look.colors - around[look.index]
+            weights = weights / (1 + (off * off).sum(1) / SPREAD**2)
+        sums[look.index] += look.colors * weights[:, None]
+        total[look.index] += weights
     return sums / np.maximum(total, 1e-12)[:, None], total
-
-
-def _head_on(view: SurfaceView, vertices: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    to_camera = view.camera.center - vertices
-    cosines = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
-    return np.maximum(cosines, 0.01) ** 2

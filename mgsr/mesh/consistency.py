@@ -1,48 +1,96 @@
-"""Points that other views contradict: floating in space that they see through, or outside a silhouette."""
+"""Points held against all views: those that float in space which others see through, or lie outside a silhouette, are
+found, and the rest move to the surface that the views agree on."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
+from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
-from mgsr.mesh.views import Silhouette, SurfaceView, in_image, nearest, sample
+from mgsr.mesh.views import Silhouette, SurfaceView, nearest, project, sample
 
 
-def agreed(points: OrientedPoints, views: Sequence[SurfaceView], min_alpha: float, tolerance: float) -> np.ndarray:
-    """[P] bool: points that not more views contradict than confirm.
+@dataclass(frozen=True)
+class Agreement:
+    """What all views say of points: moved OrientedPoints [P] on the surface that the confirming views see; agreed [P]
+    bool: not more views contradict the point than confirm it."""
 
-    A view contradicts a point when it sees something more than `tolerance` pixel footprints behind it, or nothing,
-    at the point's pixel and all around it; it confirms a point that faces it and lies that close to its surface.
-    Views that see something in front of the point are silent. Slanted surfaces get a wider tolerance.
+    moved: OrientedPoints
+    agreed: np.ndarray
+
+
+def compare_views(
+    points: OrientedPoints, views: Sequence[SurfaceView], rules: PixelRules, tolerance: float
+) -> Agreement:
+    """Hold points against every view.
+
+    A view confirms a point that faces it and lies within `tolerance` pixel footprints of its surface (more where that
+    is slanted). It contradicts a point when it sees something that much behind it, or nothing, at the point's pixel
+    and all around it. A view that sees something in front of the point is silent.
+
+    Confirming views move the point along its normal to their mean surface and turn the normal to their mean. As a
+    view's weight fades out smoothly where it ends, neighbouring points are averaged over nearly the same views, and
+    what the views' depths differ by does not become noise on the surface.
     """
-    for_it = np.zeros(len(points), np.int32)
-    against = np.zeros(len(points), np.int32)
+    count = len(points)
+    against, confirming = np.zeros(count, np.int32), np.zeros(count, np.int32)
+    sums = np.zeros((count, 5), np.float32)  # weight, weight * offset along the normal, weight * normal
     for view in views:
-        index, gap, limit, facing, empty = _compare(points, view, min_alpha, tolerance)
-        against[index] += empty | (gap > limit)
-        for_it[index] += facing & (np.abs(gap) <= limit)
-    return (against < 2) | (against <= for_it)
+        look = _look(points, view, rules, tolerance)
+        against[look.index] += look.contradicts
+        confirming[look.index] += look.weights > 0
+        sums[look.index] += look.weights[:, None] * np.column_stack(
+            [np.ones_like(look.offsets), look.offsets, look.normals]
+        )
+    return Agreement(_moved(points, sums), (against < 2) | (against <= confirming))
 
 
-def _compare(
-    points: OrientedPoints, view: SurfaceView, min_alpha: float, tolerance: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """For the points inside a view's image: their indices, how far behind them the nearest surface around their pixel
-    lies, the tolerance, whether they face the camera, and whether nothing is there at all."""
+def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
+    offsets = sums[:, 1] / np.maximum(sums[:, 0], 1e-9)
+    turned = np.where(sums[:, :1] > 0, sums[:, 2:], points.normals)
+    lengths = np.linalg.norm(turned, axis=1, keepdims=True)
+    normals = np.where(lengths > 1e-6, turned / np.maximum(lengths, 1e-6), points.normals)
+    return OrientedPoints(points.positions + offsets[:, None] * points.normals, normals.astype(np.float32))
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What one view says of the points index [Q]: whether it contradicts them [Q], the weight of its word [Q], how
+    far along their normals its surface lies [Q], and that surface's normals [Q,3]."""
+
+    index: np.ndarray
+    contradicts: np.ndarray
+    weights: np.ndarray
+    offsets: np.ndarray
+    normals: np.ndarray
+
+
+def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float) -> _Look:
     camera = view.camera
-    pixels, depths = camera.project(points.positions)
-    index = np.flatnonzero(in_image(camera, pixels, depths))
-    depths, pixels = depths[index], pixels[index]
+    index, pixels, depths = project(camera, points.positions)
+    rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
+    slants = (rays * points.normals[index]).sum(1)  # of a ray with camera z 1 against the point's normal
+    cosines = -slants / np.linalg.norm(rays, axis=1)
+    limit = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(np.abs(cosines), 0.3)
     # The nearest of the 3x3 pixels around: a point at a silhouette is not contradicted by what lies past it.
-    around = minimum_filter(np.where(view.usable(min_alpha), view.depth, np.inf), size=3)
-    seen = nearest(around, pixels)
-    to_camera = camera.center - points.positions[index]
-    cosines = (to_camera * points.normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
-    limit = tolerance * depths / camera.K[0, 0] / np.maximum(np.abs(cosines), 0.3)
-    return index, seen - depths, limit, cosines > 0, np.isinf(seen)
+    around = minimum_filter(np.where(view.usable(rules.min_alpha), view.depth, np.inf), size=3)
+    seen = sample(_weighted_surface(view, rules), pixels)
+    gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths
+    near = np.clip(1 - (gaps / limit) ** 2, 0, 1) ** 2
+    weights = np.where(cosines > 0, seen[:, 0] * near, 0)
+    return _Look(index, nearest(around, pixels) - depths > limit, weights, gaps * slants, seen[:, 2:])
+
+
+def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
+    """[H,W,5]: weight, weight * depth, weight * normal; the weight falls to zero at the least cosine."""
+    pixels = surface_pixels(view, rules)
+    weights = np.where(pixels.believed, pixels.cosines - rules.min_cos, 0)
+    values = np.concatenate([np.ones_like(view.depth)[..., None], view.depth[..., None], pixels.normals], axis=-1)
+    return np.where(weights[..., None] > 0, values, 0) * weights[..., None]
 
 
 class Hull:
@@ -55,11 +103,10 @@ class Hull:
     def excess(self, points: np.ndarray, margin: float) -> np.ndarray:
         """How far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette that has
         them in its image, in the scene's unit; 0 for those that do already."""
-        worst = np.zeros(len(points))
+        worst = np.zeros(len(points), np.float32)
         for camera, outside in zip(self._cameras, self._outside, strict=True):
-            pixels, depths = camera.project(points)
-            index = np.flatnonzero(in_image(camera, pixels, depths))
-            over = np.maximum(sample(outside, pixels[index]) - margin, 0) * depths[index] / camera.K[0, 0]
+            index, pixels, depths = project(camera, points)
+            over = np.maximum(nearest(outside, pixels) - margin, 0) * depths / camera.K[0, 0]
             worst[index] = np.maximum(worst[index], over)
         return worst
 

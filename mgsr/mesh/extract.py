@@ -10,8 +10,8 @@ from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
-from mgsr.mesh.consistency import Hull, agreed
-from mgsr.mesh.pixels import PixelRules, median_footprint, surface_pixels
+from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.surface import SurfaceMesh, vertex_normals
@@ -48,7 +48,8 @@ def _by_poisson(
     cell = cell_size(_extent(views, config), config.poisson_depth)
     points = gather_points(views, max(config.cell * cell, size), _rules(config))
     if config.consistency is not None:
-        points = points.where(agreed(points, views, config.min_alpha, config.consistency))
+        agreement = compare_views(points, views, _rules(config), config.consistency)
+        points = agreement.moved.where(agreement.agreed)
     if hull is not None:
         points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
     if len(points) < 4:
@@ -60,9 +61,11 @@ def _by_poisson(
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
-    """The longest side of the box that holds the believable points, but for the outermost few."""
-    looks = [surface_pixels(view, _rules(config)) for view in views]
-    points = np.concatenate([look.positions[::4, ::4][look.believed[::4, ::4]] for look in looks])
+    """The longest side of the box that holds the surface, but for the outermost few."""
+    looks = [back_project(view)[::4, ::4][view.usable(config.min_alpha)[::4, ::4]] for view in views]
+    points = np.concatenate(looks)
+    if config.radius is not None:
+        points = points[np.linalg.norm(points, axis=1) <= config.radius]
     if len(points) == 0:
         raise MeshError(_all_dropped(config))
     low, high = np.percentile(points, [0.1, 99.9], axis=0)
@@ -84,7 +87,6 @@ def _finish(
     hull: Hull | None,
 ) -> SurfaceMesh:
     """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
-    cameras = [view.camera for view in views]
     if hull is not None and len(faces):
         vertices, faces = cleanup.pull_into_hull(
             vertices, faces, hull, config.hull_margin or 0, config.hull_reach * size
@@ -92,15 +94,18 @@ def _finish(
     vertices, faces = cleanup.drop_degenerate(vertices, faces)
     _require_faces(faces, "no pixel's surface survived the fusion", config)
     vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
-    seen = cleanup.seen_by(vertices, faces, cameras, gap=size)
-    faces = cleanup.turn_outwards(faces, cleanup.facing(vertices, faces, cameras, seen))
-    vertices, faces = cleanup.drop_unseen(vertices, faces, seen.any(0), whole_pieces=config.close_holes)
+    sides = cleanup.seen_sides(vertices, faces, [view.camera for view in views], gap=size)
+    faces = cleanup.turn_outwards(faces, sides)
+    vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
     if config.max_faces is not None:
         vertices, faces = cleanup.decimate(vertices, faces, config.max_faces)
-    seen = cleanup.seen_by(vertices, faces, cameras, gap=size)
     normals = vertex_normals(vertices, faces)
-    return SurfaceMesh(vertices, faces, normals, vertex_colors(vertices, normals, views, seen))
+    colors = vertex_colors(vertices, normals, views, config.min_alpha, config.consistency or _COLOR_TOLERANCE)
+    return SurfaceMesh(vertices, faces, normals, colors)
+
+
+_COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 
 def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:

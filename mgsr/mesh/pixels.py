@@ -38,7 +38,7 @@ def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
     rays = pixel_rays(view.camera)
     normals = view.normal / np.maximum(np.linalg.norm(view.normal, axis=-1), 1e-9)[..., None]
     cosines = -(normals * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
-    positions = view.camera.center.astype(np.float32) + rays * view.depth[..., None]
+    positions = back_project(view, rays)
     usable = view.usable(rules.min_alpha)
     believed = usable & (cosines >= rules.min_cos)
     if rules.radius is not None:
@@ -46,6 +46,12 @@ def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
     if rules.max_jump is not None:
         believed &= ~_on_edge(usable, positions, normals, rules.max_jump * footprint(view))
     return SurfacePixels(positions, normals, cosines, believed)
+
+
+def back_project(view: SurfaceView, rays: np.ndarray | None = None) -> np.ndarray:
+    """The points [H,W,3] that the depth puts before each pixel; rays as of `pixel_rays`, if they are known already."""
+    rays = pixel_rays(view.camera) if rays is None else rays
+    return view.camera.center.astype(np.float32) + rays * view.depth[..., None]
 
 
 def footprint(view: SurfaceView) -> np.ndarray:

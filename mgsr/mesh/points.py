@@ -27,8 +27,7 @@ class OrientedPoints:
 
 
 class CellSums:
-    """Points gathered in cubic cells of a given size, weighted; one cell keeps the six main directions of normals
-    apart, so that the two sides of a thin wall are never averaged."""
+    """Points gathered in cubic cells of a given size, weighted; the two sides of a thin wall are kept apart."""
 
     def __init__(self, cell: float) -> None:
         self._cell = cell
@@ -41,6 +40,7 @@ class CellSums:
         keys = np.concatenate([self._keys, self._key(points)])
         self._keys, self._sums = _sum_by_key(keys, np.concatenate([self._sums, columns * weights[:, None]]))
 
+    # Six main directions are gathered apart: which of them are the wall's two sides shows only in the end.
     def _key(self, points: OrientedPoints) -> np.ndarray:
         # 20 bits an axis reach a million cells; what lies outside was cut off by the caller's radius or is far away.
         cells = np.clip(np.floor(points.positions / self._cell).astype(np.int64) + (1 << 19), 0, (1 << 20) - 1)
@@ -50,12 +50,21 @@ class CellSums:
         return packed * 6 + axis * 2 + side
 
     def mean(self) -> OrientedPoints:
-        """One point per cell and direction: the weighted means."""
-        positions = self._sums[:, :3] / self._sums[:, 6:]
-        lengths = np.linalg.norm(self._sums[:, 3:6], axis=1, keepdims=True)
+        """The weighted means of each cell: one point, and a second where normals point against the first's."""
+        _, sums = _sum_by_key(self._keys // 6 * 2 + self._opposed(), self._sums)
+        lengths = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
         return OrientedPoints(
-            positions.astype(np.float32), (self._sums[:, 3:6] / np.maximum(lengths, 1e-12)).astype(np.float32)
+            (sums[:, :3] / sums[:, 6:]).astype(np.float32),
+            (sums[:, 3:6] / np.maximum(lengths, 1e-12)).astype(np.float32),
         )
+
+    def _opposed(self) -> np.ndarray:
+        """Which of the gathered directions point against the heaviest one of their cell."""
+        cells = self._keys // 6
+        order = np.lexsort([-self._sums[:, 6], cells])
+        first, inverse = np.unique(cells, return_inverse=True)
+        heaviest = order[np.searchsorted(cells[order], first)]
+        return (self._sums[:, 3:6] * self._sums[heaviest[inverse], 3:6]).sum(1) < 0
 
 
 def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -64,12 +64,20 @@ def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return above * (1 - fy) + below * fy
 
 
+def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The points [P,3] that lie in front of a camera and inside its image: their indices [Q], pixel coordinates [Q,2]
+    and camera depths [Q], float32."""
+    pose = camera.cam_from_world.astype(np.float32)
+    x, y, depths = pose[:3, :3] @ points.T.astype(np.float32, copy=False) + pose[:3, 3:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = x / depths * np.float32(camera.K[0, 0]) + np.float32(camera.K[0, 2])
+        rows = y / depths * np.float32(camera.K[1, 1]) + np.float32(camera.K[1, 2])
+    inside = (depths > 0) & (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
+    index = np.flatnonzero(inside)
+    return index, np.stack([columns[index], rows[index]], axis=1), depths[index]
+
+
 def nearest(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Values of image [H,W,...] in the pixels that hold the coordinates [P,2], which must lie inside it."""
     columns, rows = pixels.astype(np.int64).T
     return image[rows, columns]
-
-
-def in_image(camera: Camera, pixels: np.ndarray, depths: np.ndarray) -> np.ndarray:
-    """[P] bool: which projected points lie in front of the camera and inside its image."""
-    return (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)

@@ -68,7 +68,7 @@ class RayCaster:
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """World directions [H,W,3] float32 of the pixel centres' rays, with camera z 1: centre + depth * ray is the point."""
+    """World directions [H,W,3] float32 of the pixel centres' rays, camera z 1: center + depth * ray is the point."""
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)

@@ -1,0 +1,66 @@
+"""How close a rendered image comes to a photograph. Images are [H,W,3] float, sRGB 0..1."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+
+def on_white(rgba: np.ndarray) -> np.ndarray:
+    """Straight-alpha RGBA [H,W,4] (or RGB, as it is) composited on white in sRGB, [H,W,3] float64."""
+    image = rgba.astype(np.float64)
+    if image.shape[-1] == 3:
+        return image
+    alpha = image[..., 3:]
+    return image[..., :3] * alpha + 1 - alpha
+
+
+def decibels(error: float) -> float:
+    """The PSNR of a mean squared error, at most 100 dB."""
+    return float(-10 * np.log10(max(error, 1e-10)))
+
+
+def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """dB, over all pixels or those where mask [H,W] is True."""
+    squares = (truth.astype(np.float64) - image) ** 2
+    return decibels(float((squares if mask is None else squares[mask]).mean()))
+
+
+def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> float:
+    """dB over the mask's pixels after the gain per channel that fits the image best to the truth."""
+    wanted, given = truth[mask].astype(np.float64), image[mask].astype(np.float64)
+    gain = (wanted * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
+    return decibels(float(((wanted - np.clip(given * gain, 0, 1)) ** 2).mean()))
+
+
+def ssim(truth: np.ndarray, image: np.ndarray) -> float:
+    """Structural similarity with an 11 x 11 Gaussian window, sigma 1.5, constants 0.01 and 0.03, the mean over the
+    channels and the pixels whose window lies inside. Source: Wang et al. 2004."""
+
+    def blur(values: np.ndarray) -> np.ndarray:
+        return np.asarray(gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5))
+
+    a, b = truth.astype(np.float64), image.astype(np.float64)
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
+    value = (2 * mean_a * mean_b + 1e-4) * (2 * both + 9e-4)
+    value /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
+    return float(value[5:-5, 5:-5].mean())
+
+
+def image_metrics(truth: np.ndarray, image: np.ndarray) -> dict[str, float]:
+    """psnr, ssim on white and, where the truth has an alpha channel, psnr_fg and psnr_fg_gain on the object's pixels.
+
+    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8.
+    """
+    truth, image = _unit(truth), _unit(image)
+    wanted, given = on_white(truth), on_white(image)
+    values = {"psnr": psnr(wanted, given), "ssim": ssim(wanted, given)}
+    if truth.shape[-1] == 4 and (inside := truth[..., 3] > 0.5).any():
+        values["psnr_fg"] = psnr(wanted, given, inside)
+        values["psnr_fg_gain"] = psnr_after_gain(wanted, given, inside)
+    return values
+
+
+def _unit(image: np.ndarray) -> np.ndarray:
+    return image / 255.0 if image.dtype == np.uint8 else image

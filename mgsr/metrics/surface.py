@@ -1,0 +1,54 @@
+"""How close a mesh comes to the true surface, by points."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mgsr.errors import MeshError
+from mgsr.metrics.truth import DENSE, POINTS, Samples, TrueSurface, sample_surface
+
+CLIP = 0.1  # radii; what is farther off counts as this far
+F_LIMITS = {"f_005": 0.005, "f_010": 0.01, "f_020": 0.02}  # radii
+MIN_VIEWS = 2
+
+
+def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface) -> dict[str, float]:
+    """Distances and normals of a mesh, in the truth's frame, against the truth; distances in its bounding radius.
+
+    accuracy: mean distance of area-uniform points of the mesh to the truth, without those whose nearest labelled
+    truth point fewer than two training views see. completeness: mean distance of the truth points that two views or
+    more see to the mesh. chamfer: the mean of both. f_005, f_010, f_020: F-scores at 0.5, 1 and 2%. normal_consistency:
+    mean |n . n'| over nearest points, both ways; normal_consistency_signed: without the absolute value.
+
+    Raises MeshError for a mesh without faces.
+    """
+    if len(faces) == 0:
+        raise MeshError("surface metrics: expected a mesh with faces, got none; extract a surface first")
+    sparse, dense = (sample_surface(vertices, faces, count, seed) for seed, count in enumerate((POINTS, DENSE)))
+    seen = truth.view_counts >= MIN_VIEWS
+    seen_truth = Samples(truth.labelled.points[seen], truth.labelled.normals[seen])
+    nearest = cKDTree(truth.labelled.points).query(sparse.points, workers=-1)[1]
+    kept, labels = Samples(sparse.points[seen[nearest]], sparse.normals[seen[nearest]]), nearest[seen[nearest]]
+    true_dense = sample_surface(truth.vertices, truth.faces, DENSE, seed=2)
+    to_truth = cKDTree(true_dense.points).query(kept.points, workers=-1)[0] / truth.radius
+    to_mesh, index = cKDTree(dense.points).query(seen_truth.points, workers=-1)
+    cosines = [
+        (kept.normals * truth.labelled.normals[labels]).sum(1),
+        (dense.normals[index] * seen_truth.normals).sum(1),
+    ]
+    return _distances(to_truth, to_mesh / truth.radius) | {
+        "normal_consistency": float(np.mean([np.abs(cosine).mean() for cosine in cosines])),
+        "normal_consistency_signed": float(np.mean([cosine.mean() for cosine in cosines])),
+    }
+
+
+def _distances(to_truth: np.ndarray, to_mesh: np.ndarray) -> dict[str, float]:
+    # A mesh that lies wholly where nobody looked has no accuracy of its own: it counts as far off.
+    accuracy = float(to_truth.clip(max=CLIP).mean()) if len(to_truth) else CLIP
+    completeness = float(to_mesh.clip(max=CLIP).mean())
+    values = {"chamfer": (accuracy + completeness) / 2, "accuracy": accuracy, "completeness": completeness}
+    for name, limit in F_LIMITS.items():
+        precise, complete = float((to_truth < limit).mean()) if len(to_truth) else 0.0, float((to_mesh < limit).mean())
+        values[name] = 2 * precise * complete / max(precise + complete, 1e-9)
+    return values

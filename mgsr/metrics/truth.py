@@ -1,0 +1,74 @@
+"""A scene's true surface, and which of its points the training views see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from mgsr.data.camera import Camera
+from mgsr.errors import SceneError
+from mgsr.metrics.raycast import RayCaster
+
+POINTS = 100_000
+DENSE = 1_000_000
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Points [P,3] on a surface, area-uniform, and the unit normals [P,3] of their faces."""
+
+    points: np.ndarray
+    normals: np.ndarray
+
+
+@dataclass(frozen=True)
+class TrueSurface:
+    """The truth in the user's frame: vertices [V,3], faces [F,3]; labelled samples and how many training views see
+    each, view_counts [P]; radius of the bounding sphere about the middle of the box, the unit of all distances."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    labelled: Samples
+    view_counts: np.ndarray
+    radius: float
+
+
+def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | None:
+    """The truth beside a scene: ``mesh_gt.ply``, with the labels of ``points_gt.npz`` or else by ray casting from the
+    training cameras (user's frame); None without a mesh. Raises SceneError for a mesh without faces."""
+    path = folder / "mesh_gt.ply"
+    if not path.is_file():
+        return None
+    mesh = trimesh.load(path, process=False, force="mesh")
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    if len(faces) == 0:
+        raise SceneError(f"{path}: expected a triangle mesh, found no faces; remove it or write the true surface")
+    radius = float(np.linalg.norm(vertices - (vertices.min(0) + vertices.max(0)) / 2, axis=1).max())
+    labelled, counts = _labels(folder / "points_gt.npz", vertices, faces, train_cameras, radius)
+    return TrueSurface(vertices, faces, labelled, counts, radius)
+
+
+def _labels(
+    path: Path, vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], radius: float
+) -> tuple[Samples, np.ndarray]:
+    if path.is_file():
+        stored = np.load(path)
+        points, normals = stored["points"].astype(np.float64), stored["normals"].astype(np.float64)
+        return Samples(points, normals), stored["n_views"]
+    labelled = sample_surface(vertices, faces, POINTS, seed=3)
+    caster = RayCaster(vertices, faces)
+    counts = np.zeros(POINTS, np.int32)
+    for camera in cameras:
+        counts += caster.sees(camera, labelled.points, gap=1e-4 * radius)
+    return labelled, counts
+
+
+def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Samples:
+    """`count` points on a mesh, area-uniform."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    points, index = trimesh.sample.sample_surface(mesh, count, seed=seed)
+    return Samples(np.asarray(points), np.asarray(mesh.face_normals)[index])

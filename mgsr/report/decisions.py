@@ -1,0 +1,64 @@
+"""What was decided on the person's behalf, told from the facts in report.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from mgsr.report.data import Decision, ReportData
+
+STAGE_NAMES = {"warmup_surfels": "2D warm-up", "warmup_volumes": "3D warm-up", "mutual": "mutual phase"}
+STOPS = {
+    "iterations": "all planned iterations were spent",
+    "converged": "the loss had stopped falling, so more of the same would have gained little",
+    "deadline": "the time allowed for this run was over",
+}
+METHODS = {
+    "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
+    "2dgs": "flat 2D Gaussians alone",
+    "3dgs": "3D Gaussians alone; the surface comes from their depth",
+}
+
+
+def stage_name(stage: str) -> str:
+    """A stage's name in words."""
+    return STAGE_NAMES.get(stage, stage.replace("_", " "))
+
+
+def tell_decisions(data: ReportData) -> list[Decision]:
+    """The decisions that follow from the facts of a run: method, masks, test views, stage ends, surface."""
+    given: dict[str, Any] = data.other.get("input") or {}
+    mesh: dict[str, Any] = (data.other.get("settings") or {}).get("mesh") or {}
+    told = [Decision("Method", data.method, METHODS.get(data.method, "as asked for"))]
+    return [*told, *_about_input(given), *_about_stages(data), *_about_surface(data, mesh)]
+
+
+def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
+    if "masked" in given:
+        yes = "every training photograph has a mask: what lies outside is no object and gets no colour"
+        no = "no mask is used: the whole of each photograph is explained"
+        yield Decision("Masks", "used" if given["masked"] else "not used", yes if given["masked"] else no)
+    if "train_views" in given:
+        count = f"{len(given['train_views'])} to train on, {len(given.get('test_views', []))} held back"
+        yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
+    if "points" in given:
+        own = "the capture's own points" if given["points"] else "made here"
+        why = "they came with the cameras" if given["points"] else "the capture brought no points"
+        yield Decision("Starting points", own, why)
+
+
+def _about_stages(data: ReportData) -> Iterator[Decision]:
+    for name, run in data.iterations.items():
+        reason = STOPS.get(run.stopped, run.stopped)
+        yield Decision(f"End of the {stage_name(name)}", f"after {run.iterations:,} iterations", reason)
+
+
+def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]:
+    extractor = str(mesh.get("extractor", ""))
+    if extractor == "poisson":
+        yield Decision("Surface", "screened Poisson", "it uses the rendered normals as well as the depths")
+    if extractor == "tsdf":
+        yield Decision("Surface", "TSDF fusion", "the rendered depths are averaged in a grid")
+    if data.mesh is not None and data.mesh.boundary_edges:
+        left = "left open" if not mesh.get("close_holes") else "some could not be closed"
+        yield Decision("Holes", left, "where no view showed a surface, none is invented")

@@ -1,0 +1,58 @@
+"""Pictures as data addresses, so that a page needs no second file."""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.images import reduce_area
+from mgsr.errors import MgsrError
+
+QUALITY = 88  # of WebP, 0 to 100: no visible blocks in normals and smooth shading
+
+
+def data_address(pixels: np.ndarray, max_side: int) -> str:
+    """`data:image/webp;base64,...` of a picture uint8 [H,W,3] or [H,W,4], made smaller if a side exceeds max_side."""
+    return "data:image/webp;base64," + base64.b64encode(webp(shrunk(pixels, max_side))).decode()
+
+
+def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
+    """The picture with no side longer than max_side. Colours are weighted by alpha, so that no rim appears."""
+    height, width = pixels.shape[:2]
+    factor = max_side / max(height, width)
+    if factor >= 1:
+        return pixels
+    size = max(1, round(width * factor)), max(1, round(height * factor))
+    if pixels.shape[2] == 3:
+        return _rounded(reduce_area(pixels, *size))
+    alpha = pixels[..., 3:].astype(np.float32)
+    mean = reduce_area(np.concatenate([pixels[..., :3] * (alpha / 255), alpha], axis=-1), *size)
+    mean[..., :3] /= np.maximum(mean[..., 3:] / 255, 1e-6)
+    return _rounded(mean)
+
+
+def webp(pixels: np.ndarray) -> bytes:
+    """A WebP file. Raises MgsrError where OpenImageIO can't write one."""
+    import OpenImageIO
+
+    spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("Compression", f"webp:{QUALITY}")
+    # OpenImageIO's Python side writes to files only.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.webp"
+        output = OpenImageIO.ImageOutput.create(str(path))
+        if output is None or not output.open(str(path), spec):
+            raise MgsrError(f"report: OpenImageIO can't write WebP: {OpenImageIO.geterror()}; reinstall OpenImageIO")
+        written = output.write_image(np.ascontiguousarray(pixels))
+        output.close()
+        if not written:
+            raise MgsrError(f"report: a picture was not written: {output.geterror()}")
+        return path.read_bytes()
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(values), 0, 255).astype(np.uint8)

@@ -1,0 +1,302 @@
+"""report.html: one file with everything in it, for a person with a browser and no network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.report.charts import Axes, Boundary, Line, line_chart, short_number
+from mgsr.report.data import ReportData, finite
+from mgsr.report.decisions import stage_name, tell_decisions
+from mgsr.report.encode import data_address
+from mgsr.report.pictures import RAMP, Picture, ReportPictures, SurfacePictures, TestViewPictures
+from mgsr.report.scores import scores_told
+from mgsr.report.style import CSS, SCRIPT
+
+HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
+MOST_VIEWS = 8
+COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
+STEPS = ("load", "start", "train", "export", "render", "mesh", "evaluate", "report")
+
+
+def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:
+    """Write the page to `path`. It asks for nothing outside itself; all text from the run is escaped."""
+    path.write_text(report_page(data, pictures), encoding="utf-8")
+
+
+def report_page(data: ReportData, pictures: ReportPictures) -> str:
+    """The page as text."""
+    title = escape(data.scene)
+    sections = (
+        _light_split(pictures.views),
+        _surface(data, pictures.surface),
+        _more_views(pictures.views),
+        _curves(data),
+        _scores(data),
+        _decisions(data),
+        _settings(data),
+    )
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<link rel="icon" href="data:,"><title>{title} · MGSR</title><style>{CSS}</style></head>\n<body>'
+        f"<header><h1>{title}</h1>{_lead(data)}</header>\n<main>{_hero(pictures.views)}{_key_figures(data)}"
+        + "\n".join(section for section in sections if section)
+        + f"</main>\n<footer>Made by MGSR {escape(str(data.versions.get('mgsr', '')))}.</footer>"
+        f"<script>{SCRIPT}</script></body></html>\n"
+    )
+
+
+def _lead(data: ReportData) -> str:
+    given = data.other.get("input") or {}
+    words = [f"{len(given['train_views'])} photographs"] if given.get("train_views") else []
+    if given.get("image_size"):
+        words.append("{} × {} pixels".format(*given["image_size"]))
+    words += [f"{data.method} {data.preset}", f"on {data.device}"]
+    return f'<p class="lead">{escape(", ".join(words))}</p>'
+
+
+def _hero(views: Sequence[TestViewPictures]) -> str:
+    if not views:
+        return ""
+    return (
+        f'<section aria-label="One test view">{_view_row(views[0], HERO_SIDE, "hero")}'
+        f'<p class="note" style="margin-top:10px">View {escape(views[0].name)}, which training never saw.</p></section>'
+    )
+
+
+def _view_row(view: TestViewPictures, side: int, extra: str = "") -> str:
+    named = (
+        ("photograph", view.photo),
+        ("render", view.render),
+        ("transmitted light", view.transmitted),
+        ("weight × reflected light", view.reflected),
+        ("normals", view.normal),
+        ("depth", view.depth if view.mesh is None else None),
+        ("mesh", view.mesh),
+    )
+    tiles = [_tile(f"{view.name}: {name}", name, pixels, side) for name, pixels in named if pixels is not None]
+    return f'<div class="row {COLUMNS[min(len(tiles), 6)]} {extra}">{"".join(tiles)}</div>'
+
+
+def _tile(alt: str, caption: str, pixels: np.ndarray, side: int) -> str:
+    return (
+        f'<figure><div class="tile">{_image(alt, pixels, side)}</div>'
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )
+
+
+def _image(alt: str, pixels: np.ndarray, side: int, attributes: str = "") -> str:
+    height, width = pixels.shape[:2]
+    return (
+        f'<img src="{data_address(pixels, side)}" width="{width}" height="{height}" '
+        f'alt="{escape(alt, quote=True)}"{attributes}>'
+    )
+
+
+def _key_figures(data: ReportData) -> str:
+    told = {score.label: value for score, value in scores_told(data)}
+    figures = [("Time", *_duration(data.seconds.get("total", 0.0)))]
+    for label in ("PSNR", "Chamfer distance", "Normal error"):
+        if label in told:
+            value, _, unit = told[label].partition(" ")
+            figures.append((label, value, unit))
+    figures.append(("Gaussians", short_number(sum(data.gaussians.values())), ""))
+    if data.mesh is not None:
+        figures.append(("Faces", short_number(data.mesh.faces), ""))
+    cells = (
+        f"<div><dt>{escape(label)}</dt><dd>{escape(value)}<small>{escape(unit)}</small></dd></div>"
+        for label, value, unit in figures
+    )
+    return f'<dl class="key">{"".join(cells)}</dl>'
+
+
+def _duration(seconds: float) -> tuple[str, str]:
+    if seconds < 120:
+        return f"{seconds:.0f}" if seconds >= 10 else f"{seconds:.1f}", "s"
+    if seconds < 7200:
+        return f"{seconds // 60:.0f}:{seconds % 60:02.0f}", "min"
+    return f"{seconds // 3600:.0f}:{seconds % 3600 // 60:02.0f}", "h"
+
+
+def _light_split(views: Sequence[TestViewPictures]) -> str:
+    if not views or views[0].transmitted is None or views[0].reflected is None:
+        return ""
+    view = views[0]
+    pair = _image(f"{view.name}: transmitted light", view.transmitted, HERO_SIDE)  # type: ignore[arg-type]
+    pair += _image("reflected light, added", view.reflected, HERO_SIDE, ' id="reflected"')  # type: ignore[arg-type]
+    return (
+        '<section><h2>The light, taken apart</h2><div class="split">'
+        f'<div class="tile stack">{pair}</div>'
+        '<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen '
+        "(transmitted), and light that its surface mirrors (reflected), where the learnt weight lets it through. "
+        "The mesh takes its colours from the first alone, so no highlight is baked into it.</p>"
+        '<label for="fade">Reflected light</label>'
+        '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
+        '<p class="note">All the way left: only the object’s own colour. All the way right: the full render.</p>'
+        "</div></div></section>"
+    )
+
+
+def _more_views(views: Sequence[TestViewPictures]) -> str:
+    rest = views[1:MOST_VIEWS]
+    if not rest:
+        return ""
+    rows = "".join(f"<h3>{_view_title(view)}</h3>{_view_row(view, TILE_SIDE)}" for view in rest)
+    left = len(views) - 1 - len(rest)
+    note = f'<p class="note">{left} more lie in renders/test.</p>' if left else ""
+    return f"<section><h2>More test views</h2><p>None of these photographs was trained on.</p>{rows}{note}</section>"
+
+
+def _view_title(view: TestViewPictures) -> str:
+    return escape(view.name) + ("" if view.psnr is None else f' <span class="note">{view.psnr:.1f} dB</span>')
+
+
+def _surface(data: ReportData, surface: SurfacePictures) -> str:
+    if not surface.shaded:
+        return ""
+    parts = [f"<p>{_mesh_words(data)}</p>", _sides("shaded", surface.shaded)]
+    if surface.colored:
+        parts += ["<h3>With its own colours</h3>", _sides("coloured", surface.colored)]
+    if surface.distance:
+        parts += ["<h3>Distance to the true surface</h3>", _sides("distance to the truth", surface.distance)]
+        parts.append(_distance_legend(surface.limit))
+    return f"<section><h2>The surface</h2>{''.join(parts)}</section>"
+
+
+def _mesh_words(data: ReportData) -> str:
+    if data.mesh is None:
+        return "Shaded from four sides."
+    mesh = data.mesh
+    pieces = "one piece" if mesh.components == 1 else f"{mesh.components:,} pieces"
+    rim = f"{mesh.boundary_edges:,} boundary edges" if mesh.boundary_edges else "no boundary: it is closed"
+    holes = f" around {mesh.holes:,} holes" if mesh.holes and mesh.boundary_edges else ""
+    return f"{mesh.vertices:,} vertices and {mesh.faces:,} faces in {pieces}, {rim}{holes}."
+
+
+def _sides(kind: str, pictures: Sequence[Picture]) -> str:
+    tiles = (_tile(f"Mesh, {kind}, {each.caption}", each.caption, each.pixels, TILE_SIDE) for each in pictures)
+    return f'<div class="row {COLUMNS[min(len(pictures), 6)]}">{"".join(tiles)}</div>'
+
+
+def _distance_legend(limit: float) -> str:
+    stops = "".join(
+        f'<stop offset="{index / (len(RAMP) - 1):.3f}" stop-color="rgb({r:.0f} {g:.0f} {b:.0f})"/>'
+        for index, (r, g, b) in enumerate(RAMP)
+    )
+    return (
+        '<div class="legend"><span>0</span><svg viewBox="0 0 100 5" preserveAspectRatio="none" aria-hidden="true">'
+        f'<defs><linearGradient id="ramp">{stops}</linearGradient></defs><rect width="100" height="5" '
+        f'fill="url(#ramp)"/></svg><span>{limit:.1%} of the object’s radius, or more</span></div>'
+    )
+
+
+def _curves(data: ReportData) -> str:
+    if len(data.curve) < 2:
+        return ""
+    boundaries = _boundaries(data)
+    lines = [
+        Line("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
+        Line("3D", "b", [(row.seconds, row.psnr_volumes) for row in data.curve if row.psnr_volumes is not None]),
+    ]
+    if not any(line.points for line in lines):
+        lines = [Line("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
+    error = line_chart(lines, Axes("PSNR on test views, dB", "seconds of training", "dB"), boundaries)
+    counts = [
+        Line("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
+        Line("3D", "b", [(row.seconds, row.volumes) for row in data.curve if row.volumes]),
+    ]
+    number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
+    charts = "".join(
+        f"<div><h3>{title}</h3>{chart}</div>"
+        for title, chart in (("Closeness to unseen photographs", error), ("Number of Gaussians", number))
+        if chart
+    )
+    if not charts:
+        return ""
+    return f'<section><h2>How it got there</h2><div class="charts">{charts}</div>{_curve_table(data)}</section>'
+
+
+def _boundaries(data: ReportData) -> list[Boundary]:
+    """Where each stage begins: at the last row of the one before, the nearest that the curve knows."""
+    found = [Boundary(0.0, stage_name(data.curve[0].stage))]
+    for before, row in zip(data.curve, data.curve[1:], strict=False):
+        if row.stage != before.stage:
+            found.append(Boundary(before.seconds, stage_name(row.stage)))
+    return found
+
+
+def _curve_table(data: ReportData) -> str:
+    head = ("Seconds", "Stage", "Iteration", "2D, dB", "3D, dB", "2D Gaussians", "3D Gaussians")
+    rows = [
+        (f"{row.seconds:.1f}", stage_name(row.stage), f"{row.iteration:,}", _decibels(row.psnr_surfels),
+         _decibels(row.psnr_volumes), f"{row.surfels:,}", f"{row.volumes:,}")
+        for row in data.curve
+    ]
+    return f"<details><summary>The same as a table</summary>{_table(head, rows)}</details>"
+
+
+def _decibels(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _worded_table(head: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> str:
+    """Name, value, and a sentence; on a narrow screen the sentence goes under the other two."""
+    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    body = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td class="n">{escape(value)}</td><td class="w">{escape(words)}</td></tr>'
+        for name, value, words in rows
+    )
+    return f'<div class="wide words"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _scores(data: ReportData) -> str:
+    rows = [(score.label, value, score.meaning) for score, value in scores_told(data)]
+    if not rows:
+        return ""
+    note = "" if data.gt else '<p class="note">No true surface lies beside this scene, so its shape is not scored.</p>'
+    return f"<section><h2>Scores</h2>{note}{_worded_table(('Score', 'Value', 'What it means'), rows)}</section>"
+
+
+def _decisions(data: ReportData) -> str:
+    rows = [(each.what, each.choice, each.why) for each in data.decisions or tell_decisions(data)]
+    table = _worded_table(("What", "Choice", "Why"), rows)
+    return f"<section><h2>What was decided, and why</h2>{table}</section>" if rows else ""
+
+
+def _settings(data: ReportData) -> str:
+    facts = [("Preset", data.preset), ("Method", data.method), ("Device", data.device), ("Seed", str(data.seed))]
+    facts += [(f"Gaussians, {name}", f"{count:,}") for name, count in data.gaussians.items()]
+    facts += [("Most memory held", f"{data.peak_memory_mib:,.0f} MiB")]
+    facts += [(f"Seconds, {_step_name(name)}", f"{value:.1f}") for name, value in data.seconds.items()]
+    facts += [(f"Version of {name}", str(value)) for name, value in data.versions.items()]
+    machine = data.other.get("machine") or {}
+    facts += [(f"Machine, {name}", str(value)) for name, value in machine.items()]
+    rows = "".join(f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in facts)
+    command = f"<h3>Command</h3><pre>{escape(data.command)}</pre>" if data.command else ""
+    return (
+        f'<section><h2>To run it again</h2>{command}<div class="wide"><table><tbody>{rows}</tbody></table></div>'
+        f"{_all_settings(data)}</section>"
+    )
+
+
+def _step_name(name: str) -> str:
+    return name if name in STEPS else stage_name(name)
+
+
+def _all_settings(data: ReportData) -> str:
+    settings = data.other.get("settings")
+    if not settings:
+        return ""
+    text = json.dumps(finite(settings), indent=2, ensure_ascii=False, default=str)
+    return f"<details><summary>All settings</summary><pre>{escape(text)}</pre></details>"

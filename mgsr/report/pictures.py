@@ -1,0 +1,100 @@
+"""The pictures that a report shows, and how plain arrays become such pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+
+# Depth and distance, from near or none to far or much: light to dark, so that it also reads without colour.
+RAMP = np.array(
+    [[252, 246, 219], [250, 214, 134], [245, 163, 78], [224, 101, 65], [176, 50, 80], [110, 25, 92], [44, 12, 66]],
+    np.float32,
+)
+
+
+@dataclass(frozen=True)
+class TestViewPictures:
+    """One test view. Each picture is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
+
+    reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
+    """
+
+    name: str
+    photo: np.ndarray
+    render: np.ndarray
+    transmitted: np.ndarray | None = None
+    reflected: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    mesh: np.ndarray | None = None
+    psnr: float | None = None
+
+    # The name begins with "Test", but this is no test case.
+    __test__ = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture, uint8 [H,W,3] or [H,W,4], and the words under it."""
+
+    caption: str
+    pixels: np.ndarray
+
+
+@dataclass(frozen=True)
+class SurfacePictures:
+    """The surface from several sides: shaded, with its own colours, and coloured by the distance to the truth, whose
+    scale ends at `limit` of the truth's bounding radius. Empty lists where there is nothing to show."""
+
+    shaded: list[Picture] = field(default_factory=list)
+    colored: list[Picture] = field(default_factory=list)
+    distance: list[Picture] = field(default_factory=list)
+    limit: float = 0.01
+
+
+@dataclass(frozen=True)
+class ReportPictures:
+    """All pictures of a report; the first view is the one at the top."""
+
+    views: Sequence[TestViewPictures] = ()
+    surface: SurfacePictures = field(default_factory=SurfacePictures)
+
+
+def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
+    """uint8 [H,W,3] from colours 0..1; with alpha [H,W] 0..1, uint8 [H,W,4] with straight colours taken as given."""
+    channels = color if alpha is None else np.concatenate([color, alpha[..., None]], axis=-1)
+    return np.clip(np.rint(np.nan_to_num(channels) * 255), 0, 255).astype(np.uint8)
+
+
+def premultiplied_picture(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """uint8 [H,W,4] with straight alpha, from colours [H,W,3] that are multiplied by alpha [H,W], 0..1."""
+    return color_picture(np.clip(color / np.maximum(alpha, 1e-6)[..., None], 0, 1), np.clip(alpha, 0, 1))
+
+
+def normal_picture(normal: np.ndarray, camera: Camera, alpha: np.ndarray) -> np.ndarray:
+    """uint8 [H,W,4]: world normals [H,W,3] turned into the camera's frame; red is right, green up, blue towards it."""
+    local = normal @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
+    length = np.linalg.norm(local, axis=-1, keepdims=True)
+    return color_picture(local / np.maximum(length, 1e-6) * 0.5 + 0.5, np.clip(alpha, 0, 1))
+
+
+def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """uint8 [H,W,4]: near is light, far is dark, between the depths' 1st and 99th percentile; 0 is nothing."""
+    seen = (depth > 0) & (alpha > 0.5)
+    if not seen.any():
+        return np.zeros((*depth.shape, 4), np.uint8)
+    low, high = np.percentile(depth[seen], (1, 99))
+    shade = ramp((depth - low) / max(high - low, 1e-9))
+    return color_picture(shade, np.where(depth > 0, np.clip(alpha, 0, 1), 0))
+
+
+def ramp(values: np.ndarray) -> np.ndarray:
+    """Colours [...,3] 0..1 of values, clipped to 0..1."""
+    place = np.clip(np.nan_to_num(values), 0, 1) * (len(RAMP) - 1)
+    low = np.minimum(place.astype(int), len(RAMP) - 2)
+    part = (place - low)[..., None]
+    return (RAMP[low] * (1 - part) + RAMP[low + 1] * part) / 255

@@ -1,0 +1,91 @@
+"""Rendered views as image files.
+
+Per view: `<name>.png` and `<name>_transmitted.png`, 8-bit RGBA with straight alpha; `<name>_reflected.png`, 8-bit RGB;
+`<name>_weight.png`, 8-bit grey, 255 is 1; `<name>_depth.png`, 16-bit grey, 0 where nothing is, else camera z in the
+user's unit after multiplication with the number in the file's text field `depth_scale`; `<name>_normal.png`, 8-bit
+RGBA, world normal n as 255 (n + 1) / 2 with straight alpha.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+
+from mgsr.errors import MgsrError, SceneError
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """One view's images, float. color [H,W,3] and transmitted [H,W,3]: sRGB 0..1, straight (`straight_color`); alpha
+    [H,W] 0..1; reflected [H,W,3] sRGB; weight [H,W] 0..1; depth [H,W] camera z in the user's unit, 0 where nothing
+    is; normal [H,W,3] world frame, of any length. What is None is not written."""
+
+    color: np.ndarray
+    alpha: np.ndarray
+    transmitted: np.ndarray | None = None
+    reflected: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    normal: np.ndarray | None = None
+
+
+def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """The colour [H,W,3] of what was rendered on black with alpha [H,W], 0..1; black where alpha rounds to nothing."""
+    visible = alpha[..., None] >= 0.5 / 255
+    return np.where(visible, np.clip(on_black / np.maximum(alpha[..., None], 1e-6), 0, 1), 0)
+
+
+def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
+    """Write a view's images as the module says; their paths.
+
+    name: the view's, without extension; folders in it are made. Raises SceneError for one that leads outside.
+    """
+    images: dict[str, np.ndarray] = {"": _rgba(view.color, view.alpha)}
+    notes: dict[str, str] = {}
+    if view.transmitted is not None:
+        images["_transmitted"] = _rgba(view.transmitted, view.alpha)
+    if view.reflected is not None:
+        images["_reflected"] = _bytes(view.reflected)
+    if view.weight is not None:
+        images["_weight"] = _bytes(view.weight[..., None])
+    if view.depth is not None:
+        scale = float(view.depth.max()) / 65535 or 1.0
+        images["_depth"] = np.rint(view.depth / scale).astype(np.uint16)[..., None]
+        notes["_depth"] = repr(scale)
+    if view.normal is not None:
+        lengths = np.linalg.norm(view.normal, axis=-1, keepdims=True)
+        images["_normal"] = _rgba((view.normal / np.maximum(lengths, 1e-9) + 1) / 2, view.alpha)
+    return [_write(_path(folder, name + suffix), image, notes.get(suffix)) for suffix, image in images.items()]
+
+
+def _path(folder: Path, name: str) -> Path:
+    path = folder / f"{name}.png"
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise SceneError(f"view name {name!r}: expected one that stays inside {folder}; rename the image")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _rgba(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    return np.concatenate([_bytes(color), _bytes(alpha[..., None])], axis=-1)
+
+
+def _bytes(image: np.ndarray) -> np.ndarray:
+    return np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
+
+
+def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:
+    height, width, channels = image.shape
+    spec = OpenImageIO.ImageSpec(width, height, channels, "uint16" if image.dtype == np.uint16 else "uint8")
+    if channels == 4:
+        spec.attribute("oiio:UnassociatedAlpha", 1)  # the colours are straight already: leave them alone
+    if depth_scale is not None:
+        spec.attribute("depth_scale", depth_scale)
+    output = OpenImageIO.ImageOutput.create(str(path))
+    if output is None or not output.open(str(path), spec) or not output.write_image(np.ascontiguousarray(image)):
+        raise MgsrError(f"{path}: can't be written: {output.geterror() if output else OpenImageIO.geterror()}")
+    output.close()
+    return path

@@ -1,0 +1,165 @@
+"""Splats as PLY in the layout that splat viewers read, and back.
+
+Properties, all float: x y z; nx ny nz (0 here); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other
+coefficients, all of red, then green, then blue, padded with zeros to degree 3 because some viewers expect that many;
+opacity (logit); scale_0..2 (log); rot_0..3 (wxyz).
+
+Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
+refl_opacity (logit), weight (beta's logit) and refl_f_dc_0..2, refl_f_rest_0.. (ordered as above, unpadded); viewers
+skip them and show the transmitted half. Comments tell the kind and how many coefficients are real.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from mgsr.data.scene import Similarity
+from mgsr.errors import SceneError
+
+Splats = dict[str, np.ndarray]
+
+SURFEL_THICKNESS = 1e-6
+FULL_SH = 16
+_SHAPES = {
+    "means": (3,),
+    "quats": (4,),
+    "opacity_logits": (),
+    "refl_opacity_logits": (),
+    "weight_logits": (),
+}
+_SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
+
+
+def write_splats(path: Path, splats: Splats, user_from_scene: Similarity | None = None) -> None:
+    """Write splats as a PLY in the user's frame.
+
+    splats, float32 in the scene's frame: means [N,3], quats [N,4] wxyz, log_scales [N,3] or [N,2] (surfels),
+    opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
+    weight_logits [N], refl_sh [N,K',3]. Without a similarity the frame stays.
+
+    Raises SceneError for arrays that are missing, not known or of the wrong shape.
+    """
+    _check(splats)
+    frame = user_from_scene or Similarity()
+    columns = _columns(splats, frame)
+    rows = np.empty(len(splats["means"]), [(name, "<f4") for name in columns])
+    for name, values in columns.items():
+        rows[name] = values
+    kind = "surfels" if splats["log_scales"].shape[1] == 2 else "volumes"
+    comments = [f"mgsr kind {kind}", f"mgsr sh_coefficients {splats['sh'].shape[1]}"]
+    PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments).write(str(path))
+
+
+def load_splats(path: Path) -> Splats:
+    """The arrays of `write_splats`, float32, in the file's (the user's) frame.
+
+    Files of other programs are read too: as volumes, with all the coefficients that they have. Raises SceneError for
+    a file that is no such PLY.
+    """
+    try:
+        data = PlyData.read(str(path))
+        vertex = data["vertex"]
+    except (PlyParseError, KeyError, OSError) as error:
+        raise SceneError(f"{path}: expected a PLY of splats: {error}") from error
+    names = {item.name for item in vertex.properties}
+    missing = [name for name in ("x", "f_dc_0", "opacity", "scale_0", "rot_0") if name not in names]
+    if missing:
+        raise SceneError(f"{path}: expected splats in the viewers' layout; it has no {', '.join(missing)}")
+    notes = _notes(data.comments)
+    return _splats(vertex, names, notes)
+
+
+def _notes(comments: list[str]) -> dict[str, str]:
+    """What `write_splats` said of the file: "mgsr KEY VALUE" lines."""
+    words = [comment.split() for comment in comments]
+    return {line[1]: line[2] for line in words if len(line) == 3 and line[0] == "mgsr"}
+
+
+def _splats(vertex: PlyElement, names: set[str], notes: dict[str, str]) -> Splats:
+    def stack(prefix: str, count: int) -> np.ndarray:
+        return np.stack([np.asarray(vertex[f"{prefix}{index}"], np.float32) for index in range(count)], axis=1)
+
+    sh = _load_sh(vertex, names, "")
+    stored = int(notes.get("sh_coefficients", str(sh.shape[1])))
+    splats = {
+        "means": np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=1),
+        "quats": stack("rot_", 4),
+        "log_scales": stack("scale_", 2 if notes.get("kind") == "surfels" or "scale_2" not in names else 3),
+        "opacity_logits": np.asarray(vertex["opacity"], np.float32),
+        "sh": sh[:, :stored],
+    }
+    if "refl_opacity" in names:
+        splats["refl_opacity_logits"] = np.asarray(vertex["refl_opacity"], np.float32)
+        splats["weight_logits"] = np.asarray(vertex["weight"], np.float32)
+        splats["refl_sh"] = _load_sh(vertex, names, "refl_")
+    return splats
+
+
+def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
+    rest = sum(name.startswith(f"{prefix}f_rest_") for name in names)
+    dc = np.stack([np.asarray(vertex[f"{prefix}f_dc_{channel}"], np.float32) for channel in range(3)], axis=1)
+    if rest == 0:
+        return dc[:, None]
+    flat = np.stack([np.asarray(vertex[f"{prefix}f_rest_{index}"], np.float32) for index in range(rest)], axis=1)
+    higher = flat.reshape(len(flat), 3, rest // 3).transpose(0, 2, 1)
+    return np.concatenate([dc[:, None], higher], axis=1)
+
+
+def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
+    means = frame.to_user(splats["means"].astype(np.float64))
+    zero = np.zeros(len(means), np.float32)
+    columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), [*means.T, zero, zero, zero], strict=True))
+    columns |= _sh_columns(splats["sh"], "", FULL_SH)
+    columns["opacity"] = splats["opacity_logits"]
+    # In float64, so that a unit scale returns the very bits that went in.
+    scales = splats["log_scales"].astype(np.float64) + math.log(frame.scale)
+    if scales.shape[1] == 2:
+        thin = np.full((len(scales), 1), math.log(SURFEL_THICKNESS * frame.scale))
+        scales = np.concatenate([scales, thin], axis=1)
+    columns |= {f"scale_{axis}": scales[:, axis] for axis in range(3)}
+    columns |= {f"rot_{part}": splats["quats"][:, part] for part in range(4)}
+    if "refl_sh" in splats:
+        columns["refl_opacity"], columns["weight"] = splats["refl_opacity_logits"], splats["weight_logits"]
+        columns |= _sh_columns(splats["refl_sh"], "refl_", splats["refl_sh"].shape[1])
+    return columns
+
+
+def _sh_columns(sh: np.ndarray, prefix: str, coefficients: int) -> dict[str, np.ndarray]:
+    """sh [N,K,3], padded with zeros to `coefficients`: the constant terms, then the rest channel by channel."""
+    padded = np.zeros((len(sh), coefficients, 3), np.float32)
+    padded[:, : sh.shape[1]] = sh
+    columns = {f"{prefix}f_dc_{channel}": padded[:, 0, channel] for channel in range(3)}
+    rest = padded[:, 1:].transpose(0, 2, 1).reshape(len(sh), 3 * (coefficients - 1))
+    return columns | {f"{prefix}f_rest_{index}": rest[:, index] for index in range(rest.shape[1])}
+
+
+def _check(splats: Splats) -> None:
+    needed = {"means", "quats", "log_scales", "opacity_logits", "sh"}
+    given = set(splats)
+    split = given & set(_SPLIT)
+    if not needed <= given or (split and split != set(_SPLIT)) or given - needed - set(_SPLIT):
+        raise SceneError(f"splats: expected {sorted(needed)} and all or none of {list(_SPLIT)}, got {sorted(given)}")
+    count = len(splats["means"])
+    for name, array in splats.items():
+        if not _fits(name, array.shape, count):
+            raise SceneError(f"splats: {name}: expected {_wanted(name, count)}, got {list(array.shape)}")
+
+
+def _fits(name: str, shape: tuple[int, ...], count: int) -> bool:
+    if name == "log_scales":
+        return shape in ((count, 2), (count, 3))
+    if name in ("sh", "refl_sh"):
+        return len(shape) == 3 and shape[0] == count and shape[1] in (1, 4, 9, 16) and shape[2] == 3
+    return shape == (count, *_SHAPES[name])
+
+
+def _wanted(name: str, count: int) -> str:
+    if name == "log_scales":
+        return f"[N={count}, 2 or 3]"
+    if name in ("sh", "refl_sh"):
+        return f"[N={count}, 1 or 4 or 9 or 16, 3]"
+    return f"[N={', '.join(map(str, (count, *_SHAPES[name])))}]"

@@ -1,0 +1,93 @@
+"""Mesh files, read back by other libraries."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from plyfile import PlyData
+
+from mgsr.errors import MeshError
+from mgsr.export.mesh_files import UpAxis, srgb_to_linear, write_glb, write_ply
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def ball(offset: float = 0.0) -> Arrays:
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    colors = np.random.default_rng(0).random((len(mesh.vertices), 3))
+    return mesh.vertices + offset, mesh.faces, np.array(mesh.vertex_normals), colors
+
+
+def test_ply_holds_what_was_given(tmp_path: Path) -> None:
+    vertices, faces, normals, colors = ball()
+    write_ply(tmp_path / "mesh.ply", vertices, faces, normals, colors)
+    data = PlyData.read(str(tmp_path / "mesh.ply"))
+    read = data["vertex"]
+    np.testing.assert_allclose(np.stack([read[axis] for axis in "xyz"], 1), vertices, atol=1e-7)
+    np.testing.assert_allclose(np.stack([read[name] for name in ("nx", "ny", "nz")], 1), normals, atol=1e-7)
+    shades = np.stack([read[name] for name in ("red", "green", "blue")], 1)
+    assert shades.dtype == np.uint8
+    np.testing.assert_allclose(shades / 255, colors, atol=0.5 / 255 + 1e-9)
+    np.testing.assert_array_equal(np.stack(data["face"]["vertex_indices"]), faces)
+
+
+def test_ply_far_from_the_origin_keeps_its_shape(tmp_path: Path) -> None:
+    vertices, faces, normals, colors = ball(offset=5e6)
+    write_ply(tmp_path / "mesh.ply", vertices, faces, normals, colors)
+    read = PlyData.read(str(tmp_path / "mesh.ply"))["vertex"]
+    np.testing.assert_allclose(np.stack([read[axis] for axis in "xyz"], 1), vertices, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("offset", [0.0, 5e6])
+def test_glb_holds_what_was_given(tmp_path: Path, offset: float) -> None:
+    vertices, faces, normals, colors = ball(offset)
+    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors)
+    scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
+    (node,) = scene.graph.nodes_geometry
+    pose, name = scene.graph[node]
+    mesh = scene.geometry[name]
+    np.testing.assert_allclose(trimesh.transform_points(mesh.vertices, pose), vertices, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_allclose(mesh.vertex_normals, normals, atol=1e-6)
+
+
+def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
+    vertices, faces, normals, _ = ball()
+    colors = np.linspace(0, 0.1, len(vertices) * 3).reshape(-1, 3)  # dark: 8 linear bits would keep three levels
+    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors)
+    data = (tmp_path / "mesh.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    view = document["bufferViews"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    stored = np.frombuffer(data[28 + length :], "<u2", len(vertices) * 4, view["byteOffset"]).reshape(-1, 4)
+    # The sRGB curve's other direction, as IEC 61966-2-1 has it.
+    linear = stored[:, :3] / 65535
+    back = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(back, colors, atol=2e-4)
+    assert (stored[:, 3] == 65535).all()
+
+
+def test_glb_turns_z_up_meshes(tmp_path: Path) -> None:
+    vertices, faces, normals, colors = ball()
+    write_glb(tmp_path / "mesh.glb", vertices * [1, 1, 3], faces, normals, colors, UpAxis.Z)
+    bounds = trimesh.load_scene(tmp_path / "mesh.glb").bounds
+    np.testing.assert_allclose(bounds[1], [1, 3, 1], atol=0.05)
+
+
+def test_srgb_curve_ends() -> None:
+    np.testing.assert_allclose(srgb_to_linear(np.array([0.0, 0.5, 1.0])), [0, 0.21404, 1], atol=1e-5)
+
+
+@pytest.mark.parametrize("write", [write_ply, write_glb])
+def test_bad_meshes_are_refused(tmp_path: Path, write) -> None:
+    vertices, faces, normals, colors = ball()
+    with pytest.raises(MeshError, match="at least one face"):
+        write(tmp_path / "mesh", vertices, faces[:0], normals, colors)
+    with pytest.raises(MeshError, match="colors: expected"):
+        write(tmp_path / "mesh", vertices, faces, normals, colors[:-1])
+    with pytest.raises(MeshError, match="faces: expected"):
+        write(tmp_path / "mesh", vertices, faces + 1, normals, colors)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
+from typing import IO
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn
@@ -23,8 +23,8 @@ class RunDisplay:
 
     def __init__(self, log: Path, append: bool, console: Console | None = None) -> None:
         self._console = console or Console(stderr=False, highlight=False)
-        self._log: TextIO | None = None
-        self._path, self._mode = log, "a" if append else "w"
+        self._log: IO[str] | None = None
+        self._path, self._mode = log, ("a" if append else "w")
         self._bar = _make_bar(self._console) if self._console.is_terminal else None
         self._task = None if self._bar is None else self._bar.add_task("starting", total=1.0, detail="")
         self._begun = time.monotonic()
@@ -71,7 +71,8 @@ class RunDisplay:
     def _write_log(self, text: str) -> None:
         if self._log is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._log = self._path.open(self._mode, encoding="utf-8", buffering=1)
+            # Line by line: a run that is killed keeps its log.
+            self._log = open(self._path, self._mode, encoding="utf-8", buffering=1)  # noqa: SIM115
         self._log.write(f"{time.monotonic() - self._begun:8.1f}s  {text}\n")
 
 
@@ -92,4 +93,5 @@ def _clock(seconds: float) -> str:
 
 
 def _make_bar(console: Console) -> Bar:
-    return Bar(TextColumn("{task.description:8}"), BarColumn(bar_width=24), TextColumn("{task.detail}"), console=console)
+    columns = (TextColumn("{task.description:8}"), BarColumn(bar_width=24), TextColumn("{task.detail}"))
+    return Bar(*columns, console=console)

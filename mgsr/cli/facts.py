@@ -1,10 +1,11 @@
-"""The part of report.json that says what was run, on what, and how long it took."""
+"""What report.json says: what was run, on what, how long it took, and what came of it."""
 
 from __future__ import annotations
 
 import os
 import platform
 import resource
+import shlex
 import sys
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -17,34 +18,45 @@ from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.mesh.surface import SurfaceMesh, topology
 from mgsr.native.runtime import isas
-from mgsr.training.progress import CurveRow, TrainResult
+from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
+from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
 
 
-def run_facts(
-    scene: Scene, path: Path, config: Config, device: Device, trained: TrainResult, clock: StepClock
-) -> dict[str, Any]:
-    """Everything that report.json says but the mesh and the scores (README, "What comes out")."""
-    return {
-        "scene": scene.name,
-        "preset": config.preset,
-        "method": config.method,
-        "device": str(device),
-        "seed": config.seed,
-        "versions": _versions(),
-        "machine": _machine(),
-        "input": _input(scene, path),
-        "settings": asdict(config),
-        "seconds": _seconds(trained, clock),
-        "iterations": {
-            stage.name: {"iterations": stage.iterations, "stopped": stage.stop_reason} for stage in trained.stages
-        },
-        "gaussians": Models(trained.surfels, trained.volumes).counts,
-        "curve": [_curve_row(row) for row in trained.curve],
-        "peak_memory_mib": peak_memory_mib(),
-    }
+def run_report(
+    scene: Scene,
+    path: Path,
+    config: Config,
+    device: Device,
+    trained: TrainResult,
+    mesh: SurfaceMesh,
+    scores: dict[str, Any],
+    clock: StepClock,
+) -> ReportData:
+    """Everything that report.json says; scores: psnr_test, ssim_test, gt and whatever else was measured."""
+    known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
+    counts = topology(mesh.vertices, mesh.faces)
+    return ReportData(
+        scene=scene.name,
+        preset=config.preset,
+        method=config.method,
+        device=str(device),
+        seed=config.seed,
+        versions=_versions(),
+        seconds=_seconds(trained, clock),
+        iterations={stage.name: StageRun(stage.iterations, stage.stop_reason) for stage in trained.stages},
+        gaussians=Models(trained.surfels, trained.volumes).counts,
+        curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
+        mesh=MeshFacts(**asdict(counts)),
+        peak_memory_mib=peak_memory_mib(),
+        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        other={"input": _input(scene, path), "settings": asdict(config), "machine": _machine()}
+        | {name: value for name, value in scores.items() if name not in known},
+        **known,
+    )
 
 
 def scene_line(scene: Scene) -> str:
@@ -105,7 +117,3 @@ def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:
     stages = {stage.name: stage.seconds for stage in trained.stages}
     before = trained.seconds - clock.steps["train"]
     return {"total": clock.total + max(0.0, before), **clock.steps, "train": trained.seconds, **stages}
-
-
-def _curve_row(row: CurveRow) -> dict[str, Any]:
-    return asdict(row) | {"psnr": row.psnr}

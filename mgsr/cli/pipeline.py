@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from mgsr.cli import outputs
 from mgsr.cli.clock import StepClock
 from mgsr.cli.device import pick_device
-from mgsr.cli.evaluation import image_scores, surface_scores
+from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
 from mgsr.cli.events import Event, EventCallback, ignore
-from mgsr.cli.facts import run_facts, scene_line
+from mgsr.cli.facts import run_report, scene_line
+from mgsr.cli.gallery import report_pictures
 from mgsr.cli.models import Models
-from mgsr.cli.rendering import RenderedView, render_views, scene_silhouettes, surface_views
+from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
 from mgsr.config import Config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.data.starting_points import starting_points
 from mgsr.errors import Cancelled
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import SurfaceMesh, topology
+from mgsr.mesh.surface import SurfaceMesh
+from mgsr.report.data import ReportData
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import train
 
@@ -33,6 +33,21 @@ StopCheck = Callable[[], bool]
 def never() -> bool:
     """For callers that will not stop a run."""
     return False
+
+
+class Steps:
+    """Announces each step, times it, and heeds the wish to stop before it begins."""
+
+    def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
+        self.clock = clock
+        self._progress = progress
+        self._should_stop = should_stop
+
+    def __call__(self, step: str, text: str) -> AbstractContextManager[None]:
+        if self._should_stop():
+            raise Cancelled(f"stopped on request before the step {step}")
+        self._progress(Event(step, text))
+        return self.clock.step(step)
 
 
 def run_scene(
@@ -54,7 +69,7 @@ def run_scene(
     (the checkpoint then holds what was trained).
     """
     chosen = pick_device(device)
-    step = _Steps(StepClock(), progress, should_stop)
+    step = Steps(StepClock(), progress, should_stop)
     with step("load", f"reading {scene_path}"):
         scene = load_scene(scene_path, config.data)
         outputs.clear_reports(out)
@@ -68,12 +83,15 @@ def run_scene(
         outputs.write_renders(out, rendered, scene)
     with step("mesh", "extracting the surface"):
         mesh = make_mesh(models, scene, config)
-        outputs.write_mesh_files(out, mesh, scene)
+        outputs.write_mesh(out, mesh, scene)
     with step("evaluate", "measuring"):
-        scores = evaluate(rendered, mesh, scene)
-    facts = run_facts(scene, scene_path, config, chosen, trained, step.clock)
-    report = facts | {"mesh": mesh_facts(mesh)} | scores
-    outputs.write_reports(out, report, rendered, scene)
+        truth = find_truth(scene)
+        scores = image_scores(rendered, scene) | surface_scores(mesh, truth, scene)
+    with step("report", "writing the report"):
+        psnr = [view["psnr"] for view in scores["views"].values()]
+        pictures = report_pictures(rendered, psnr, mesh, truth, scene)
+    report = run_report(scene, scene_path, config, chosen, trained, mesh, scores, step.clock)
+    outputs.write_reports(out, report, pictures)
     progress(Event("report", result_line(report)))
     return out / outputs.REPORT
 
@@ -82,7 +100,7 @@ def train_scene(
     scene: Scene,
     config: Config,
     out: Path,
-    step: StepRunner,
+    step: Steps,
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
     resume: bool = False,
@@ -106,43 +124,16 @@ def train_scene(
 
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
-    """The surface in the scene's frame. Raises MeshError, with the reason, where none comes out."""
-    return extract_mesh(surface_views(models, scene, config), config.mesh, scene_silhouettes(scene))
+    """The surface in the user's frame. Raises MeshError, with the reason, where none comes out."""
+    mesh = extract_mesh(surface_views(models, scene, config), config.mesh, scene_silhouettes(scene))
+    return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
 
 
-def evaluate(rendered: list[RenderedView], mesh: SurfaceMesh, scene: Scene) -> dict[str, Any]:
-    """psnr_test, ssim_test and the like; gt and split where the scene has the truth for them."""
-    user_mesh = outputs.in_user_frame(mesh, scene)
-    return image_scores(rendered, scene) | surface_scores(user_mesh.vertices, user_mesh.faces, scene)
-
-
-def mesh_facts(mesh: SurfaceMesh) -> dict[str, int]:
-    """Counts of vertices, faces, components, boundary edges and holes."""
-    counts = topology(mesh.vertices, mesh.faces)
-    return {name: int(value) for name, value in vars(counts).items()}
-
-
-def result_line(report: dict[str, Any]) -> str:
+def result_line(report: ReportData) -> str:
     """The run's result in one line."""
-    parts = [f"done in {report['seconds']['total']:.1f} s", f"mesh of {report['mesh']['faces']} faces"]
-    if report.get("psnr_test") is not None:
-        parts.append(f"PSNR {report['psnr_test']:.2f} dB on {len(report['input']['test_views'])} test views")
+    parts = [f"done in {report.seconds['total']:.1f} s"]
+    if report.mesh is not None:
+        parts.append(f"mesh of {report.mesh.faces} faces")
+    if report.psnr_test is not None:
+        parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
     return ", ".join(parts)
-
-
-StepRunner = Callable[[str, str], AbstractContextManager[None]]
-
-
-class _Steps:
-    """Announces each step, times it, and heeds the wish to stop before it begins."""
-
-    def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
-        self.clock = clock
-        self._progress = progress
-        self._should_stop = should_stop
-
-    def __call__(self, step: str, text: str) -> AbstractContextManager[None]:
-        if self._should_stop():
-            raise Cancelled(f"stopped on request before the step {step}")
-        self._progress(Event(step, text))
-        return self.clock.step(step)

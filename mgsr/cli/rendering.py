@@ -13,6 +13,7 @@ from mgsr.cli.models import Models
 from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, View
+from mgsr.export.renders import straight_color
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import Silhouette, SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
@@ -25,7 +26,7 @@ OBJECT_ALPHA = 128
 
 
 @dataclass(frozen=True)
-class RenderedView:
+class ViewImages:
     """One camera's images, float32, rendered over black, so colours are premultiplied by alpha.
 
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
@@ -43,12 +44,8 @@ class RenderedView:
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
 
-    def on_white(self) -> np.ndarray:
-        """[H,W,3] 0..1: the colour over white."""
-        return np.clip(self.color + (1 - self.alpha[..., None]), 0, 1)
 
-
-def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[RenderedView]:
+def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
     """Each view's camera seen by the branches, one after the other.
 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
@@ -72,25 +69,16 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
     return [Silhouette(view.camera, view.alpha >= OBJECT_ALPHA) for view in scene.train if view.alpha is not None]
 
 
-def photograph_on_white(view: View) -> np.ndarray:
-    """[H,W,3] float32 0..1: what a rendering over white is compared with."""
-    color = view.image.astype(np.float32) / 255
-    if view.alpha is None:
-        return color
-    alpha = view.alpha.astype(np.float32)[..., None] / 255
-    return color * alpha + (1 - alpha)
-
-
-def _render_view(models: Models, view: View, config: Config) -> RenderedView:
+def _render_view(models: Models, view: View, config: Config) -> ViewImages:
     flat, full = _see(models, view.camera, depth=True)
     depth, normal = _surface(flat, full, view.camera, config)
     if full is None:
         assert flat is not None
-        return RenderedView(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal)
+        return ViewImages(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal)
     light = [None if image is None else _numpy(image) for image in (full.reflected, full.weight)]
     transmitted = None if full.reflected is None else _numpy(full.transmitted)
     images = (_numpy(full.color), _numpy(full.alpha), depth, normal, transmitted)
-    return RenderedView(view.name, view.camera, *images, *light)
+    return ViewImages(view.name, view.camera, *images, *light)
 
 
 def _surface_view(models: Models, camera: Camera, config: Config) -> SurfaceView:
@@ -122,13 +110,8 @@ def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind:
     """Straight colour, so that the mesh gets no dark rim where the splats thin out."""
     outputs = full if full is not None else flat
     assert outputs is not None
-    whole = full is None or kind is MeshColor.FULL
-    return straight(_numpy(outputs.color if whole else full.transmitted), _numpy(outputs.alpha))  # type: ignore[union-attr]
-
-
-def straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Colours [H,W,3] 0..1 that give the premultiplied ones when multiplied by alpha [H,W]."""
-    return np.clip(premultiplied / np.maximum(alpha, 1e-6)[..., None], 0, 1)
+    color = full.transmitted if full is not None and kind is MeshColor.TRANSMITTED else outputs.color
+    return straight_color(_numpy(color), _numpy(outputs.alpha))
 
 
 def _numpy(image: Tensor) -> np.ndarray:

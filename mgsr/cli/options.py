@@ -1,0 +1,54 @@
+"""The options that several commands share, and how they become settings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mgsr.cli.signals import INTERRUPTED
+from mgsr.config import METHODS, PRESETS
+from mgsr.errors import Cancelled, MgsrError
+
+REFUSED = 2
+
+SceneArgument = Annotated[
+    Path, typer.Argument(metavar="SCENE", help="A folder or .zip of posed photographs (docs/inputs.md).")
+]
+OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
+PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]
+MethodOption = Annotated[str, typer.Option(help=f"Which branches: {', '.join(METHODS)}.", metavar="METHOD")]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda (not in this version).", metavar="DEVICE")]
+SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.", min=0)]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in OUT, if there is one.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (mgsr/config.py); may be repeated."),
+]
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130."""
+    try:
+        yield
+    except Cancelled as stop:
+        _say(f"{stop}. To go on, give the same command with --resume.")
+        raise typer.Exit(INTERRUPTED) from None
+    except KeyboardInterrupt:
+        _say("stopped at once; the last checkpoint is kept. To go on, give the same command with --resume.")
+        raise typer.Exit(INTERRUPTED) from None
+    except MgsrError as error:
+        _say(f"error: {error}")
+        raise typer.Exit(REFUSED) from None
+    except OSError as error:
+        _say(f"error: {error}; look at the path, its rights and the free space")
+        raise typer.Exit(REFUSED) from None
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)

@@ -1,0 +1,127 @@
+"""The files of a result folder: their names, and how each is written whole and in the user's frame."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from mgsr.cli.models import Models
+from mgsr.cli.rendering import ViewImages
+from mgsr.cli.whole import whole
+from mgsr.data.scene import Scene
+from mgsr.errors import MgsrError
+from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.renders import RenderedView, straight_color, write_view
+from mgsr.export.splats import load_splats, write_splats
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.mesh.surface import SurfaceMesh
+from mgsr.report.data import ReportData
+from mgsr.report.html import write_report_html
+from mgsr.report.pictures import ReportPictures
+from mgsr.report.shading import up_direction
+
+MESH = "mesh.ply"
+MESH_GLB = "mesh.glb"
+SURFELS = "splats_2d.ply"
+VOLUMES = "splats_3d.ply"
+RENDERS = "renders/test"
+REPORT = "report.json"
+REPORT_HTML = "report.html"
+LOG = "log.txt"
+CHECKPOINT = "checkpoint"
+
+# The vertical share of the cameras' up direction from which a frame counts as z-up; others are taken as y-up.
+Z_UP = 0.7
+
+
+def clear_reports(out: Path) -> None:
+    """Remove an earlier run's reports: a folder with a report holds a finished run."""
+    for name in (REPORT, REPORT_HTML):
+        (out / name).unlink(missing_ok=True)
+
+
+def write_models(out: Path, models: Models, scene: Scene) -> None:
+    """The branches as splat files; a branch that is not there leaves none, also none of an earlier run."""
+    for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
+        if model is None:
+            (out / name).unlink(missing_ok=True)
+            continue
+        arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
+        with whole(out / name) as path:
+            write_splats(path, arrays, scene.user_from_scene)
+
+
+def read_models(out: Path, scene: Scene) -> Models:
+    """The branches that an earlier run left in `out`, in the scene's frame. Raises MgsrError where there are none."""
+    found = {name: _read_tensors(out / name, scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
+    if not found:
+        raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
+    surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
+    volumes = VolumeModel(**found[VOLUMES]) if VOLUMES in found else None
+    return Models(surfels, volumes)
+
+
+def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene) -> None:
+    """mesh.ply and mesh.glb, of a mesh in the user's frame."""
+    arrays = (mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+    with whole(out / MESH) as path:
+        write_ply(path, *arrays)
+    up = UpAxis.Z if abs(up_direction([view.camera for view in scene.train])[2]) > Z_UP else UpAxis.Y
+    with whole(out / MESH_GLB) as path:
+        write_glb(path, *arrays, up=up)
+
+
+def read_mesh(out: Path) -> SurfaceMesh:
+    """The mesh that an earlier run left in `out`, in the user's frame. Raises MgsrError where there is none."""
+    import trimesh
+
+    if not (out / MESH).is_file():
+        raise MgsrError(f"{out}: no {MESH} there; run `mgsr mesh SCENE -o {out}` first")
+    mesh: Any = trimesh.load(out / MESH, process=False, force="mesh")
+    colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
+    normals = np.asarray(mesh.vertex_normals, np.float32)
+    return SurfaceMesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64), normals, colors)
+
+
+def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene) -> None:
+    """renders/test with all pictures of each test view (see mgsr/export/renders.py)."""
+    with whole(out / RENDERS) as folder:
+        folder.mkdir()
+        for view in rendered:
+            write_view(folder, view.name, _export_form(view, scene.user_from_scene.scale))
+
+
+def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
+    """report.html, then report.json, which says that the run is complete."""
+    with whole(out / REPORT_HTML) as path:
+        write_report_html(path, report, pictures)
+    with whole(out / REPORT) as path:
+        path.write_text(json.dumps(report.to_json(), indent=2) + "\n", encoding="utf-8")
+
+
+def _export_form(view: ViewImages, unit: float) -> RenderedView:
+    """With straight colours, and depth in the user's unit, of which the scene's is `unit`."""
+    return RenderedView(
+        straight_color(view.color, view.alpha),
+        view.alpha,
+        None if view.transmitted is None else straight_color(view.transmitted, view.alpha),
+        view.reflected,
+        view.weight,
+        view.depth * unit,
+        view.normal,
+    )
+
+
+def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
+    """A splat file's arrays, taken from the user's frame to the scene's."""
+    arrays = load_splats(path)
+    arrays["means"] = scene.user_from_scene.to_scene(arrays["means"].astype(np.float64))
+    arrays["log_scales"] = arrays["log_scales"] - math.log(scene.user_from_scene.scale)
+    return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

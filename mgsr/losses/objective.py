@@ -24,8 +24,8 @@ Terms = dict[str, Tensor]
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
     """L_2D of the warm-up: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
-    terms = {"surfels.photo": _photo(outputs.color, target.color, target, config)}
-    terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config)
+    terms = {"surfels.photo": _photo(outputs.color, target.color, target, config, target.off_edge)}
+    terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config, target.off_edge)
     return terms | (surface_terms(outputs, target, config) if regularised else {})
 
 
@@ -56,12 +56,12 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
     """
     settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
     transmitted = volumes.transmitted if both else volumes.transmitted.detach()
-    depth = surface_depth(surfels, config)
+    depth, where = surface_depth(surfels, config), target.off_edge
     terms = {
-        "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config),
-        "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config),
+        "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config, where),
+        "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config, where),
     }
-    terms |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config)
+    terms |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config, where)
     terms |= surface_terms(surfels, replace(target, color=volumes.transmitted.detach()), config)
     terms = {name: settings.surfel_weight * term for name, term in terms.items()}
     for name, term in volume_terms(volumes, target, config).items():
@@ -99,8 +99,10 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 
-def _photo(image: Tensor, other: Tensor, target: Target, config: TrainConfig) -> Tensor:
-    return image_loss(image, other, l1_weight=config.l1_weight, region=target.region)
+def _photo(
+    image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None
+) -> Tensor:
+    return image_loss(image, other, l1_weight=config.l1_weight, mask=where, region=target.region)
 
 
 def _rendered(depth: Tensor | None) -> Tensor:
@@ -108,7 +110,9 @@ def _rendered(depth: Tensor | None) -> Tensor:
     return depth
 
 
-def _silhouette(branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig) -> Terms:
+def _silhouette(
+    branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig, where: Tensor | None = None
+) -> Terms:
     if target.alpha is None or not weight:
         return {}
-    return {f"{branch}.alpha": weight * silhouette(alpha, target.alpha, config.alpha_loss)}
+    return {f"{branch}.alpha": weight * silhouette(alpha, target.alpha, config.alpha_loss, where)}

@@ -23,6 +23,7 @@ class Target:
     alpha: Tensor | None
     camera: Camera
     region: tuple[int, int, int, int] | None = None
+    off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
 
     @property
     def distance(self) -> float:

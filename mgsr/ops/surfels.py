@@ -21,10 +21,15 @@ from mgsr.ops.volumes import SplatStats
 @dataclass(frozen=True)
 class SurfelOptions:
     """near: camera units, splats whose centre is nearer are left out, and so are hits that are nearer; far: camera
-    units, with near the unit of distortion's depths, nothing is cut there; distortion: whether to render it."""
+    units, with near the unit of distortion's depths, nothing is cut there; low_pass: px^2, variance of the floor
+    around the projected centre; distortion: whether to render it.
+
+    2DGS's low-pass is 0.5 px^2. It fattens silhouettes, and training answers with a smaller object: the default is
+    near a pixel's own variance of 1/12."""
 
     near: float = 0.01
     far: float = 100.0
+    low_pass: float = 0.1
     distortion: bool = False
 
 
@@ -62,17 +67,17 @@ def rasterize_surfels(
     background [3]. A splat with a non-finite value is left out. The order is that of the centres' camera z.
 
     The weight is the larger of exp(-(u^2 + v^2) / 2), at the point (u, v) where a pixel's ray meets the splat's plane
-    beyond `near`, and exp(-d^2) at d pixels from the projected centre, which has the centre's depth. A plane seen
+    beyond `near`, and exp(-d^2 / (2 low_pass)) at d pixels from the projected centre, which has the centre's depth. A plane seen
     under a sine below 1e-3 has only the latter. A pixel blends splats while its transmittance is at least 1e-4;
     alpha = min(0.999, opacity * weight) counts from 1/255. stats.v_means2d is the gradient to moving a splat's weights
     in the image plane.
 
-    Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far.
+    Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far and low_pass > 0.
     Source: 2DGS, Eq. 4-13; method.md "2D branch". Deviation: distortion squares differences of plain depth.
     """
     options = options or SurfelOptions()
-    if not 0 < options.near < options.far:
-        raise TensorError(f"options: expected 0 < near < far, got near={options.near}, far={options.far}")
+    if not (0 < options.near < options.far and options.low_pass > 0):
+        raise TensorError(f"options: expected 0 < near < far and low_pass > 0, got {options}")
     check_tensors(
         means=(means, "N 3"),
         quats=(quats, "N 4"),
@@ -103,6 +108,7 @@ class _Rasterize(torch.autograd.Function):
             camera.height,
             options.near,
             options.far,
+            options.low_pass,
         )
         images = (color, alpha, depth, median_depth, normal, distortion)
         ctx.frame = _surfels.forward(*splats, *view, *images, stats.radii)

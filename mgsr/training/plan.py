@@ -58,7 +58,7 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config) -> Plan:
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
     margin = config.train.crop_margin if _silhouettes_count(config) else None
-    views = prepare_views(scene.train, scene.masked, margin)
+    views = prepare_views(scene.train, scene.masked, margin, config.train.surfels.edge_band)
     surfels, volumes = _make_branches(scene, start, config)
     warmup_views, held_back = _hold_back(views, config)
     stages: list[Stage] = []

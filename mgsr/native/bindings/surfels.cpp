@@ -46,7 +46,7 @@ struct SurfelFrameState {
 
 SurfelInputs make_inputs(const In& means, const In& quats, const In& scales, const In& opacities, const In& colors,
                          const In& background, const Matrix& K, const Matrix& cam_from_world, int width, int height,
-                         float near, float far) {
+                         float near, float far, float low_pass) {
   const int64_t n = means.size() / 3;
   SurfelInputs in;
   in.count = n;
@@ -57,7 +57,7 @@ SurfelInputs make_inputs(const In& means, const In& quats, const In& scales, con
   in.colors = data(colors, 3 * n, "colors");
   in.background = data(background, 3, "background");
   in.camera = make_camera(K, cam_from_world, width, height);
-  in.width = width, in.height = height, in.near = near, in.far = far;
+  in.width = width, in.height = height, in.near = near, in.far = far, in.low_pass = low_pass;
   return in;
 }
 
@@ -119,10 +119,10 @@ NB_MODULE(_surfels, m) {
 
   m.def("forward",
         [](In means, In quats, In scales, In opacities, In colors, In background, Matrix K, Matrix cam_from_world, int width,
-           int height, float near, float far, Out color, Out alpha, Out depth, Out median_depth, Out normal,
+           int height, float near, float far, float low_pass, Out color, Out alpha, Out depth, Out median_depth, Out normal,
            std::optional<Out> distortion, Out radii) {
           const SurfelInputs in =
-              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far);
+              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far, low_pass);
           const SurfelImages out =
               make_images<Out>(int64_t(width) * height, color, alpha, depth, median_depth, normal, distortion);
           float* r = data(radii, in.count, "radii");
@@ -133,18 +133,18 @@ NB_MODULE(_surfels, m) {
         },
         nb::rv_policy::take_ownership, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
         nb::arg("colors"), nb::arg("background"), nb::arg("K"), nb::arg("cam_from_world"), nb::arg("width"), nb::arg("height"),
-        nb::arg("near"), nb::arg("far"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"),
+        nb::arg("near"), nb::arg("far"), nb::arg("low_pass"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"),
         nb::arg("normal"), nb::arg("distortion").none(), nb::arg("radii"));
 
   m.def("backward",
         [](SurfelFrameState& frame, In means, In quats, In scales, In opacities, In colors, In background, Matrix K,
-           Matrix cam_from_world, int width, int height, float near, float far, In color, In alpha, In depth, In median_depth,
+           Matrix cam_from_world, int width, int height, float near, float far, float low_pass, In color, In alpha, In depth, In median_depth,
            In normal, std::optional<In> distortion, std::optional<In> v_color, std::optional<In> v_alpha,
            std::optional<In> v_depth, std::optional<In> v_median_depth, std::optional<In> v_normal,
            std::optional<In> v_distortion, Out v_means, Out v_quats, Out v_scales, Out v_opacities, Out v_colors,
            Out v_means2d) {
           const SurfelInputs in =
-              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far);
+              make_inputs(means, quats, scales, opacities, colors, background, K, cam_from_world, width, height, near, far, low_pass);
           const int64_t n = in.count, pixels = int64_t(width) * height;
           const SurfelImages out = make_images<In>(pixels, color, alpha, depth, median_depth, normal, distortion);
           const SurfelImages v_out = make_images<In>(pixels, v_color, v_alpha, v_depth, v_median_depth, v_normal, v_distortion);
@@ -156,7 +156,7 @@ NB_MODULE(_surfels, m) {
         },
         nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("colors"),
         nb::arg("background"), nb::arg("K"), nb::arg("cam_from_world"), nb::arg("width"), nb::arg("height"), nb::arg("near"),
-        nb::arg("far"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"), nb::arg("normal"),
+        nb::arg("far"), nb::arg("low_pass"), nb::arg("color"), nb::arg("alpha"), nb::arg("depth"), nb::arg("median_depth"), nb::arg("normal"),
         nb::arg("distortion").none(), nb::arg("v_color").none(), nb::arg("v_alpha").none(), nb::arg("v_depth").none(),
         nb::arg("v_median_depth").none(), nb::arg("v_normal").none(), nb::arg("v_distortion").none(), nb::arg("v_means"),
         nb::arg("v_quats"), nb::arg("v_scales"), nb::arg("v_opacities"), nb::arg("v_colors"), nb::arg("v_means2d"));

@@ -18,6 +18,7 @@ struct SurfelInputs {
   const float* background;              // [3]
   Camera<float> camera;
   int width, height;
+  float low_pass;                       // px^2, variance of the floor around the projected centre
   float near, far;                      // camera units; far only sets the unit of distortion
 };
 

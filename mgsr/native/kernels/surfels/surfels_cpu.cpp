@@ -34,7 +34,6 @@ constexpr int kSplatChunk = 512;
 constexpr float kLog2E = 1.4426950408889634f, kLn2 = 0.69314718056f;
 constexpr float kExponentScale = 0.5f * kLog2E;       // 2^-(this * (u^2 + v^2)) is the weight ...
 constexpr float kRootExponentScale = 0.84932180028f;  // ... so that this, times L, leaves a plain square
-constexpr float kLowPassExponent = kLog2E;            // 2^-(this * d^2), a variance of 0.5 px^2
 constexpr float kNever = 1e6f;                        // L of an edge-on splat: its disk counts nowhere
 
 // Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient /
@@ -78,19 +77,19 @@ PixelBox clipped_square(const Camera<float>& cam, const SurfelFrame<float>& f, c
 }
 
 // The radius of the low-pass circle; 0 when within it the disk's weight is nowhere less than the low-pass's.
-float low_pass_radius(const ProjectedSurfel<float>& s, bool edge_on, float log_strength) {
-  const float radius = std::sqrt(log_strength);
+float low_pass_radius(const ProjectedSurfel<float>& s, bool edge_on, float log_strength, float low_pass) {
+  const float radius = std::sqrt(2.0f * low_pass * log_strength);
   const float trace = s.L[0] * s.L[0] + s.L[1] * s.L[1] + s.L[2] * s.L[2] + s.L[3] * s.L[3];
   const float det = s.L[0] * s.L[3] - s.L[1] * s.L[2];
   const float largest = 0.5f * (trace + std::sqrt(std::max(trace * trace - 4 * det * det, 0.0f)));
   const float w = 1.0f - radius * std::sqrt(s.g[0] * s.g[0] + s.g[1] * s.g[1]);
-  return !edge_on && w > 0 && largest < 2.0f * w * w ? 0.0f : radius;
+  return !edge_on && w > 0 && largest * low_pass < w * w ? 0.0f : radius;
 }
 
 SurfelBounds surfel_bounds(const SurfelInputs& in, const SurfelFrame<float>& f, const ProjectedSurfel<float>& s,
                            const float scale[2], float opacity) {
   const float log_strength = std::log(opacity / kMinAlpha), r2 = 2.0f * log_strength;
-  SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength), false};
+  SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength, in.low_pass), false};
   SurfelOutline<float> o;
   if (surfel_outline(in.camera, f, scale, r2, in.near, o)) {
     b.disk = Ellipse::make(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f);
@@ -221,7 +220,7 @@ struct Hit {
 
 // Plain splats need neither the low-pass nor the near plane looked at.
 template <bool Plain>
-inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, Hit& hit) {
+inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, Hit& hit) {
   hit.splat = &s, hit.depth = Plain ? s.signed_depth : -s.signed_depth;
   const vfloat dx = pixels.x - s.x;
   const vfloat ax = s.L[0] * dx, bx = s.L[2] * dx, wx = fma(splat(s.g[0]), dx, splat(1.0f));
@@ -231,7 +230,7 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, Hit& h
     const vfloat inverse = reciprocal(fma(splat(s.g[1]), dy, wx));
     vfloat exponent = fma(a, a, b * b) * (inverse * inverse), r = inverse;
     if (!Plain) {
-      const vfloat blur = kLowPassExponent * fma(dx, dx, dy * dy);
+      const vfloat blur = (kExponentScale / low_pass) * fma(dx, dx, dy * dy);
       const vint on_disk = (exponent <= blur) & (hit.depth * inverse > near);
       exponent = select(on_disk, exponent, blur), r = select(on_disk, inverse, splat(1.0f));
       hit.on_disk[v] = on_disk;
@@ -252,9 +251,9 @@ inline int meet_batch(const SurfelInputs& in, const SurfelState& state, const Su
   for (int e = 0; e < n; ++e) {
     const SurfelRecord& s = state.records[items[e].splat];
     if (s.plain())
-      meet<true>(s, pixels, in.near, hits[e]);
+      meet<true>(s, pixels, in.near, in.low_pass, hits[e]);
     else
-      meet<false>(s, pixels, in.near, hits[e]);
+      meet<false>(s, pixels, in.near, in.low_pass, hits[e]);
   }
   return n;
 }
@@ -429,7 +428,8 @@ inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fie
 
 // sums: [kFields] of the sub-tile's pixels, lane by lane.
 template <bool Plain>
-inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g, vfloat sums[kFields]) {
+inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g, float low_pass,
+                   vfloat sums[kFields]) {
   const SurfelRecord& s = *hit.splat;
   const vfloat dx = pixels.x - s.x;
   vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
@@ -440,7 +440,7 @@ inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const
     vfloat v_w = (scaled * hit.exponent[n] - step.depth[n]) * r, v_second = scaled * (r * r);
     if (!Plain) {
       v_second = keep(hit.on_disk[n], v_second), v_w = keep(hit.on_disk[n], v_w);
-      const vfloat v_blur = keep(~hit.on_disk[n], 2.0f * step.opacity[n]);
+      const vfloat v_blur = keep(~hit.on_disk[n], step.opacity[n] / low_pass);
       blur += v_blur, blur_y += v_blur * dy;
     }
     const vfloat y = v_second * dy;
@@ -482,9 +482,9 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
     for (int i = 0; i < n; ++i) {
       vfloat sums[kFields];
       if (hits[i].splat->plain())
-        gather<true>(hits[i], steps[i], pixels, g, sums);
+        gather<true>(hits[i], steps[i], pixels, g, in.low_pass, sums);
       else
-        gather<false>(hits[i], steps[i], pixels, g, sums);
+        gather<false>(hits[i], steps[i], pixels, g, in.low_pass, sums);
       add_sums<kFields>(sums, pairs + size_t(items[e + i].entry) * kFields);
     }
     if (!any(open)) break;

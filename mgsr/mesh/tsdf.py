@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +29,13 @@ def tsdf_surface(
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
 
 
-def _empty_grid(voxel: float) -> object:
+def _empty_grid(voxel: float) -> Any:
     open3d = load_open3d()
     single = open3d.core.float32
     return open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight"), (single, single), ((1), (1)), voxel, BLOCK, 4000)
 
 
-def _integrate(grid: object, view: SurfaceView, voxel: float, truncation: float, rules: PixelRules) -> None:
+def _integrate(grid: Any, view: SurfaceView, voxel: float, truncation: float, rules: PixelRules) -> None:
     open3d = load_open3d()
     depth = np.where(surface_pixels(view, rules).believed, view.depth, 0).astype(np.float32)
     if not depth.any():
@@ -43,5 +44,5 @@ def _integrate(grid: object, view: SurfaceView, voxel: float, truncation: float,
     intrinsic = open3d.core.Tensor(view.camera.K)
     extrinsic = open3d.core.Tensor(view.camera.cam_from_world)
     limits = {"depth_scale": 1.0, "depth_max": float(depth.max()) + voxel, "trunc_voxel_multiplier": truncation}
-    blocks = grid.compute_unique_block_coordinates(image, intrinsic, extrinsic, **limits)  # type: ignore[attr-defined]
-    grid.integrate(blocks, image, intrinsic, extrinsic, **limits)  # type: ignore[attr-defined]
+    blocks = grid.compute_unique_block_coordinates(image, intrinsic, extrinsic, **limits)
+    grid.integrate(blocks, image, intrinsic, extrinsic, **limits)

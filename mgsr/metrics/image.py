@@ -53,7 +53,7 @@ def image_metrics(truth: np.ndarray, image: np.ndarray) -> dict[str, float]:
 
     truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8.
     """
-    truth, image = _unit(truth), _unit(image)
+    truth, image = unit(truth), unit(image)
     wanted, given = on_white(truth), on_white(image)
     values = {"psnr": psnr(wanted, given), "ssim": ssim(wanted, given)}
     if truth.shape[-1] == 4 and (inside := truth[..., 3] > 0.5).any():
@@ -62,5 +62,6 @@ def image_metrics(truth: np.ndarray, image: np.ndarray) -> dict[str, float]:
     return values
 
 
-def _unit(image: np.ndarray) -> np.ndarray:
+def unit(image: np.ndarray) -> np.ndarray:
+    """The image as float 0..1, whether it came so or as uint8."""
     return image / 255.0 if image.dtype == np.uint8 else image

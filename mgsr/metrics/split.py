@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsr.metrics.image import psnr_after_gain
+from mgsr.metrics.image import psnr_after_gain, unit
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class SplitScore:
 def split_score(matte: np.ndarray, transmitted: np.ndarray, photo: np.ndarray) -> SplitScore:
     """One view's score. matte [H,W,4] without specular light; transmitted and photo [H,W,3 or 4] straight alpha; all
     float 0..1 or uint8. Pixels where matte's alpha is over a half count."""
-    matte, transmitted, photo = (image / 255.0 if image.dtype == np.uint8 else image for image in (matte, transmitted, photo))
+    matte, transmitted, photo = unit(matte), unit(transmitted), unit(photo)
     inside = matte[..., 3] > 0.5
     truth = matte[..., :3]
     return SplitScore(

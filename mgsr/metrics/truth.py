@@ -43,7 +43,7 @@ def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | N
     path = folder / "mesh_gt.ply"
     if not path.is_file():
         return None
-    mesh = trimesh.load(path, process=False, force="mesh")
+    mesh = trimesh.load_mesh(path, process=False)
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if len(faces) == 0:
         raise SceneError(f"{path}: expected a triangle mesh, found no faces; remove it or write the true surface")

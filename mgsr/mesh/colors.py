@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 
 SPREAD = 0.1  # a colour this far from the others' mean counts half
@@ -15,14 +16,21 @@ ROUNDS = 2
 
 
 def vertex_colors(
-    vertices: np.ndarray, normals: np.ndarray, views: Sequence[SurfaceView], min_alpha: float, tolerance: float
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    views: Sequence[SurfaceView],
+    min_alpha: float,
+    tolerance: float,
+    threads: int | None = None,
 ) -> np.ndarray:
     """Colours [V,3] float32 0..1: the mean over the views that show a vertex, where head-on views count more and
     colours far from the others' mean count less. A vertex that none shows takes its nearest neighbour's.
 
     A view shows a vertex that faces it and lies within `tolerance` pixel footprints of its depth.
     """
-    looks = [_look(vertices, normals, view, min_alpha, tolerance) for view in views]
+    looks = list(
+        map_ahead(lambda view: _look(vertices, normals, view, min_alpha, tolerance), views, threads)
+    )
     mean, total = _blend(looks, len(vertices), None)
     for _ in range(ROUNDS):
         mean, _ = _blend(looks, len(vertices), mean)

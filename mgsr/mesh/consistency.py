@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt, minimum_filter
 
+from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import Silhouette, SurfaceView, nearest, project, sample
@@ -24,7 +25,11 @@ class Agreement:
 
 
 def compare_views(
-    points: OrientedPoints, views: Sequence[SurfaceView], rules: PixelRules, tolerance: float
+    points: OrientedPoints,
+    views: Sequence[SurfaceView],
+    rules: PixelRules,
+    tolerance: float,
+    threads: int | None = None,
 ) -> Agreement:
     """Hold points against every view.
 
@@ -39,11 +44,10 @@ def compare_views(
     count = len(points)
     against, confirming = np.zeros(count, np.int32), np.zeros(count, np.int32)
     sums = np.zeros((count, 5), np.float32)  # weight, weight * offset along the normal, weight * normal
-    for view in views:
-        look = _look(points, view, rules, tolerance)
-        against[look.index] += look.contradicts
-        confirming[look.index] += look.weights > 0
-        sums[look.index] += look.weights[:, None] * np.column_stack(
+    for look in map_ahead(lambda view: _look(points, view, rules, tolerance), views, threads):
+        against[look.contradicted] += 1
+        confirming[look.confirmed] += 1
+        sums[look.confirmed] += look.weights[:, None] * np.column_stack(
             [np.ones_like(look.offsets), look.offsets, look.normals]
         )
     return Agreement(_moved(points, sums), (against < 2) | (against <= confirming))
@@ -59,11 +63,12 @@ def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
 
 @dataclass(frozen=True)
 class _Look:
-    """What one view says of the points index [Q]: whether it contradicts them [Q], the weight of its word [Q], how
-    far along their normals its surface lies [Q], and that surface's normals [Q,3]."""
+    """What one view says: the indices of the points that it contradicts and [Q] of those that it confirms, and of the
+    latter the weight of its word [Q], how far along their normals its surface lies [Q], and that surface's normals
+    [Q,3]."""
 
-    index: np.ndarray
-    contradicts: np.ndarray
+    contradicted: np.ndarray
+    confirmed: np.ndarray
     weights: np.ndarray
     offsets: np.ndarray
     normals: np.ndarray
@@ -74,23 +79,28 @@ def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toleranc
     index, pixels, depths = project(camera, points.positions)
     rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
     slants = (rays * points.normals[index]).sum(1)  # of a ray with camera z 1 against the point's normal
-    cosines = -slants / np.linalg.norm(rays, axis=1)
+    cosines = -slants / np.sqrt((rays * rays).sum(1))
     limit = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(np.abs(cosines), 0.3)
+    depth = np.where(view.usable(rules.min_alpha), view.depth, np.inf)
     # The nearest of the 3x3 pixels around: a point at a silhouette is not contradicted by what lies past it.
-    around = minimum_filter(np.where(view.usable(rules.min_alpha), view.depth, np.inf), size=3)
-    seen = sample(_weighted_surface(view, rules), pixels)
-    gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths
-    near = np.clip(1 - (gaps / limit) ** 2, 0, 1) ** 2
-    weights = np.where(cosines > 0, seen[:, 0] * near, 0)
-    return _Look(index, nearest(around, pixels) - depths > limit, weights, gaps * slants, seen[:, 2:])
+    contradicted = index[nearest(minimum_filter(depth, size=3), pixels) - depths > limit]
+    # Only what may be confirmed is worth the interpolation, which finds a slanted surface a little off its pixel's.
+    near = (cosines > rules.min_cos / 2) & (np.abs(nearest(depth, pixels) - depths) < 2 * limit)
+    seen = sample(_weighted_surface(view, rules), pixels[near])
+    gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths[near]
+    weights = seen[:, 0] * np.clip(1 - (gaps / limit[near]) ** 2, 0, 1) ** 2
+    sure = weights > 0
+    offsets = gaps * slants[near]
+    return _Look(contradicted, index[near][sure], weights[sure], offsets[sure], seen[sure, 2:])
 
 
 def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
     """[H,W,5]: weight, weight * depth, weight * normal; the weight falls to zero at the least cosine."""
     pixels = surface_pixels(view, rules)
-    weights = np.where(pixels.believed, pixels.cosines - rules.min_cos, 0)
-    values = np.concatenate([np.ones_like(view.depth)[..., None], view.depth[..., None], pixels.normals], axis=-1)
-    return np.where(weights[..., None] > 0, values, 0) * weights[..., None]
+    weights = np.where(pixels.believed, pixels.cosines - rules.min_cos, 0)[..., None]
+    values = np.concatenate([np.ones_like(weights), view.depth[..., None], pixels.normals], axis=-1)
+    # Not a product alone: what is not believed may be no number.
+    return np.where(weights > 0, values * weights, 0)
 
 
 class Hull:

@@ -11,6 +11,7 @@ from mgsr.errors import MeshError
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.parallel import core_count
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
@@ -20,12 +21,12 @@ from mgsr.mesh.views import Silhouette, SurfaceView
 
 
 def extract_mesh(
-    views: Sequence[SurfaceView], config: MeshConfig, silhouettes: Sequence[Silhouette] = (), threads: int = -1
+    views: Sequence[SurfaceView], config: MeshConfig, silhouettes: Sequence[Silhouette] = (), threads: int | None = None
 ) -> SurfaceMesh:
     """The surface that the views show, in their frame.
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them.
-    threads: for Poisson; -1 is all cores.
+    threads: cores to use; None is all of them.
 
     Raises MeshError, with the reason, where no surface comes out.
     """
@@ -35,7 +36,7 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    return _finish(vertices, faces, views, config, size, hull)
+    return _finish(vertices, faces, views, config, size, hull, threads)
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -43,18 +44,18 @@ def _rules(config: MeshConfig) -> PixelRules:
 
 
 def _by_poisson(
-    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int
+    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int | None
 ) -> cleanup.Triangles:
     cell = cell_size(_extent(views, config), config.poisson_depth)
-    points = gather_points(views, max(config.cell * cell, size), _rules(config))
+    points = gather_points(views, max(config.cell * cell, size), _rules(config), threads)
     if config.consistency is not None:
-        agreement = compare_views(points, views, _rules(config), config.consistency)
+        agreement = compare_views(points, views, _rules(config), config.consistency, threads)
         points = agreement.moved.where(agreement.agreed)
     if hull is not None:
         points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
-    vertices, faces = poisson_surface(points, config.poisson_depth, threads)
+    vertices, faces = poisson_surface(points, config.poisson_depth, core_count(threads))
     if config.close_holes:
         return vertices, faces
     return trim_unsupported(vertices, faces, points, config.trim * cell)
@@ -73,7 +74,7 @@ def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
 
 
 def _by_tsdf(
-    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int
+    views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int | None
 ) -> cleanup.Triangles:
     return tsdf_surface(views, config.voxel * size, config.truncation, config.min_weight, _rules(config))
 
@@ -85,6 +86,7 @@ def _finish(
     config: MeshConfig,
     size: float,
     hull: Hull | None,
+    threads: int | None,
 ) -> SurfaceMesh:
     """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
     if hull is not None and len(faces):
@@ -101,7 +103,8 @@ def _finish(
     if config.max_faces is not None:
         vertices, faces = cleanup.decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
-    colors = vertex_colors(vertices, normals, views, config.min_alpha, config.consistency or _COLOR_TOLERANCE)
+    tolerance = config.consistency or _COLOR_TOLERANCE
+    colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
     return SurfaceMesh(vertices, faces, normals, colors)
 
 

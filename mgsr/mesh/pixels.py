@@ -36,13 +36,13 @@ class SurfacePixels:
 def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
     """Back-project a view and judge its pixels."""
     rays = pixel_rays(view.camera)
-    normals = view.normal / np.maximum(np.linalg.norm(view.normal, axis=-1), 1e-9)[..., None]
-    cosines = -(normals * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
+    normals = view.normal / np.maximum(_lengths(view.normal), 1e-9)[..., None]
+    cosines = -np.einsum("hwc,hwc->hw", normals, rays) / _lengths(rays)
     positions = back_project(view, rays)
     usable = view.usable(rules.min_alpha)
     believed = usable & (cosines >= rules.min_cos)
     if rules.radius is not None:
-        believed &= np.linalg.norm(positions, axis=-1) <= rules.radius
+        believed &= _lengths(positions) <= rules.radius
     if rules.max_jump is not None:
         believed &= ~_on_edge(usable, positions, normals, rules.max_jump * footprint(view))
     return SurfacePixels(positions, normals, cosines, believed)
@@ -65,6 +65,10 @@ def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | 
     return float(np.median(medians)) if medians else None
 
 
+def _lengths(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
+
+
 _ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)
 _NEIGHBOURS = [
     ((_HEAD, _ALL), (_TAIL, _ALL)),
@@ -79,6 +83,6 @@ def _on_edge(usable: np.ndarray, positions: np.ndarray, normals: np.ndarray, lim
     both sides of an edge are blended there."""
     edge = np.zeros(usable.shape, bool)
     for here, there in _NEIGHBOURS:
-        off = np.abs(((positions[there] - positions[here]) * normals[here]).sum(-1))
+        off = np.abs(np.einsum("hwc,hwc->hw", positions[there] - positions[here], normals[here]))
         edge[here] |= (off > limit[here]) | ~usable[there]
     return edge

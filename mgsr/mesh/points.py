@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.views import SurfaceView
 
@@ -26,49 +27,53 @@ class OrientedPoints:
         return OrientedPoints(self.positions[keep], self.normals[keep])
 
 
+@dataclass(frozen=True)
 class CellSums:
-    """Points gathered in cubic cells of a given size, weighted; the two sides of a thin wall are kept apart."""
+    """Weighted sums of points in cubic cells: keys [R] int64, ascending, and sums [R,7] of weight * position, weight *
+    normal, weight. A cell's six main directions of normals have a key each: which of them are the two sides of a thin
+    wall, and must not be averaged, shows only when all is gathered."""
 
-    def __init__(self, cell: float) -> None:
-        self._cell = cell
-        self._keys = np.zeros(0, np.int64)
-        self._sums = np.zeros((0, 7))
+    keys: np.ndarray
+    sums: np.ndarray
 
-    def add(self, points: OrientedPoints, weights: np.ndarray) -> None:
-        """Add points with weights [P]."""
-        columns = np.concatenate([points.positions, points.normals, np.ones((len(points), 1))], axis=1)
-        keys = np.concatenate([self._keys, self._key(points)])
-        self._keys, self._sums = _sum_by_key(keys, np.concatenate([self._sums, columns * weights[:, None]]))
+    @staticmethod
+    def of(points: OrientedPoints, weights: np.ndarray, cell: float) -> CellSums:
+        """The sums of points with weights [P] in cells of the given size."""
+        columns = np.concatenate([points.positions, points.normals, np.ones_like(points.positions[:, :1])], axis=1)
+        return CellSums(*_sum_by_key(_cell_keys(points, cell), columns * weights[:, None]))
 
-    # Six main directions are gathered apart: which of them are the wall's two sides shows only in the end.
-    def _key(self, points: OrientedPoints) -> np.ndarray:
-        # 20 bits an axis reach a million cells; what lies outside was cut off by the caller's radius or is far away.
-        cells = np.clip(np.floor(points.positions / self._cell).astype(np.int64) + (1 << 19), 0, (1 << 20) - 1)
-        axis = np.abs(points.normals).argmax(1)
-        side = np.take_along_axis(points.normals, axis[:, None], 1)[:, 0] > 0
-        packed = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
-        return packed * 6 + axis * 2 + side
+    @staticmethod
+    def merged(parts: Sequence[CellSums]) -> CellSums:
+        """The sums of all parts' points."""
+        keys, sums = [part.keys for part in parts], [part.sums for part in parts]
+        return CellSums(*_sum_by_key(np.concatenate(keys), np.concatenate(sums)))
 
     def mean(self) -> OrientedPoints:
         """The weighted means of each cell: one point, and a second where normals point against the first's."""
-        _, sums = _sum_by_key(self._keys // 6 * 2 + self._opposed(), self._sums)
+        _, sums = _sum_by_key(self.keys // 6 * 2 + self._opposed(), self.sums)
         lengths = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
-        return OrientedPoints(
-            (sums[:, :3] / sums[:, 6:]).astype(np.float32),
-            (sums[:, 3:6] / np.maximum(lengths, 1e-12)).astype(np.float32),
-        )
+        return OrientedPoints(sums[:, :3] / sums[:, 6:], sums[:, 3:6] / np.maximum(lengths, 1e-12))
 
     def _opposed(self) -> np.ndarray:
         """Which of the gathered directions point against the heaviest one of their cell."""
-        cells = self._keys // 6
-        order = np.lexsort([-self._sums[:, 6], cells])
+        cells = self.keys // 6
+        order = np.lexsort([-self.sums[:, 6], cells])
         first, inverse = np.unique(cells, return_inverse=True)
         heaviest = order[np.searchsorted(cells[order], first)]
-        return (self._sums[:, 3:6] * self._sums[heaviest[inverse], 3:6]).sum(1) < 0
+        return (self.sums[:, 3:6] * self.sums[heaviest[inverse], 3:6]).sum(1) < 0
+
+
+def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
+    # 20 bits an axis reach half a million cells each way; beyond that, points share the outermost cells.
+    cells = np.clip(np.floor(points.positions / cell).astype(np.int64) + (1 << 19), 0, (1 << 20) - 1)
+    axis = np.abs(points.normals).argmax(1)
+    side = np.take_along_axis(points.normals, axis[:, None], 1)[:, 0] > 0
+    packed = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
+    return packed * 6 + axis * 2 + side
 
 
 def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct keys, sorted, and the sums of their rows."""
+    """The distinct keys, ascending, and the sums of their rows."""
     if len(keys) == 0:
         return keys, rows
     order = np.argsort(keys, kind="stable")
@@ -77,11 +82,14 @@ def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
     return keys[starts], np.add.reduceat(rows[order], starts, axis=0)
 
 
-def gather_points(views: Sequence[SurfaceView], cell: float, rules: PixelRules) -> OrientedPoints:
+def gather_points(
+    views: Sequence[SurfaceView], cell: float, rules: PixelRules, threads: int | None = None
+) -> OrientedPoints:
     """All views' believable points, averaged in cells of the given size; what is seen head-on counts more."""
-    sums = CellSums(cell)
-    for view in views:
+
+    def sums_of(view: SurfaceView) -> CellSums:
         pixels = surface_pixels(view, rules)
         keep = pixels.believed
-        sums.add(OrientedPoints(pixels.positions[keep], pixels.normals[keep]), pixels.cosines[keep])
-    return sums.mean()
+        return CellSums.of(OrientedPoints(pixels.positions[keep], pixels.normals[keep]), pixels.cosines[keep], cell)
+
+    return CellSums.merged(list(map_ahead(sums_of, views, threads))).mean()

@@ -1,0 +1,31 @@
+"""The same work for every view, on several cores."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def core_count(threads: int | None) -> int:
+    """`threads`, or the cores that this process may use for None."""
+    return threads or len(os.sched_getaffinity(0))
+
+
+def map_ahead(work: Callable[[Item], Result], items: Iterable[Item], threads: int | None) -> Iterator[Result]:
+    """work(item) of each item, in order. Threads suffice, as NumPy lets go of the interpreter in its loops; only a
+    few results are made ahead, so that they don't pile up in memory."""
+    count = core_count(threads)
+    with ThreadPoolExecutor(count) as pool:
+        ahead: deque[Future[Result]] = deque()
+        for item in items:
+            ahead.append(pool.submit(work, item))
+            if len(ahead) > count:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()

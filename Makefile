@@ -1,30 +1,34 @@
 # `make demo` and `make test` set everything up in .venv (Debian 12: python3.11, make and g++ are enough).
-PYTHON ?= python3
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
-PY := $(VENV)/bin/python
+BIN := $(VENV)/bin
+PY := $(BIN)/python
 
-.PHONY: setup demo test test-all lint native clean
+.PHONY: setup demo test test-all lint clean
 setup: $(VENV)/.installed
 
-$(VENV)/bin/python:
+$(PY):
 	$(PYTHON) -m venv $(VENV)
 
-# Pinned by constraints.txt; the native build runs here, without isolation so that it uses the pinned tools.
-$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(shell find mgsr/native -name '*.h' -o -name '*.cpp') | $(VENV)/bin/python
-	$(PY) -m pip install -q -c constraints.txt scikit-build-core nanobind cmake ninja
-	$(PY) -m pip install -q -c constraints.txt --no-build-isolation -e '.[dev]'
+# Pinned by constraints.txt. The build runs without isolation, so that it uses the pinned tools; they are in $(BIN),
+# which must come first on the path.
+$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(shell find mgsr/native -name '*.h' -o -name '*.cpp') | $(PY)
+	$(PY) -m pip install -q --disable-pip-version-check -c constraints.txt scikit-build-core nanobind cmake ninja
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(PY) -m pip install -q --disable-pip-version-check -c constraints.txt \
+		--no-build-isolation -e '.[dev]'
 	touch $@
 
 demo: setup
-	$(VENV)/bin/mgsr-worker run examples/glossy_knot -o out/demo --preset draft
+	$(BIN)/mgsr-worker run examples/glossy_knot -o out/demo --preset draft
 
 lint: setup
-	$(VENV)/bin/ruff check . && $(VENV)/bin/mypy
+	$(BIN)/ruff check .
+	$(BIN)/mypy
 
-test: setup lint
+test: lint
 	$(PY) -m pytest -m "not slow"
 
-test-all: setup lint
+test-all: lint
 	$(PY) -m pytest
 
 clean:

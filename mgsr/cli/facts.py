@@ -52,11 +52,29 @@ def run_report(
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
-        command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        other={"input": _input(scene, path), "settings": asdict(config), "machine": _machine()}
+        command=_command(),
+        other={"input": scene_facts(scene, path), "settings": asdict(config), "machine": _machine()}
         | {name: value for name, value in scores.items() if name not in known},
         **known,
     )
+
+
+def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
+    """What was read: format, views, sizes, masks, points, and the way back to the user's frame."""
+    camera = scene.train[0].camera
+    return {
+        "path": str(path),
+        "format": scene.format,
+        "train_views": [view.name for view in scene.train],
+        "test_views": [view.name for view in scene.test],
+        "image_size": [camera.width, camera.height],
+        "masked": scene.masked,
+        "points": 0 if scene.points is None else len(scene.points.positions),
+        "user_from_scene": {
+            "scale": float(scene.user_from_scene.scale),
+            "offset": [float(x) for x in scene.user_from_scene.offset],
+        },
+    }
 
 
 def scene_line(scene: Scene) -> str:
@@ -76,21 +94,11 @@ def peak_memory_mib() -> float:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def _input(scene: Scene, path: Path) -> dict[str, Any]:
-    camera = scene.train[0].camera
-    return {
-        "path": str(path),
-        "format": scene.format,
-        "train_views": [view.name for view in scene.train],
-        "test_views": [view.name for view in scene.test],
-        "image_size": [camera.width, camera.height],
-        "masked": scene.masked,
-        "points": 0 if scene.points is None else len(scene.points.positions),
-        "user_from_scene": {
-            "scale": float(scene.user_from_scene.scale),
-            "offset": [float(x) for x in scene.user_from_scene.offset],
-        },
-    }
+def _command() -> str:
+    program = Path(sys.argv[0])
+    # `python -m worker.cli` names the module's file.
+    name = "mgsr-worker" if program.name == "cli.py" else "mgsr" if program.name == "main.py" else program.name
+    return shlex.join([name, *sys.argv[1:]])
 
 
 def _versions() -> dict[str, str]:

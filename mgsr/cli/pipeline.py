@@ -40,13 +40,13 @@ class Steps:
 
     def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
         self.clock = clock
-        self._progress = progress
-        self._should_stop = should_stop
+        self.progress = progress
+        self.should_stop = should_stop
 
     def __call__(self, step: str, text: str) -> AbstractContextManager[None]:
-        if self._should_stop():
+        if self.should_stop():
             raise Cancelled(f"stopped on request before the step {step}")
-        self._progress(Event(step, text))
+        self.progress(Event(step, text))
         return self.clock.step(step)
 
 
@@ -70,14 +70,9 @@ def run_scene(
     """
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    with step("load", f"reading {scene_path}"):
-        scene = load_scene(scene_path, config.data)
-        outputs.clear_reports(out)
-    progress(Event("load", scene_line(scene)))
-    trained = train_scene(scene, config, out, step, progress, should_stop, resume, deadline)
+    scene = _load(scene_path, out, config, step)
+    trained = _train(scene, config, out, step, resume, deadline)
     models = Models(trained.surfels, trained.volumes)
-    with step("export", "writing the splats"):
-        outputs.write_models(out, models, scene)
     with step("render", f"rendering {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
         outputs.write_renders(out, rendered, scene)
@@ -96,31 +91,19 @@ def run_scene(
     return out / outputs.REPORT
 
 
-def train_scene(
-    scene: Scene,
-    config: Config,
+def train_only(
+    scene_path: Path,
     out: Path,
-    step: Steps,
+    config: Config,
+    device: str = "auto",
+    resume: bool = False,
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
-    resume: bool = False,
-    deadline: float | None = None,
 ) -> TrainResult:
-    """The trained branches; `out`/checkpoint holds them on the way and at the end."""
-    with step("start", "choosing starting points"):
-        settings = config.train
-        start = starting_points(scene, max(settings.surfels.max_start, settings.volumes.max_start), config.seed)
-    with step("train", f"training from {len(start.positions)} points"):
-        return train(
-            scene,
-            start,
-            config,
-            progress=lambda training: progress(Event("train", training.stage, training)),
-            should_stop=should_stop,
-            checkpoint_path=out / outputs.CHECKPOINT,
-            resume=resume,
-            deadline=deadline,
-        )
+    """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors."""
+    pick_device(device)
+    step = Steps(StepClock(), progress, should_stop)
+    return _train(_load(scene_path, out, config, step), config, out, step, resume)
 
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
@@ -137,3 +120,34 @@ def result_line(report: ReportData) -> str:
     if report.psnr_test is not None:
         parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
     return ", ".join(parts)
+
+
+def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
+    with step("load", f"reading {path}"):
+        scene = load_scene(path, config.data)
+        outputs.clear_reports(out)
+    step.progress(Event("load", scene_line(scene)))
+    return scene
+
+
+def _train(
+    scene: Scene, config: Config, out: Path, step: Steps, resume: bool, deadline: float | None = None
+) -> TrainResult:
+    """The trained branches, also written as splats; `out`/checkpoint holds them on the way and at the end."""
+    with step("start", "choosing starting points"):
+        settings = config.train
+        start = starting_points(scene, max(settings.surfels.max_start, settings.volumes.max_start), config.seed)
+    with step("train", f"training from {len(start.positions)} points"):
+        trained = train(
+            scene,
+            start,
+            config,
+            progress=lambda training: step.progress(Event("train", training.stage, training)),
+            should_stop=step.should_stop,
+            checkpoint_path=out / outputs.CHECKPOINT,
+            resume=resume,
+            deadline=deadline,
+        )
+    with step("export", "writing the splats"):
+        outputs.write_models(out, Models(trained.surfels, trained.volumes), scene)
+    return trained

@@ -10,9 +10,9 @@ from mgsr.report.data import ReportData
 
 @dataclass(frozen=True)
 class Score:
-    """A score's names in report.json (the first that is there counts), its label, factor, digits, unit, meaning."""
+    """A score's name in report.json, its label, factor, digits, unit, meaning."""
 
-    names: tuple[str, ...]
+    name: str
     label: str
     factor: float
     digits: int
@@ -21,43 +21,42 @@ class Score:
 
 
 IMAGE = (
-    Score(("psnr_test",), "PSNR", 1, 2, "dB",
+    Score("psnr_test", "PSNR", 1, 2, "dB",
           "How close the renders come to photographs that training never saw; 3 dB more is half the squared error."),
-    Score(("psnr_fg_test", "psnr_fg"), "PSNR on the object", 1, 2, "dB",
+    Score("psnr_fg_test", "PSNR on the object", 1, 2, "dB",
           "The same, counting only pixels of the object: an empty background can't flatter it."),
-    Score(("ssim_test",), "SSIM", 1, 4, "",
+    Score("ssim_test", "SSIM", 1, 4, "",
           "How alike the local structure of renders and photographs is; 1 is the same."),
 )
 SURFACE = (
-    Score(("chamfer",), "Chamfer distance", 1000, 2, "‰",
+    Score("chamfer", "Chamfer distance", 1000, 2, "‰",
           "The mean distance between this surface and the true one, both ways, per thousand of the object's radius."),
-    Score(("accuracy", "acc"), "Accuracy", 1000, 2, "‰", "The mean distance from this surface to the true one."),
-    Score(("completeness", "comp"), "Completeness", 1000, 2, "‰",
+    Score("accuracy", "Accuracy", 1000, 2, "‰", "The mean distance from this surface to the true one."),
+    Score("completeness", "Completeness", 1000, 2, "‰",
           "The mean distance from the true surface, where views saw it, to this one."),
-    Score(("f_005", "f_0.005", "f@0.005", "F@0.005"), "F-score at 0.5%", 1, 3, "",
+    Score("f_005", "F-score at 0.5%", 1, 3, "",
           "The share of both surfaces that lies within 0.5% of the object's radius of the other; 1 is all."),
-    Score(("f_01", "f_0.01", "f@0.01", "F@0.01"), "F-score at 1%", 1, 3, "", "The same within 1%."),
-    Score(("f_02", "f_0.02", "f@0.02", "F@0.02"), "F-score at 2%", 1, 3, "", "The same within 2%."),
-    Score(("normal_consistency",), "Normal consistency", 100, 1, "%",
+    Score("f_010", "F-score at 1%", 1, 3, "", "The same within 1%."),
+    Score("f_020", "F-score at 2%", 1, 3, "", "The same within 2%."),
+    Score("normal_consistency", "Normal consistency", 100, 1, "%",
           "How well the directions of nearest places agree; 100 is everywhere the same."),
-    Score(("normal_error", "normal_error_deg", "normal_mae_deg"), "Normal error", 1, 1, "°",
+    Score("normal_error", "Normal error", 1, 1, "°",
           "The mean angle between this surface and the true one, pixel by pixel in the test views."),
-    Score(("mask_iou",), "Outline", 100, 1, "%", "How much of both outlines overlaps in the test views."),
+    Score("mask_iou", "Outline", 100, 1, "%", "How much of both outlines overlaps in the test views."),
 )
 SPLIT = (
-    Score(("split_gain",), "Light split", 1, 2, "dB",
+    Score("split_gain", "Light split", 1, 2, "dB",
           "How much closer the transmitted light comes to the object without gloss than the photograph does."),
 )
 
 
 def scores_told(data: ReportData) -> Iterator[tuple[Score, str]]:
     """The scores that this run has, each with its value written out."""
-    found = data.other.get("scores") or {}
-    images = {**data.other, **found, "psnr_test": data.psnr_test, "ssim_test": data.ssim_test}
-    split = {**data.other, **(data.other.get("split") or {}), **(data.gt or {})}
+    images = data.other | {"psnr_test": data.psnr_test, "ssim_test": data.ssim_test}
+    split = data.other.get("split") or {}
     for scores, values in ((IMAGE, images), (SURFACE, data.gt or {}), (SPLIT, split)):
         for score in scores:
-            value = next((values[name] for name in score.names if values.get(name) is not None), None)
+            value = values.get(score.name)
             if isinstance(value, int | float):
                 yield score, f"{value * score.factor:.{score.digits}f}{_unit(score)}"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,8 @@ AMBIENT = 0.16
 CLAY = np.array((0.86, 0.845, 0.82), np.float32)
 SIDES = (("front", 0), ("right", 90), ("back", 180), ("left", 270))
 ELEVATION = 18.0  # degrees above the horizon from which the sides are seen
-OCCLUSION_RAYS = 8  # per sample; four samples make a pixel
+MOST_PIXELS = 512  # longest side of a picture
+OCCLUSION_RAYS = 12  # per sample; four samples make a pixel
 OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothing
 
 
@@ -35,13 +37,12 @@ class TriangleMesh:
 
 @dataclass(frozen=True)
 class _Hits:
-    """One camera's rays: which hit [H,W] bool; and of those that did, points, normals, colours and rays, [P,3]."""
+    """One camera's rays: which hit [H,W] bool; and of those that did, points, normals and colours (or None), [P,3]."""
 
     hit: np.ndarray
     points: np.ndarray
     normals: np.ndarray
     colors: np.ndarray | None
-    rays: np.ndarray
 
 
 class MeshPainter:
@@ -52,20 +53,17 @@ class MeshPainter:
         self._rays = _raycaster(mesh)
         self.center, self.radius = bounding_ball(mesh.vertices)
 
-    def shaded(self, camera: Camera, colored: bool = False) -> np.ndarray:
-        """uint8 [H,W,4]: soft light from three sides on clay, or on the mesh's own colours; clear where nothing is."""
-        fine = camera.resized(2 * camera.width, 2 * camera.height)
-        hits = self._cast(fine)
-        base = hits.colors if colored and hits.colors is not None else CLAY
-        return _picture(base * self._light(hits, camera)[:, None], hits.hit)
+    def shaded(self, camera: Camera) -> np.ndarray:
+        """uint8 [H,W,4]: soft light from three sides on clay, clear where nothing is; no side over MOST_PIXELS."""
+        return self.look(camera).clay()
 
-    def distances(self, camera: Camera, truth: TriangleMesh, limit: float) -> np.ndarray:
-        """uint8 [H,W,4]: the seen surface coloured by its distance to `truth`; the darkest is `limit` and more."""
-        fine = camera.resized(2 * camera.width, 2 * camera.height)
-        hits = self._cast(fine)
-        gap = _raycaster(truth).compute_distance(_tensor(hits.points)).numpy()
-        light = 0.55 + 0.45 * self._light(hits, camera)
-        return _picture(ramp(gap / limit) * light[:, None], hits.hit)
+    def look(self, camera: Camera) -> MeshLook:
+        """What the camera sees, to be painted in several ways."""
+        camera = _limited(camera)
+        # Four samples a pixel, for smooth outlines.
+        hits = self._cast(camera.resized(2 * camera.width, 2 * camera.height))
+        light = _three_lights(hits.normals, camera) * (0.35 + 0.65 * self._openness(hits))
+        return MeshLook(hits, np.clip(light, 0, 1)[:, None])
 
     def _cast(self, camera: Camera) -> _Hits:
         rays = pixel_rays(camera)
@@ -80,46 +78,64 @@ class MeshPainter:
         colors = None if self._mesh.colors is None else (self._mesh.colors[corners] * weights).sum(1)
         toward = np.where((normals * rays[hit]).sum(1, keepdims=True) > 0, -1, 1)
         unit = toward * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        return _Hits(hit, origins[hit] + depth[hit][:, None] * rays[hit], unit, colors, rays[hit])
-
-    def _light(self, hits: _Hits, camera: Camera) -> np.ndarray:
-        local = hits.normals @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
-        light = np.full(len(local), AMBIENT)
-        for direction, strength in LIGHTS:
-            # Half Lambert: the light wraps round, so that no side falls into flat black.
-            cosine = local @ (np.array(direction) / np.linalg.norm(direction))
-            light += strength * np.clip(0.5 + 0.5 * cosine, 0, 1) ** 1.5
-        return np.clip(light * (0.35 + 0.65 * self._openness(hits)), 0, 1)
+        return _Hits(hit, origins[hit] + depth[hit][:, None] * rays[hit], unit, colors)
 
     def _openness(self, hits: _Hits) -> np.ndarray:
         """The share [P] of the directions over the surface in which nothing is near; a fixed seed, so that the same
         mesh gives the same picture."""
-        if not len(hits.points):
-            return np.ones(0)
-        spread = np.random.default_rng(0).normal(size=(OCCLUSION_RAYS, len(hits.points), 3))
-        spread /= np.linalg.norm(spread, axis=-1, keepdims=True)
-        # A point on the sphere that touches the surface: directions by their cosine.
-        directions = hits.normals + 0.999 * spread
-        starts = np.broadcast_to(hits.points + 1e-3 * self.radius * hits.normals, directions.shape)
-        rays = np.concatenate([starts, directions], axis=-1)
-        blocked = self._rays.test_occlusions(_tensor(rays), tnear=0.0, tfar=OCCLUSION_REACH * self.radius)
-        return 1 - blocked.numpy().mean(axis=0)
+        random = np.random.default_rng(0)
+        starts = hits.points + 1e-3 * self.radius * hits.normals
+        blocked = np.zeros(len(starts), np.float32)
+        # One direction of every sample at a time: all at once would take hundreds of MiB.
+        for _ in range(OCCLUSION_RAYS if len(starts) else 0):
+            spread = random.standard_normal(starts.shape, np.float32)
+            spread /= np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), 1e-9)
+            # A point on the unit sphere that touches the surface: directions as dense as their cosine.
+            rays = np.concatenate([starts, hits.normals + 0.999 * spread], axis=1)
+            blocked += self._rays.test_occlusions(_tensor(rays), 0.0, OCCLUSION_REACH * self.radius).numpy()
+        return 1 - blocked / OCCLUSION_RAYS
+
+
+@dataclass(frozen=True)
+class MeshLook:
+    """What one camera sees of a mesh, lit. Each method gives a picture uint8 [H,W,4], clear where nothing is."""
+
+    hits: _Hits
+    light: np.ndarray
+
+    def clay(self) -> np.ndarray:
+        """In one pale colour, which shows the shape best."""
+        return _picture(CLAY * self.light, self.hits.hit)
+
+    def colored(self) -> np.ndarray:
+        """In the mesh's own colours; pale where it has none."""
+        return _picture((CLAY if self.hits.colors is None else self.hits.colors) * self.light, self.hits.hit)
+
+    def distances(self, truth: TriangleMesh, limit: float) -> np.ndarray:
+        """Coloured by the distance to `truth`, in the same frame; the darkest is `limit` and more."""
+        gap = _raycaster(truth).compute_distance(_tensor(self.hits.points)).numpy()
+        return _picture(ramp(gap / limit) * (0.6 + 0.4 * self.light), self.hits.hit)
 
 
 def surface_pictures(
-    mesh: TriangleMesh, up: np.ndarray, front: np.ndarray, truth: TriangleMesh | None = None,
-    limit: float = 0.01, size: int = 320,
+    mesh: TriangleMesh,
+    up: np.ndarray,
+    viewer: np.ndarray,
+    truth: TriangleMesh | None = None,
+    limit: float = 0.01,
+    size: int = 320,
 ) -> SurfacePictures:
     """The mesh from four sides; with `truth` (in the same frame) also its distance to it, up to `limit` of the
-    truth's bounding radius. up, front: directions [3] in the mesh's frame, the latter towards the first camera."""
+    truth's bounding radius. up: direction [3]; viewer: a position [3] that sees the front, such as a camera's."""
     painter = MeshPainter(mesh)
-    cameras = [(name, side_camera(painter, up, front, angle, size)) for name, angle in SIDES]
-    shaded = [Picture(name, painter.shaded(camera)) for name, camera in cameras]
-    colored = [] if mesh.colors is None else [Picture(name, painter.shaded(camera, True)) for name, camera in cameras]
+    front = viewer - painter.center
+    looks = [(name, painter.look(side_camera(painter, up, front, angle, size))) for name, angle in SIDES]
+    shaded = [Picture(name, look.clay()) for name, look in looks]
+    colored = [] if mesh.colors is None else [Picture(name, look.colored()) for name, look in looks]
     distance = []
     if truth is not None:
         reach = limit * bounding_ball(truth.vertices)[1]
-        distance = [Picture(name, painter.distances(camera, truth, reach)) for name, camera in cameras]
+        distance = [Picture(name, look.distances(truth, reach)) for name, look in looks]
     return SurfacePictures(shaded, colored, distance, limit)
 
 
@@ -163,6 +179,24 @@ def _look_at(eye: np.ndarray, toward: np.ndarray, up: np.ndarray, focal: float, 
     return Camera(K, pose, size, size)
 
 
+def _limited(camera: Camera) -> Camera:
+    factor = MOST_PIXELS / max(camera.width, camera.height)
+    if factor >= 1:
+        return camera
+    return camera.resized(max(1, round(factor * camera.width)), max(1, round(factor * camera.height)))
+
+
+def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """How bright [P] the lights make surfaces with the normals [P,3]; they hang on the camera."""
+    local = normals @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
+    light = np.full(len(local), AMBIENT)
+    for direction, strength in LIGHTS:
+        # Half Lambert: the light wraps round, so that no side falls into flat black.
+        cosine = local @ (np.array(direction) / np.linalg.norm(direction))
+        light += strength * np.clip(0.5 + 0.5 * cosine, 0, 1) ** 1.5
+    return light
+
+
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
     """Half-size uint8 [H,W,4] of the samples' colours [P,3]; alpha is the share of a pixel's four samples that hit."""
     height, width = hit.shape[0] // 2, hit.shape[1] // 2
@@ -172,7 +206,7 @@ def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
     return color_picture(mean[..., :3] / np.maximum(mean[..., 3:], 1e-6), mean[..., 3])
 
 
-def _raycaster(mesh: TriangleMesh):  # type: ignore[no-untyped-def]
+def _raycaster(mesh: TriangleMesh):
     rays = load_open3d().t.geometry.RaycastingScene()
     core = load_open3d().core
     faces = np.ascontiguousarray(mesh.faces, np.uint32)
@@ -180,5 +214,5 @@ def _raycaster(mesh: TriangleMesh):  # type: ignore[no-untyped-def]
     return rays
 
 
-def _tensor(values: np.ndarray):  # type: ignore[no-untyped-def]
+def _tensor(values: np.ndarray):
     return load_open3d().core.Tensor(np.ascontiguousarray(values, np.float32))

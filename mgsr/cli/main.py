@@ -1,0 +1,123 @@
+"""`mgsr`: the run and its steps singly. Each step reads what the one before left in OUT."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from mgsr.cli.options import (
+    DeviceOption,
+    MethodOption,
+    OutOption,
+    PresetOption,
+    ResumeOption,
+    SceneArgument,
+    SeedOption,
+    SetOption,
+    refusals,
+)
+from mgsr.cli.run import run
+from mgsr.cli.signals import stop_on_signals
+from mgsr.config import Config, make_config
+
+app = typer.Typer(
+    help="Posed photographs in, surface mesh and clean renders out.",
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+app.command()(run)
+
+
+@app.command()
+def info(scene: SceneArgument, settings: SetOption = None) -> None:
+    """Say what SCENE holds, after every check that a run makes before training."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        from mgsr.cli.facts import scene_facts
+        from mgsr.data.readers import load_scene
+
+        found = load_scene(scene, config.data)
+        for name, value in scene_facts(found, scene).items():
+            print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
+
+
+@app.command()
+def train(
+    scene: SceneArgument,
+    out: OutOption,
+    preset: PresetOption = "standard",
+    method: MethodOption = "mgsr",
+    device: DeviceOption = "auto",
+    seed: SeedOption = 0,
+    resume: ResumeOption = False,
+    settings: SetOption = None,
+) -> None:
+    """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
+    with refusals():
+        config = make_config(preset, method, seed, settings or [])
+        from mgsr.cli.console import RunDisplay
+        from mgsr.cli.outputs import LOG
+        from mgsr.cli.pipeline import train_only
+
+        with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
+            train_only(scene, out, config, device, resume, display, stop)
+
+
+@app.command()
+def mesh(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
+    """Extract mesh.ply and mesh.glb from the splats in OUT."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        from mgsr.cli.outputs import read_models, write_mesh
+        from mgsr.cli.pipeline import make_mesh
+        from mgsr.data.readers import load_scene
+
+        loaded = load_scene(scene, config.data)
+        surface = make_mesh(read_models(out, loaded), loaded, config)
+        write_mesh(out, surface, loaded)
+        print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
+
+
+@app.command()
+def render(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
+    """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        from mgsr.cli.outputs import RENDERS, read_models, write_renders
+        from mgsr.cli.rendering import render_views
+        from mgsr.data.readers import load_scene
+
+        loaded = load_scene(scene, config.data)
+        write_renders(out, list(render_views(read_models(out, loaded), loaded.test, config)), loaded)
+        print(f"{out / RENDERS}: {len(loaded.test)} views")
+
+
+@app.command()
+def evaluate(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
+    """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
+    with refusals():
+        config = make_config(overrides=settings or [])
+        print(json.dumps(_scores(scene, out, config), indent=2))
+
+
+def _scores(scene: Path, out: Path, config: Config) -> dict[str, Any]:
+    from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
+    from mgsr.cli.outputs import MESH, read_mesh, read_models
+    from mgsr.cli.rendering import render_views
+    from mgsr.data.readers import load_scene
+    from mgsr.report.data import finite
+
+    loaded = load_scene(scene, config.data)
+    scores = image_scores(list(render_views(read_models(out, loaded), loaded.test, config)), loaded)
+    if (out / MESH).is_file():
+        scores |= surface_scores(read_mesh(out), find_truth(loaded), loaded)
+    plain: dict[str, Any] = finite(scores)
+    return plain
+
+
+if __name__ == "__main__":
+    app()

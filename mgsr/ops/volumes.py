@@ -107,7 +107,19 @@ def rasterize_volumes(
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background, camera, options, stats
+        ctx: Any,
+        means,
+        quats,
+        scales,
+        opacities,
+        colors,
+        refl_opacities,
+        refl_colors,
+        weights,
+        background,
+        camera,
+        options,
+        stats,
     ):
         splats = [
             t if t is None else t.detach().contiguous()
@@ -136,8 +148,8 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *v_outputs: Any):
-        images = [t if t is None else t.detach() for t in ctx.saved_tensors]
-        v_images = [v if v is None else v.detach().contiguous() for v in v_outputs]
+        images: list[Any] = [t if t is None else t.detach() for t in ctx.saved_tensors]
+        v_images: list[Any] = [v if v is None else v.detach().contiguous() for v in v_outputs]
         v_splats = [t if t is None else torch.zeros_like(t) for t in ctx.splats[:-1]]
         v_means2d = torch.zeros(len(ctx.splats[0]), 2)
         _volumes.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)

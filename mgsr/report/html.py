@@ -20,7 +20,7 @@ from mgsr.report.style import CSS, SCRIPT
 HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
 MOST_VIEWS = 8
 COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-STEPS = ("load", "start", "train", "export", "render", "mesh", "evaluate", "report")
+STEPS = ("total", "load", "start", "train", "export", "render", "mesh", "evaluate", "report")
 
 
 def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:
@@ -254,7 +254,8 @@ def _worded_table(head: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> 
     """Name, value, and a sentence; on a narrow screen the sentence goes under the other two."""
     top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     body = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td class="n">{escape(value)}</td><td class="w">{escape(words)}</td></tr>'
+        f'<tr><th scope="row">{escape(name)}</th><td class="n">{escape(value)}</td>'
+        f'<td class="w">{escape(words)}</td></tr>'
         for name, value, words in rows
     )
     return f'<div class="wide words"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
@@ -278,7 +279,7 @@ def _settings(data: ReportData) -> str:
     facts = [("Preset", data.preset), ("Method", data.method), ("Device", data.device), ("Seed", str(data.seed))]
     facts += [(f"Gaussians, {name}", f"{count:,}") for name, count in data.gaussians.items()]
     facts += [("Most memory held", f"{data.peak_memory_mib:,.0f} MiB")]
-    facts += [(f"Seconds, {_step_name(name)}", f"{value:.1f}") for name, value in data.seconds.items()]
+    facts += [(_seconds_name(name), f"{value:.1f}") for name, value in data.seconds.items()]
     facts += [(f"Version of {name}", str(value)) for name, value in data.versions.items()]
     machine = data.other.get("machine") or {}
     facts += [(f"Machine, {name}", str(value)) for name, value in machine.items()]
@@ -290,8 +291,8 @@ def _settings(data: ReportData) -> str:
     )
 
 
-def _step_name(name: str) -> str:
-    return name if name in STEPS else stage_name(name)
+def _seconds_name(name: str) -> str:
+    return f"Seconds, {name}" if name in STEPS else f"Seconds, stage “{stage_name(name)}”"
 
 
 def _all_settings(data: ReportData) -> str:

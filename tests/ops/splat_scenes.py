@@ -11,7 +11,8 @@ from mgsr.data.camera import Camera
 
 def camera(width: int = 40, height: int = 28, off_center: bool = True) -> Camera:
     """A camera two units before the origin, turned a little; non-square pixels and an off-centre principal point."""
-    K = np.array([[45.0, 0, 17.3 if off_center else width / 2], [0, 52.0, 15.1 if off_center else height / 2], [0, 0, 1]])
+    cx, cy = (17.3, 15.1) if off_center else (width / 2, height / 2)
+    K = np.array([[45.0, 0, cx], [0, 52.0, cy], [0, 0, 1]])
     angle = 0.2
     pose = np.eye(4)
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]

@@ -21,7 +21,8 @@ TOLERANCE = {"images": 2e-5, "gradients": 2e-4}
 def dual_splats(count: int, seed: int = 0) -> dict[str, torch.Tensor]:
     splats = random_splats(count, 3, seed)
     extra = random_splats(count, 3, seed + 1000)
-    return splats | {"refl_opacities": extra["opacities"], "refl_colors": extra["colors"], "weights": extra["scales"][:, 0]}
+    reflected = {"refl_opacities": extra["opacities"], "refl_colors": extra["colors"]}
+    return splats | reflected | {"weights": extra["scales"][:, 0]}
 
 
 def run(renderer, splats, view, dtype, dual, compensate=False):

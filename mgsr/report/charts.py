@@ -114,13 +114,13 @@ def _grid(frame: _Frame, axes: Axes) -> list[str]:
 def _stages(frame: _Frame, boundaries: Sequence[Boundary]) -> list[str]:
     """A dashed line where a stage begins, its label right of it where the stage is wide enough for the words."""
     parts = []
-    ends = [boundary.x for boundary in boundaries[1:]] + [frame.high[0]]
-    for boundary, end in zip(boundaries, ends, strict=True):
+    places = [*(boundary.x for boundary in boundaries), frame.high[0]]
+    for boundary, end in zip(boundaries, places[1:], strict=True):
         x, _ = frame.at(boundary.x, frame.low[1])
         right, _ = frame.at(end, frame.low[1])
         if boundary.x > frame.low[0]:
             parts.append(f'<line class="stage" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP - 10}" y2="{HEIGHT - BOTTOM}"/>')
-        if right - x > 6.2 * len(boundary.label):
+        if right - x > 6.8 * len(boundary.label) + 6:
             parts.append(f'<text class="stage" x="{x + 4:.1f}" y="{TOP - 6}">{escape(boundary.label)}</text>')
     return parts
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from mgsr.report.data import Decision, ReportData
 
-STAGE_NAMES = {"warmup_surfels": "2D warm-up", "warmup_volumes": "3D warm-up", "mutual": "mutual phase"}
+STAGE_NAMES = {"warmup_surfels": "2D alone", "warmup_volumes": "3D alone", "mutual": "both"}
 STOPS = {
     "iterations": "all planned iterations were spent",
     "converged": "the loss had stopped falling, so more of the same would have gained little",
@@ -50,7 +50,7 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
 def _about_stages(data: ReportData) -> Iterator[Decision]:
     for name, run in data.iterations.items():
         reason = STOPS.get(run.stopped, run.stopped)
-        yield Decision(f"End of the {stage_name(name)}", f"after {run.iterations:,} iterations", reason)
+        yield Decision(f"End of stage “{stage_name(name)}”", f"after {run.iterations:,} iterations", reason)
 
 
 def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]:

@@ -12,6 +12,7 @@ from mgsr.data.images import reduce_area
 from mgsr.errors import MgsrError
 
 QUALITY = 88  # of WebP, 0 to 100: no visible blocks in normals and smooth shading
+EFFORT = 4  # of WebP, 0 to 6: the last steps take a hundred times as long where there is alpha, and save 3%
 
 
 def data_address(pixels: np.ndarray, max_side: int) -> str:
@@ -40,6 +41,7 @@ def webp(pixels: np.ndarray) -> bytes:
 
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
     spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("webp:method", EFFORT)
     spec.attribute("Compression", f"webp:{QUALITY}")
     # OpenImageIO's Python side writes to files only.
     with tempfile.TemporaryDirectory() as folder:

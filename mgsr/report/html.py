@@ -128,7 +128,7 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         return ""
     view = views[0]
     pair = _image(f"{view.name}: transmitted light", view.transmitted, HERO_SIDE)  # type: ignore[arg-type]
-    pair += _image("reflected light, added", view.reflected, HERO_SIDE, ' id="reflected"')  # type: ignore[arg-type]
+    pair += _image("reflected light, added", _light_alone(view.reflected), HERO_SIDE, ' id="reflected"')  # type: ignore[arg-type]
     return (
         '<section><h2>The light, taken apart</h2><div class="split">'
         f'<div class="tile stack">{pair}</div>'
@@ -140,6 +140,14 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         '<p class="note">All the way left: only the object’s own colour. All the way right: the full render.</p>'
         "</div></div></section>"
     )
+
+
+def _light_alone(pixels: np.ndarray) -> np.ndarray:
+    """uint8 [H,W,4] that adds as much light as the picture over black [H,W,3] but is clear where that is black: an
+    opaque black would show at the rounded corners."""
+    brightest = pixels[..., :3].max(axis=2, keepdims=True)
+    straight = pixels[..., :3] / np.maximum(brightest / 255, 1 / 255)
+    return np.concatenate([np.rint(straight).clip(0, 255).astype(np.uint8), brightest], axis=2)
 
 
 def _more_views(views: Sequence[TestViewPictures]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -57,7 +58,7 @@ def scores_told(data: ReportData) -> Iterator[tuple[Score, str]]:
     for scores, values in ((IMAGE, images), (SURFACE, data.gt or {}), (SPLIT, split)):
         for score in scores:
             value = values.get(score.name)
-            if isinstance(value, int | float):
+            if isinstance(value, int | float) and math.isfinite(value):
                 yield score, f"{value * score.factor:.{score.digits}f}{_unit(score)}"
 
 

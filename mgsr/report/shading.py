@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from mgsr.open3d_library import load_open3d
 from mgsr.report.pictures import Picture, SurfacePictures, color_picture, ramp
 
 # Directions towards the lights in the camera's frame (right, up, towards the camera) and their strengths.
-LIGHTS = (((-0.45, 0.65, 0.62), 0.62), ((0.75, 0.10, 0.65), 0.20), ((0.10, -0.75, 0.35), 0.10))
+LIGHTS = (((-0.45, 0.65, 0.62), 0.70), ((0.75, 0.10, 0.65), 0.20), ((0.10, -0.75, 0.35), 0.10))
 AMBIENT = 0.16
 CLAY = np.array((0.86, 0.845, 0.82), np.float32)
 SIDES = (("front", 0), ("right", 90), ("back", 180), ("left", 270))
@@ -205,7 +206,7 @@ def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
     return color_picture(mean[..., :3] / np.maximum(mean[..., 3:], 1e-6), mean[..., 3])
 
 
-def _raycaster(mesh: TriangleMesh):
+def _raycaster(mesh: TriangleMesh) -> Any:
     rays = load_open3d().t.geometry.RaycastingScene()
     core = load_open3d().core
     faces = np.ascontiguousarray(mesh.faces, np.uint32)
@@ -213,5 +214,5 @@ def _raycaster(mesh: TriangleMesh):
     return rays
 
 
-def _tensor(values: np.ndarray):
+def _tensor(values: np.ndarray) -> Any:
     return load_open3d().core.Tensor(np.ascontiguousarray(values, np.float32))

@@ -25,7 +25,7 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
         gaussians={"surfels": 14210, "volumes": 21877},
         psnr_test=36.82, ssim_test=0.9871, curve=_curve(),
         mesh=MeshFacts(61204, 122011, 1, 393, 2),
-        gt={"chamfer": 0.00213, "accuracy": 0.0019, "completeness": 0.0024, "F@0.005": 0.948,
+        gt={"chamfer": 0.00213, "accuracy": 0.0019, "completeness": 0.0024, "f_005": 0.948,
             "normal_consistency": 0.978, "normal_error": 6.4},
         peak_memory_mib=1342.0, command=command,
         other={
@@ -33,6 +33,7 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
                       "masked": True, "points": 0},
             "settings": {"mesh": {"extractor": "poisson", "close_holes": False}},
             "machine": {"cores": 2, "kernels": "avx512"}, "psnr_fg_test": 29.9,
+            "split": {"split_psnr": 33.1, "split_photo": 29.1, "split_gain": 4.0},
         },
     )  # fmt: skip
 
@@ -41,14 +42,16 @@ def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> Report
     """Seeded noise for every picture that a report may hold."""
     random = np.random.default_rng(1)
     image = random.integers(0, 256, (size, size, 4), dtype=np.uint8)
-    shown = [TestViewPictures(name, image, image, image, image[..., :3], image, image, image, 31.0) for _ in range(views)]
+    pictures = (image, image, image, image[..., :3], image, image, image)
+    shown = [TestViewPictures(name, *pictures, 31.0) for _ in range(views)]
     return ReportPictures(shown, SurfacePictures())
 
 
 def ball(radius: float = 1.0, rings: int = 24) -> TriangleMesh:
     """A sphere round the origin from a grid of angles, with exact normals."""
     polar, around = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij")
-    normals = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)], -1).reshape(-1, 3)
+    ring = np.sin(polar)
+    normals = np.stack([ring * np.cos(around), ring * np.sin(around), np.cos(polar)], -1).reshape(-1, 3)
     index = np.arange(rings * 2 * rings).reshape(rings, 2 * rings)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
@@ -62,7 +65,8 @@ def _curve() -> list[CurvePoint]:
         stage = "warmup_surfels" if seconds <= 70 else "warmup_volumes" if seconds <= 130 else "mutual"
         flat = 20 + 13 * (1 - math.exp(-min(seconds, 70) / 25)) + (max(0, seconds - 130) / 150) * 1.2
         full = None if seconds <= 70 else 21 + 15.5 * (1 - math.exp(-(seconds - 70) / 30))
-        surfels, volumes = int(6000 + 8210 * min(1, seconds / 180)), 0 if full is None else int(6000 + 90 * (seconds - 70))
+        surfels = int(6000 + 8210 * min(1, seconds / 180))
+        volumes = 0 if full is None else int(6000 + 90 * (seconds - 70))
         psnr = flat if full is None else full
         rows.append(CurvePoint(seconds, stage, 40 * step, psnr, flat, full, surfels, volumes))
     return rows

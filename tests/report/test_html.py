@@ -1,0 +1,119 @@
+"""The page: well-formed, alone, escaped, small; with whatever a run lacks left out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.report.html import report_page, write_report_html
+from mgsr.report.pictures import Picture, ReportPictures, SurfacePictures, TestViewPictures
+from tests.report.samples import sample_pictures, sample_report
+
+VOID = {"meta", "link", "img", "input", "br"}
+STRANGE = "a<b>&\"quote'</title><script>alert(1)</script>é"
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order; keeps images and tags."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open and self.open[-1] == tag, f"</{tag}> closes {self.open[-3:]}"
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+def surface() -> SurfacePictures:
+    sides = [Picture(name, np.full((8, 8, 4), 90, np.uint8)) for name in ("front", "right", "back", "left")]
+    return SurfacePictures(sides, sides, sides)
+
+
+def full_page() -> str:
+    return report_page(sample_report(), replace(sample_pictures(), surface=surface()))
+
+
+def test_tags_close_and_ids_are_unique() -> None:
+    ids = [attributes["id"] for _, attributes in read(full_page()).attributes if "id" in attributes]
+    assert len(ids) == len(set(ids))
+
+
+def test_the_page_asks_for_nothing_outside_itself() -> None:
+    page = full_page()
+    assert not re.search(r"https?:|//[a-z]|@import|url\((?!#)", re.sub(r"base64,[^\"]*", "", page))
+    for tag, attributes in read(page).attributes:
+        for name in ("src", "href"):
+            assert name not in attributes or str(attributes[name]).startswith("data:"), (tag, name)
+
+
+def test_every_picture_has_words_and_a_size() -> None:
+    images = [attributes for tag, attributes in read(full_page()).attributes if tag == "img"]
+    assert images and all(image["alt"] and image["width"] and image["height"] for image in images)
+    charts = [attributes for tag, attributes in read(full_page()).attributes if attributes.get("role") == "img"]
+    assert len(charts) == 2 and all(chart["aria-label"] for chart in charts)
+
+
+def test_strange_names_are_shown_as_they_are() -> None:
+    data = sample_report(STRANGE, f"mgsr-worker run '{STRANGE}'")
+    page = report_page(data, sample_pictures(STRANGE))
+    reader = read(page)
+    assert page.count("<script>") == 1 and "alert(1)</script>" not in page
+    assert STRANGE in reader.text
+    assert any(STRANGE in str(attributes.get("alt")) for _, attributes in reader.attributes)
+
+
+def test_a_run_without_split_truth_views_or_mesh_still_has_a_page(tmp_path: Path) -> None:
+    data = replace(sample_report(), gt=None, mesh=None, curve=[], psnr_test=None, ssim_test=None, other={})
+    write_report_html(tmp_path / "report.html", data, ReportPictures())
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    read(page)
+    assert "taken apart" not in page and "How it got there" not in page and "<svg" not in page
+
+
+def test_a_view_of_one_branch_shows_what_there_is() -> None:
+    picture = np.zeros((8, 12, 3), np.uint8)
+    page = report_page(sample_report(), ReportPictures([TestViewPictures("view", picture, picture, normal=picture)]))
+    assert sum(tag == "img" for tag in read(page).tags) == 3
+
+
+def test_eight_test_views_and_the_surface_stay_under_four_megabytes() -> None:
+    """Pictures with half of their pixels in noise: ten times the bytes of a rendered object."""
+    noise = sample_pictures(views=8, size=256).views[0].photo.copy()
+    noise[:, ::2] = 128
+    views = [TestViewPictures(str(i), noise, noise, noise, noise[..., :3], noise, noise, noise) for i in range(8)]
+    noise[:64] = noise[-64:] = 0
+    assert len(report_page(sample_report(), ReportPictures(views, surface()))) < 4 * 2**20
+
+
+def test_values_that_are_not_finite_are_left_out() -> None:
+    data = replace(sample_report(), psnr_test=float("nan"))
+    assert "nan" not in read(report_page(data, ReportPictures())).text

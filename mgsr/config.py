@@ -136,16 +136,18 @@ class AlphaLoss(StrEnum):
 
 @dataclass(frozen=True)
 class RatesConfig:
-    """Learning rates, a step of Adam each; all fade exponentially over the whole run."""
+    """Learning rates, a step of Adam each; all fade exponentially over the whole run.
 
-    position: float = 1.6e-4  # times the scene's extent, at the start
-    position_end: float = 1.6e-6  # times the scene's extent, at the end
-    sh: float = 2.5e-3  # the constant term of colour
-    sh_rest: float = 1.25e-4  # the direction-dependent terms
+    The published rates are for 30,000 iterations; these are for some thousands."""
+
+    position: float = 4e-4  # times the scene's extent, at the start; published 1.6e-4
+    position_end: float = 4e-6  # times the scene's extent, at the end; published 1.6e-6
+    sh: float = 1e-2  # the constant term of colour; published 2.5e-3
+    sh_rest: float = 4e-3  # the direction-dependent terms; published 1.25e-4
     opacity: float = 5e-2
     weight: float = 5e-2  # the reflection weight's logit
-    scale: float = 5e-3  # log-scale
-    rotation: float = 1e-3
+    scale: float = 1e-2  # log-scale; published 5e-3
+    rotation: float = 4e-3  # published 1e-3
     final: float = 1.0  # factor that every rate but the position's has reached at the end
     beta1: float = 0.9
     beta2: float = 0.999
@@ -174,21 +176,21 @@ class DensifyConfig:
 class SurfelConfig:
     """The 2D branch: the surface."""
 
-    sh_degree: int = 3
-    max_start: int = 20_000  # splats; more starting points are thinned to this, by the seed
-    start_opacity: float = 0.1
-    start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
-    depth: SurfaceDepth = SurfaceDepth.EXPECTED
+    sh_degree: int = 2  # more lets colour explain what the shape should
+    max_start: int = 16_000  # splats; more starting points are thinned to this, by the seed
+    start_opacity: float = 0.9
+    start_scale: float = 0.4  # times the mean distance of the three nearest neighbours; wide disks stand off curves
+    depth: SurfaceDepth = SurfaceDepth.MEDIAN
     normal_weight: float = 0.05  # lambda_3: rendered normal against the depth's, times normal_tv_weight too
     normal_tv_weight: float = 1.0  # lambda_4
-    depth_tv_weight: float = 1.0  # lambda_5
+    depth_tv_weight: float = 0.1  # lambda_5; the paper's 1 flattens and shrinks
     distortion_weight: float = 0.0  # 2DGS's; the method has none
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
-    edge_band: int = 1  # pixels on either side of the mask's outline where this branch is not judged: there the soft
+    edge_band: int = 4  # pixels on either side of the mask's outline where this branch is not judged: there the soft
     # edges of splats would be paid for by a smaller object
     regularise_from: float = 0.0  # fraction of the warm-up after which lambda_3 to lambda_5 count
-    rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    rates: RatesConfig = field(default_factory=lambda: RatesConfig(sh_rest=2e-3, scale=5e-3))
+    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(max_count=20_000))
 
 
 @dataclass(frozen=True)
@@ -196,27 +198,27 @@ class VolumeConfig:
     """The 3D branch: rendering and the light split."""
 
     split: bool = True  # off: no reflected half (3DGS)
-    sh_degree: int = 1  # of the transmitted colour; low, so that it can't hold highlights (a flash is degree 1)
+    sh_degree: int = 2  # of the transmitted colour; low, so that it can't hold highlights (a flash needs 2 in sRGB)
     reflected_sh_degree: int = 3
-    max_start: int = 20_000  # splats; more starting points are thinned to this, by the seed
-    start_opacity: float = 0.1
+    max_start: int = 8_000  # splats; more starting points are thinned to this, by the seed
+    start_opacity: float = 0.5
     start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
     start_weight: float = 0.1  # beta; must lie inside (0, 1)
-    start_reflected: float = 0.5  # grey of the reflected colour, 0..1
-    transmitted_tv_weight: float = 1.0  # lambda_2; the published program has 0.1
+    start_reflected: float = 0.2  # grey of the reflected colour, 0..1
+    transmitted_tv_weight: float = 0.05  # lambda_2: 1 in the paper, 0.1 in the published program
     depth_tv_weight: float = 0.0  # the published program has 0.05
-    reflected_cost: float = 0.0  # on the mean of W * C_ref: what the transmitted light can explain, it must
+    reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005))
+    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=14_000))
 
 
 @dataclass(frozen=True)
 class WarmupConfig:
     """Each branch alone (supplement, Algorithm 1)."""
 
-    surfel_iterations: int = 2500  # at most
-    volume_iterations: int = 2500  # at most
+    surfel_iterations: int = 800  # at most
+    volume_iterations: int = 1500  # at most
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
     epoch_span: int = 5  # epochs that are averaged and compared with as many before them
@@ -232,12 +234,12 @@ class WarmupConfig:
 class MutualConfig:
     """Both branches teach each other (supplement, Algorithm 2)."""
 
-    iterations: int = 3000
+    iterations: int = 1800
     iterations_factor: float = 1.0  # times `iterations`; Models G to J
     surfel_weight: float = 0.5  # of L_2D in the total
     volume_weight: float = 0.5  # of L_3D in the total
     depth_weight: float = 0.01  # of L_depth in the total
-    photo_weight: float = 0.5  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
+    photo_weight: float = 0.3  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
     teaching: Teaching = Teaching.BOTH_WAYS
     depth_unit: DepthUnit = DepthUnit.DISTANCE
 
@@ -264,7 +266,7 @@ class TrainConfig:
     background: Background = Background.AUTO
     alpha_loss: AlphaLoss = AlphaLoss.L1
     crop_margin: int | None = 16  # pixels around the mask's box that the photographic losses see; none is the image
-    sh_step: float = 0.1  # fraction of the warm-up between two rises of the SH degree
+    sh_step: float = 0.02  # fraction of the warm-up between two rises of the SH degree
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
@@ -287,21 +289,25 @@ class Config:
 # What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing.
 PRESETS: dict[str, dict[str, str]] = {
     "draft": {  # 60 seconds
-        "warmup.surfel_iterations": "500",
-        "warmup.volume_iterations": "500",
-        "mutual.iterations": "600",
-        "surfels.max_start": "8000",
-        "volumes.max_start": "8000",
-        "surfels.densify.max_count": "12000",
-        "volumes.densify.max_count": "12000",
+        "warmup.surfel_iterations": "250",
+        "warmup.volume_iterations": "350",
+        "mutual.iterations": "300",
+        "surfels.max_start": "9000",
+        "surfels.start_scale": "0.5",
+        "volumes.max_start": "5000",
+        "surfels.densify.max_count": "10000",
+        "volumes.densify.max_count": "8000",
+        "mesh.view_scale": "1.0",
+        "mesh.poisson_depth": "7",
     },
     "standard": {},  # 5 minutes
     "high": {  # 20 minutes
-        "warmup.surfel_iterations": "8000",
-        "warmup.volume_iterations": "8000",
-        "mutual.iterations": "10000",
-        "surfels.densify.max_count": "60000",
-        "volumes.densify.max_count": "60000",
+        "warmup.surfel_iterations": "4000",
+        "warmup.volume_iterations": "6000",
+        "mutual.iterations": "8000",
+        "surfels.max_start": "24000",
+        "surfels.densify.max_count": "36000",
+        "volumes.densify.max_count": "24000",
     },
 }
 

@@ -56,7 +56,7 @@ class RunDisplay:
     def _show_on_bar(self, event: Event, text: str) -> None:
         assert self._bar is not None and self._task is not None
         if event.training is None:
-            self._bar.print(text, markup=False)
+            self._console.print(text, markup=False)
             self._bar.update(self._task, description=event.step, detail="")
         else:
             self._bar.update(self._task, description="train", completed=event.training.done, detail=text)
@@ -93,5 +93,5 @@ def _clock(seconds: float) -> str:
 
 
 def _make_bar(console: Console) -> Bar:
-    columns = (TextColumn("{task.description:8}"), BarColumn(bar_width=24), TextColumn("{task.detail}"))
+    columns = (TextColumn("{task.description:8}"), BarColumn(bar_width=24), TextColumn("{task.fields[detail]}"))
     return Bar(*columns, console=console)

@@ -23,6 +23,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.report.data import ReportData
+from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
 from mgsr.report.shading import up_direction
@@ -100,6 +101,7 @@ def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene) -> No
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
     """report.html, then report.json, which says that the run is complete."""
+    report = with_decisions(report)
     with whole(out / REPORT_HTML) as path:
         write_report_html(path, report, pictures)
     with whole(out / REPORT) as path:

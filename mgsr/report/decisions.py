@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from mgsr.report.data import Decision, ReportData
@@ -23,6 +24,11 @@ METHODS = {
 def stage_name(stage: str) -> str:
     """A stage's name in words."""
     return STAGE_NAMES.get(stage, stage.replace("_", " "))
+
+
+def with_decisions(data: ReportData) -> ReportData:
+    """The same run with its decisions told, unless it brings its own."""
+    return data if data.decisions else replace(data, decisions=tell_decisions(data))
 
 
 def tell_decisions(data: ReportData) -> list[Decision]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from mgsr.report.charts import Axes, Boundary, Line, line_chart, short_number
 from mgsr.report.data import ReportData, finite
-from mgsr.report.decisions import stage_name, tell_decisions
+from mgsr.report.decisions import stage_name, with_decisions
 from mgsr.report.encode import data_address
 from mgsr.report.pictures import RAMP, Picture, ReportPictures, SurfacePictures, TestViewPictures
 from mgsr.report.scores import scores_told
@@ -278,7 +278,7 @@ def _scores(data: ReportData) -> str:
 
 
 def _decisions(data: ReportData) -> str:
-    rows = [(each.what, each.choice, each.why) for each in data.decisions or tell_decisions(data)]
+    rows = [(each.what, each.choice, each.why) for each in with_decisions(data).decisions]
     table = _worded_table(("What", "Choice", "Why"), rows)
     return f"<section><h2>What was decided, and why</h2>{table}</section>" if rows else ""
 

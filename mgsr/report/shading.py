@@ -37,10 +37,12 @@ class TriangleMesh:
 
 @dataclass(frozen=True)
 class _Hits:
-    """One camera's rays: which hit [H,W] bool; and of those that did, points, normals and colours (or None), [P,3]."""
+    """One camera's rays: which hit [H,W] bool; of those that did, [P,3]: points, facets' normals towards the camera,
+    smooth normals on their side, and colours (or None)."""
 
     hit: np.ndarray
     points: np.ndarray
+    facets: np.ndarray
     normals: np.ndarray
     colors: np.ndarray | None
 
@@ -69,22 +71,24 @@ class MeshPainter:
         rays = pixel_rays(camera)
         origins = np.broadcast_to(camera.center.astype(np.float32), rays.shape)
         found = self._rays.cast_rays(_tensor(np.concatenate([origins, rays], axis=-1)))
-        depth, facets = found["t_hit"].numpy(), found["primitive_normals"].numpy()
+        depth = found["t_hit"].numpy()
         hit = np.isfinite(depth)
+        facets = _facing(found["primitive_normals"].numpy()[hit], -rays[hit])
         corners = self._mesh.faces[found["primitive_ids"].numpy()[hit].astype(np.int64)]
         second, third = found["primitive_uvs"].numpy()[hit].T
         weights = np.stack([1 - second - third, second, third], axis=1)[..., None]
-        normals = facets[hit] if self._mesh.normals is None else (self._mesh.normals[corners] * weights).sum(1)
+        normals = facets if self._mesh.normals is None else (self._mesh.normals[corners] * weights).sum(1)
         colors = None if self._mesh.colors is None else (self._mesh.colors[corners] * weights).sum(1)
-        toward = np.where((normals * rays[hit]).sum(1, keepdims=True) > 0, -1, 1)
-        unit = toward * normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        return _Hits(hit, origins[hit] + depth[hit][:, None] * rays[hit], unit, colors)
+        unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        points = origins[hit] + depth[hit][:, None] * rays[hit]
+        # The facet says which side is seen: at an outline the smooth normal already points away.
+        return _Hits(hit, points, facets, _facing(unit, facets), colors)
 
     def _openness(self, hits: _Hits) -> np.ndarray:
         """The share [P] of the directions over the surface in which nothing is near; a fixed seed, so that the same
         mesh gives the same picture."""
         random = np.random.default_rng(0)
-        starts = hits.points + 1e-3 * self.radius * hits.normals
+        starts = hits.points + 1e-3 * self.radius * hits.facets
         blocked = np.zeros(len(starts), np.float32)
         # One direction of every sample at a time: all at once would take hundreds of MiB.
         for _ in range(OCCLUSION_RAYS if len(starts) else 0):
@@ -184,6 +188,11 @@ def _limited(camera: Camera) -> Camera:
     if factor >= 1:
         return camera
     return camera.resized(max(1, round(factor * camera.width)), max(1, round(factor * camera.height)))
+
+
+def _facing(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The normals [P,3], turned round where they point against the directions [P,3]."""
+    return np.where((normals * directions).sum(1, keepdims=True) < 0, -normals, normals)
 
 
 def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:

@@ -3,7 +3,7 @@
 CSS = """
 :root{color-scheme:light dark;--bg:#fbfaf8;--card:#fff;--tile:#f1efeb;--ink:#22211f;--soft:#66625b;--line:#e3dfd8;
 --a:#1f6fb2;--b:#c2571a;--accent:#1f6fb2}
-@media (prefers-color-scheme:dark){:root{--bg:#151618;--card:#1c1d20;--tile:#26282c;--ink:#ecebe8;--soft:#a3a09a;
+@media (prefers-color-scheme:dark){:root{--bg:#151618;--card:#1c1d20;--tile:#3a3d43;--ink:#ecebe8;--soft:#a3a09a;
 --line:#33353a;--a:#6cb4ee;--b:#f0955b;--accent:#6cb4ee}}
 *{box-sizing:border-box}
 html{-webkit-text-size-adjust:100%}

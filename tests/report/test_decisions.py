@@ -1,0 +1,27 @@
+"""What a run's facts say was decided."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from mgsr.report.data import Decision
+from mgsr.report.decisions import tell_decisions, with_decisions
+from tests.report.samples import sample_report
+
+
+def test_every_stage_says_why_it_ended() -> None:
+    told = {each.what: each for each in tell_decisions(sample_report())}
+    assert "stopped falling" in told["End of stage “2D alone”"].why
+    assert "all planned" in told["End of stage “both”"].why
+    assert told["Masks"].choice == "used" and told["Holes"].choice == "left open"
+
+
+def test_a_runs_own_decisions_stay() -> None:
+    own = [Decision("Seed", "0", "asked for")]
+    assert with_decisions(replace(sample_report(), decisions=own)).decisions == own
+    assert with_decisions(sample_report()).to_json()["decisions"][0]["what"] == "Method"
+
+
+def test_few_facts_are_enough() -> None:
+    data = replace(sample_report(), iterations={}, mesh=None, other={})
+    assert [each.what for each in tell_decisions(data)] == ["Method"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.mesh.consistency import Hull
-from mgsr.mesh.surface import face_components, face_crosses, keep_faces, vertex_normals
+from mgsr.mesh.surface import boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
 from mgsr.metrics.raycast import RayCaster
 
 Triangles = tuple[np.ndarray, np.ndarray]  # vertices [V,3], faces [F,3]
@@ -93,6 +93,17 @@ def _grown(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
     grown = marked.copy()
     grown[faces[marked[faces].any(1)]] = True
     return grown
+
+
+def close_loops(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """The mesh with every boundary loop closed by a fan of faces around the loop's middle."""
+    rim, loops = boundary_loops(faces)
+    if len(rim) == 0:
+        return vertices, faces
+    counts = np.bincount(loops)
+    sums = np.stack([np.bincount(loops, vertices[rim[:, 0], axis]) for axis in range(3)], axis=1)
+    fan = np.column_stack([rim[:, 1], rim[:, 0], len(vertices) + loops])
+    return np.concatenate([vertices, sums / counts[:, None]]), np.concatenate([faces, fan])
 
 
 def decimate(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> Triangles:

@@ -4,7 +4,7 @@ found, and the rest move to the surface that the views agree on."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, minimum_filter
@@ -13,6 +13,8 @@ from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import Silhouette, SurfaceView, nearest, project, sample
+
+REACH = 2.0  # noise of the depth must find its mean, but not a neighbouring surface
 
 
 @dataclass(frozen=True)
@@ -33,14 +35,17 @@ def compare_views(
 ) -> Agreement:
     """Hold points against every view.
 
-    A view confirms a point that faces it and lies within `tolerance` pixel footprints of its surface (more where that
-    is slanted). It contradicts a point when it sees something that much behind it, or nothing, at the point's pixel
-    and all around it. A view that sees something in front of the point is silent.
+    A view contradicts a point when it sees something more than `tolerance` pixel footprints behind it (more where the
+    surface is slanted), or nothing, at the point's pixel and all around it. It confirms a point that faces it and lies
+    within REACH times as much of its surface. A view that sees something in front of the point is silent, and so are
+    pixels that its mask leaves out.
 
     Confirming views move the point along its normal to their mean surface and turn the normal to their mean. As a
     view's weight fades out smoothly where it ends, neighbouring points are averaged over nearly the same views, and
-    what the views' depths differ by does not become noise on the surface.
+    what the views' depths differ by does not become noise on the surface. For the same end, pixels count here down to
+    half the rules' least cosine, with little weight.
     """
+    rules = replace(rules, min_cos=rules.min_cos / 2)
     count = len(points)
     against, confirming = np.zeros(count, np.int32), np.zeros(count, np.int32)
     sums = np.zeros((count, 5), np.float32)  # weight, weight * offset along the normal, weight * normal
@@ -82,8 +87,11 @@ def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toleranc
     cosines = -slants / np.sqrt((rays * rays).sum(1))
     limit = tolerance * depths / np.float32(camera.K[0, 0]) / np.maximum(np.abs(cosines), 0.3)
     depth = np.where(view.usable(rules.min_alpha), view.depth, np.inf)
+    if view.mask is not None:
+        depth = np.where(view.mask, depth, 0)  # nearer than any point: such pixels are silent
     # The nearest of the 3x3 pixels around: a point at a silhouette is not contradicted by what lies past it.
     contradicted = index[nearest(minimum_filter(depth, size=3), pixels) - depths > limit]
+    limit = REACH * limit
     # Only what may be confirmed is worth the interpolation, which finds a slanted surface a little off its pixel's.
     near = (cosines > rules.min_cos / 2) & (np.abs(nearest(depth, pixels) - depths) < 2 * limit)
     seen = sample(_weighted_surface(view, rules), pixels[near])

@@ -11,7 +11,6 @@ from mgsr.errors import MeshError
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
-from mgsr.mesh.parallel import core_count
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
@@ -55,7 +54,7 @@ def _by_poisson(
         points = points.where(hull.excess(points.positions, config.hull_margin or 0) == 0)
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
-    vertices, faces = poisson_surface(points, config.poisson_depth, core_count(threads))
+    vertices, faces = poisson_surface(points, config.poisson_depth)
     if config.close_holes:
         return vertices, faces
     return trim_unsupported(vertices, faces, points, config.trim * cell)
@@ -100,6 +99,8 @@ def _finish(
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
+    if config.close_holes:
+        vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:
         vertices, faces = cleanup.decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)

@@ -17,8 +17,10 @@ def cell_size(extent: float, depth: int) -> float:
     return MARGIN * extent / 2**depth
 
 
-def poisson_surface(points: OrientedPoints, depth: int, threads: int) -> tuple[np.ndarray, np.ndarray]:
+def poisson_surface(points: OrientedPoints, depth: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [V,3] and faces [F,3] of the closed surface; counter-clockwise from outside.
+
+    It runs on one thread: on several its sums come in another order each time, and so do its vertices.
 
     Source: Kazhdan and Hoppe, Screened Poisson Surface Reconstruction (Open3D's build of the authors' code).
     """
@@ -27,7 +29,7 @@ def poisson_surface(points: OrientedPoints, depth: int, threads: int) -> tuple[n
     cloud.points = open3d.utility.Vector3dVector(points.positions.astype(np.float64))
     cloud.normals = open3d.utility.Vector3dVector(points.normals.astype(np.float64))
     mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-        cloud, depth=depth, scale=MARGIN, linear_fit=False, n_threads=threads
+        cloud, depth=depth, scale=MARGIN, linear_fit=False, n_threads=1
     )
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
 

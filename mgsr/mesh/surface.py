@@ -56,23 +56,24 @@ def face_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.ndarr
     return len(used), pieces
 
 
-def boundary_edges(faces: np.ndarray) -> np.ndarray:
-    """Edges [E,2] that belong to one face only."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    unique, counts = np.unique(edges, axis=0, return_counts=True)
-    return unique[counts == 1]
+def boundary_loops(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges [E,2] that belong to one face only, in that face's direction, and the loop of each [E]; loops that touch
+    in a vertex count as one."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, index, counts = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    rim = edges[index[counts == 1]]
+    if len(rim) == 0:
+        return rim, np.zeros(0, np.int64)
+    graph = coo_matrix((np.ones(len(rim), bool), rim.T), (rim.max() + 1,) * 2)
+    _, labels = connected_components(graph, directed=False)
+    return rim, np.unique(labels[rim[:, 0]], return_inverse=True)[1]
 
 
 def topology(vertices: np.ndarray, faces: np.ndarray) -> Topology:
-    """Count the mesh's pieces and holes. Loops that touch in a vertex count as one hole."""
-    rim = boundary_edges(faces)
-    holes = 0
-    if len(rim):
-        graph = coo_matrix((np.ones(len(rim), bool), rim.T), (len(vertices), len(vertices)))
-        _, labels = connected_components(graph, directed=False)
-        holes = len(np.unique(labels[rim[:, 0]]))
+    """Count the mesh's pieces and holes (`boundary_loops`)."""
+    rim, loops = boundary_loops(faces)
     pieces = face_components(faces, len(vertices))[0] if len(faces) else 0
-    return Topology(len(vertices), len(faces), pieces, len(rim), holes)
+    return Topology(len(vertices), len(faces), pieces, len(rim), len(np.unique(loops)))
 
 
 def keep_faces(vertices: np.ndarray, faces: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,8 @@ def tsdf_surface(
     grid = _empty_grid(voxel)
     for view in views:
         _integrate(grid, view, voxel, truncation, rules)
+    if grid.hashmap().size() == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
 
@@ -43,6 +45,6 @@ def _integrate(grid: Any, view: SurfaceView, voxel: float, truncation: float, ru
     image = open3d.t.geometry.Image(open3d.core.Tensor(depth))
     intrinsic = open3d.core.Tensor(view.camera.K)
     extrinsic = open3d.core.Tensor(view.camera.cam_from_world)
-    limits = {"depth_scale": 1.0, "depth_max": float(depth.max()) + voxel, "trunc_voxel_multiplier": truncation}
+    limits = {"depth_scale": 1.0, "depth_max": float(depth.max()) + voxel, "trunc_voxel_multiplier": float(truncation)}
     blocks = grid.compute_unique_block_coordinates(image, intrinsic, extrinsic, **limits)
     grid.integrate(blocks, image, intrinsic, extrinsic, **limits)

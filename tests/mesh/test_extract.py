@@ -1,0 +1,137 @@
+"""Extraction from views of shapes that are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.config import Extractor, MeshConfig
+from mgsr.errors import MeshError
+from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.surface import SurfaceMesh, topology
+from mgsr.mesh.views import SurfaceView
+from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
+
+RADIUS = 0.7
+CONFIG = MeshConfig(poisson_depth=6)
+BOTH = pytest.mark.parametrize("extractor", list(Extractor))
+
+
+@pytest.fixture(scope="module")
+def views() -> list[SurfaceView]:
+    return views_of(ball(RADIUS), cameras_around(16))
+
+
+def radial_error(mesh: SurfaceMesh) -> np.ndarray:
+    return np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+
+
+@BOTH
+def test_a_ball_comes_out(views: list[SurfaceView], extractor: Extractor) -> None:
+    mesh = extract_mesh(views, replace(CONFIG, extractor=extractor))
+    # A pixel covers 0.018 there. The TSDF reads the nearest pixel, so slanted surfaces become stairs.
+    assert radial_error(mesh).mean() < {Extractor.POISSON: 0.002, Extractor.TSDF: 0.008}[extractor]
+    assert topology(mesh.vertices, mesh.faces).components == 1
+    outwards = (mesh.normals * mesh.vertices).sum(1) / np.linalg.norm(mesh.vertices, axis=1)
+    assert outwards.min() > 0.5
+    # The TSDF of so few views has holes.
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).volume > 0.8 * 4 / 3 * np.pi * RADIUS**3
+    np.testing.assert_allclose(mesh.colors, position_color(mesh.vertices), atol=0.05)
+
+
+def test_the_result_does_not_depend_on_the_run(views: list[SurfaceView]) -> None:
+    first, second = (extract_mesh(views, CONFIG, threads=count) for count in (1, 2))
+    np.testing.assert_array_equal(first.faces, second.faces)
+    np.testing.assert_array_equal(first.vertices, second.vertices)
+    np.testing.assert_array_equal(first.colors, second.colors)
+
+
+def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:
+    spoiled = []
+    for index, view in enumerate(views):
+        depth = view.depth.copy()
+        row, column = 40 + index % 5 * 4, 35 + index % 7 * 3
+        depth[row : row + 5, column : column + 5] *= 0.85
+        spoiled.append(replace(view, depth=depth))
+    mesh = extract_mesh(spoiled, CONFIG)
+    assert radial_error(mesh).max() < 0.02
+
+
+def test_a_floater_in_all_views_is_small_and_goes(views: list[SurfaceView]) -> None:
+    both = trimesh.util.concatenate([ball(RADIUS), ball(0.04).apply_translation([0, 0, 0.95])])
+    mesh = extract_mesh(views_of(both, cameras_around(16)), replace(CONFIG, min_piece=0.02))
+    assert np.linalg.norm(mesh.vertices, axis=1).max() < 0.75
+
+
+def test_nothing_stays_outside_the_silhouettes() -> None:
+    cameras = cameras_around(16)
+    fat = views_of(ball(RADIUS + 0.04), cameras)
+    silhouettes = silhouettes_of(ball(RADIUS), cameras)
+    free, held = extract_mesh(fat, CONFIG), extract_mesh(fat, replace(CONFIG, consistency=None), silhouettes)
+    assert radial_error(free).mean() == pytest.approx(0.04, abs=0.004)
+    # One pixel, 0.018, is forgiven, and 16 silhouettes touch a ball in 16 circles only.
+    assert radial_error(held).mean() < 0.032
+
+
+def test_what_was_never_seen_stays_open_unless_closed() -> None:
+    above = [camera for camera in cameras_around(40) if camera.center[2] > 1.2]
+    views = views_of(ball(RADIUS), above)
+    mesh = extract_mesh(views, CONFIG)
+    counts = topology(mesh.vertices, mesh.faces)
+    assert mesh.vertices[:, 2].min() > -0.65
+    assert counts.holes == 1 and counts.boundary_edges > 10
+    closed = extract_mesh(views, replace(CONFIG, close_holes=True))
+    assert topology(closed.vertices, closed.faces).boundary_edges == 0
+
+
+def test_thin_walls_keep_both_sides() -> None:
+    plate = trimesh.creation.box([1.0, 1.0, 0.03])
+    mesh = extract_mesh(views_of(plate, cameras_around(24)), replace(CONFIG, poisson_depth=7))
+    middle = (np.abs(mesh.vertices[:, :2]) < 0.4).all(1)
+    assert np.abs(np.abs(mesh.vertices[middle, 2]) - 0.015).max() < 0.005
+    assert (np.sign(mesh.normals[middle, 2]) == np.sign(mesh.vertices[middle, 2])).all()
+
+
+def test_masked_pixels_are_not_used(views: list[SurfaceView]) -> None:
+    half = [replace(view, mask=np.zeros(view.depth.shape, bool)) for view in views[1:]] + views[:1]
+    mesh = extract_mesh(half, CONFIG)
+    towards = views[0].camera.center / np.linalg.norm(views[0].camera.center)
+    assert (mesh.vertices @ towards).min() > 0
+
+
+def test_decimation_reaches_the_count(views: list[SurfaceView]) -> None:
+    mesh = extract_mesh(views, replace(CONFIG, max_faces=1000))
+    assert 900 <= len(mesh.faces) <= 1000
+    assert radial_error(mesh).mean() < 0.01
+
+
+def test_empty_meshes_say_why(views: list[SurfaceView]) -> None:
+    with pytest.raises(MeshError, match="no views were rendered"):
+        extract_mesh([], CONFIG)
+    with pytest.raises(MeshError, match=r"largest alpha is 0\.30"):
+        extract_mesh([replace(view, alpha=0.3 * view.alpha) for view in views], CONFIG)
+    with pytest.raises(MeshError, match=r"mesh\.radius=0\.1"):
+        extract_mesh(views, replace(CONFIG, radius=0.1))
+    with pytest.raises(MeshError, match="empty mesh"):
+        extract_mesh(views, replace(CONFIG, extractor=Extractor.TSDF, radius=0.1))
+    with pytest.raises(MeshError, match=r"normal of a surface view: expected \[96, 96, 3\]"):
+        replace(views[0], normal=views[0].normal[:5])
+
+
+def test_numbers_that_are_none_are_dropped(views: list[SurfaceView]) -> None:
+    broken = []
+    for view in views:
+        depth, normal = view.depth.copy(), view.normal.copy()
+        depth[40:45], normal[50:55] = np.nan, np.nan
+        broken.append(replace(view, depth=depth, normal=normal))
+    mesh = extract_mesh(broken, CONFIG)
+    assert np.isfinite(mesh.vertices).all() and np.isfinite(mesh.colors).all()
+    assert radial_error(mesh).max() < 0.02
+
+
+def test_one_view_gives_what_it_sees(views: list[SurfaceView]) -> None:
+    mesh = extract_mesh(views[:1], CONFIG)
+    assert radial_error(mesh).mean() < 0.01

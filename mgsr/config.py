@@ -189,7 +189,10 @@ class SurfelConfig:
     edge_band: int = 4  # pixels on either side of the mask's outline where this branch is not judged: there the soft
     # edges of splats would be paid for by a smaller object
     regularise_from: float = 0.0  # fraction of the warm-up after which lambda_3 to lambda_5 count
-    rates: RatesConfig = field(default_factory=lambda: RatesConfig(position=5e-5, position_end=5e-6, sh_rest=2e-3, scale=5e-3))
+    # Positions move slowly: from near the surface, faster ones drift behind it (by half a pixel on shiny scenes).
+    rates: RatesConfig = field(
+        default_factory=lambda: RatesConfig(position=5e-5, position_end=5e-6, sh_rest=2e-3, scale=5e-3)
+    )
     densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(max_count=20_000))
 
 

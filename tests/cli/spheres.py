@@ -15,7 +15,7 @@ SPHERES = (
     (np.array([0.5, 0.2, 0.3]), 0.35, np.array([0.2, 0.6, 0.3])),
     (np.array([-0.4, 0.3, 0.4]), 0.3, np.array([0.2, 0.3, 0.8])),
 )
-ANGLE = 0.7  # of view, radians
+ANGLE = 1.0  # of view, radians; wide, so that few views already carve all space around the spheres
 DISTANCE = 3.0
 SAMPLES = 3
 

@@ -68,10 +68,12 @@ def train(
 
 
 @app.command()
-def mesh(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
-    """Extract mesh.ply and mesh.glb from the splats in OUT."""
+def mesh(
+    scene: SceneArgument, out: OutOption, preset: PresetOption = "standard", settings: SetOption = None
+) -> None:
+    """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
-        config = make_config(overrides=settings or [])
+        config = make_config(preset, overrides=settings or [])
         from mgsr.cli.outputs import read_models, write_mesh
         from mgsr.cli.pipeline import make_mesh
         from mgsr.data.readers import load_scene

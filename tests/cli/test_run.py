@@ -119,7 +119,8 @@ def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method:
 def test_single_steps_repeat_what_the_run_did(scene: Path, done: Path) -> None:
     report = json.loads((done / "report.json").read_text())
     before = (done / "mesh.ply").read_bytes()
-    result = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(done), "--set", "poisson_depth=6"])
+    like_the_run = ["--preset", "draft", "--set", "poisson_depth=6"]
+    result = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(done), *like_the_run])
     assert result.exit_code == 0, result.output
     # The splats went through float32 in another frame, so the meshes differ by rounding.
     assert abs(len((done / "mesh.ply").read_bytes()) / len(before) - 1) < 0.1

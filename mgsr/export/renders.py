@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO
 
 from mgsr.errors import MgsrError, SceneError
 
@@ -78,6 +77,9 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 
 def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:
+    # Late, so that what only computes renders needs no OpenImageIO.
+    import OpenImageIO
+
     height, width, channels = image.shape
     spec = OpenImageIO.ImageSpec(width, height, channels, "uint16" if image.dtype == np.uint16 else "uint8")
     if channels == 4:

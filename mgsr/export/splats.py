@@ -1,11 +1,12 @@
 """Splats as PLY in the layout that splat viewers read, and back.
 
-Properties, all float: x y z; nx ny nz (0 here); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other
+Properties, all float: x y z; nx ny nz (a surfel's unit normal, which is its rotation's third column; 0 for the 3D
+branch); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other
 coefficients, all of red, then green, then blue, padded with zeros to degree 3 because some viewers expect that many;
 opacity (logit); scale_0..2 (log); rot_0..3 (wxyz).
 
 Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
-refl_opacity (logit), weight (beta's logit) and refl_f_dc_0..2, refl_f_rest_0.. (ordered as above, unpadded); viewers
+refl_opacity (logit), refl_weight (beta's logit) and refl_dc_0..2, refl_rest_0.. (ordered as above, unpadded); viewers
 skip them and show the transmitted half. Comments tell the kind and how many coefficients are real.
 """
 
@@ -31,6 +32,9 @@ _SHAPES = {
     "refl_opacity_logits": (),
     "weight_logits": (),
 }
+# How the names of the colour coefficients begin, before "dc_" and "rest_".
+_COLOR, _REFLECTED = "f_", "refl_"
+_SPLIT_FIELDS = ("refl_opacity", "refl_weight", "refl_dc_0", "refl_dc_1", "refl_dc_2")
 _SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
 
 
@@ -69,6 +73,9 @@ def load_splats(path: Path) -> Splats:
     missing = [name for name in ("x", "f_dc_0", "opacity", "scale_0", "rot_0") if name not in names]
     if missing:
         raise SceneError(f"{path}: expected splats in the viewers' layout; it has no {', '.join(missing)}")
+    lost = [name for name in _SPLIT_FIELDS if name not in names]
+    if lost and "refl_opacity" in names:
+        raise SceneError(f"{path}: expected a whole reflected half; it has no {', '.join(lost)}; write it again")
     notes = _notes(data.comments)
     return _splats(vertex, names, notes)
 
@@ -83,7 +90,7 @@ def _splats(vertex: PlyElement, names: set[str], notes: dict[str, str]) -> Splat
     def stack(prefix: str, count: int) -> np.ndarray:
         return np.stack([np.asarray(vertex[f"{prefix}{index}"], np.float32) for index in range(count)], axis=1)
 
-    sh = _load_sh(vertex, names, "")
+    sh = _load_sh(vertex, names, _COLOR)
     stored = int(notes.get("sh_coefficients", str(sh.shape[1])))
     splats = {
         "means": np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=1),
@@ -94,47 +101,55 @@ def _splats(vertex: PlyElement, names: set[str], notes: dict[str, str]) -> Splat
     }
     if "refl_opacity" in names:
         splats["refl_opacity_logits"] = np.asarray(vertex["refl_opacity"], np.float32)
-        splats["weight_logits"] = np.asarray(vertex["weight"], np.float32)
-        splats["refl_sh"] = _load_sh(vertex, names, "refl_")
+        splats["weight_logits"] = np.asarray(vertex["refl_weight"], np.float32)
+        splats["refl_sh"] = _load_sh(vertex, names, _REFLECTED)
     return splats
 
 
 def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
-    rest = sum(name.startswith(f"{prefix}f_rest_") for name in names)
-    dc = np.stack([np.asarray(vertex[f"{prefix}f_dc_{channel}"], np.float32) for channel in range(3)], axis=1)
+    rest = sum(name.startswith(f"{prefix}rest_") for name in names)
+    dc = np.stack([np.asarray(vertex[f"{prefix}dc_{channel}"], np.float32) for channel in range(3)], axis=1)
     if rest == 0:
         return dc[:, None]
-    flat = np.stack([np.asarray(vertex[f"{prefix}f_rest_{index}"], np.float32) for index in range(rest)], axis=1)
+    flat = np.stack([np.asarray(vertex[f"{prefix}rest_{index}"], np.float32) for index in range(rest)], axis=1)
     higher = flat.reshape(len(flat), 3, rest // 3).transpose(0, 2, 1)
     return np.concatenate([dc[:, None], higher], axis=1)
 
 
 def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
     means = frame.to_user(splats["means"].astype(np.float64))
-    zero = np.zeros(len(means), np.float32)
-    columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), [*means.T, zero, zero, zero], strict=True))
-    columns |= _sh_columns(splats["sh"], "", FULL_SH)
+    flat = splats["log_scales"].shape[1] == 2
+    normals = _third_axes(splats["quats"]) if flat else np.zeros_like(means)
+    columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), [*means.T, *normals.T], strict=True))
+    columns |= _sh_columns(splats["sh"], _COLOR, FULL_SH)
     columns["opacity"] = splats["opacity_logits"]
     # In float64, so that a unit scale returns the very bits that went in.
     scales = splats["log_scales"].astype(np.float64) + math.log(frame.scale)
-    if scales.shape[1] == 2:
+    if flat:
         thin = np.full((len(scales), 1), math.log(SURFEL_THICKNESS * frame.scale))
         scales = np.concatenate([scales, thin], axis=1)
     columns |= {f"scale_{axis}": scales[:, axis] for axis in range(3)}
     columns |= {f"rot_{part}": splats["quats"][:, part] for part in range(4)}
     if "refl_sh" in splats:
-        columns["refl_opacity"], columns["weight"] = splats["refl_opacity_logits"], splats["weight_logits"]
-        columns |= _sh_columns(splats["refl_sh"], "refl_", splats["refl_sh"].shape[1])
+        columns["refl_opacity"], columns["refl_weight"] = splats["refl_opacity_logits"], splats["weight_logits"]
+        columns |= _sh_columns(splats["refl_sh"], _REFLECTED, splats["refl_sh"].shape[1])
     return columns
+
+
+def _third_axes(quats: np.ndarray) -> np.ndarray:
+    """The third columns [N,3] of the rotations of quats [N,4] wxyz, of any length."""
+    lengths = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
+    w, x, y, z = (quats / np.maximum(lengths, 1e-12)).T
+    return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
 def _sh_columns(sh: np.ndarray, prefix: str, coefficients: int) -> dict[str, np.ndarray]:
     """sh [N,K,3], padded with zeros to `coefficients`: the constant terms, then the rest channel by channel."""
     padded = np.zeros((len(sh), coefficients, 3), np.float32)
     padded[:, : sh.shape[1]] = sh
-    columns = {f"{prefix}f_dc_{channel}": padded[:, 0, channel] for channel in range(3)}
+    columns = {f"{prefix}dc_{channel}": padded[:, 0, channel] for channel in range(3)}
     rest = padded[:, 1:].transpose(0, 2, 1).reshape(len(sh), 3 * (coefficients - 1))
-    return columns | {f"{prefix}f_rest_{index}": rest[:, index] for index in range(rest.shape[1])}
+    return columns | {f"{prefix}rest_{index}": rest[:, index] for index in range(rest.shape[1])}
 
 
 def _check(splats: Splats) -> None:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plyfile import PlyData
+from numpy.lib.recfunctions import drop_fields
+from plyfile import PlyData, PlyElement
+from scipy.spatial.transform import Rotation
 
 from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError
@@ -52,6 +54,30 @@ def test_the_layout_is_the_viewers(tmp_path: Path) -> None:
     np.testing.assert_array_equal(vertex["f_rest_31"], given["sh"][:, 2, 2])
     np.testing.assert_array_equal(vertex["rot_0"], given["quats"][:, 0])
     np.testing.assert_allclose(np.exp(vertex["scale_2"]), SURFEL_THICKNESS, rtol=1e-5)
+
+
+def test_a_surfels_normal_is_its_third_axis(tmp_path: Path) -> None:
+    given = splats(axes=2)
+    write_splats(tmp_path / "splats.ply", given)
+    vertex = PlyData.read(str(tmp_path / "splats.ply"))["vertex"]
+    wanted = Rotation.from_quat(given["quats"], scalar_first=True).as_matrix()[:, :, 2]
+    np.testing.assert_allclose(np.stack([vertex[name] for name in ("nx", "ny", "nz")], 1), wanted, atol=1e-6)
+
+
+def test_the_reflected_half_is_appended(tmp_path: Path) -> None:
+    given = splats(split=True)
+    write_splats(tmp_path / "splats.ply", given)
+    vertex = PlyData.read(str(tmp_path / "splats.ply"))["vertex"]
+    names = [item.name for item in vertex.properties]
+    extra = ["refl_opacity", "refl_weight", *(f"refl_dc_{i}" for i in range(3)), *(f"refl_rest_{i}" for i in range(9))]
+    assert names[names.index("rot_3") + 1 :] == extra
+    np.testing.assert_array_equal(vertex["refl_weight"], given["weight_logits"])
+    np.testing.assert_array_equal(vertex["refl_rest_4"], given["refl_sh"][:, 2, 1])
+    assert (vertex["nz"] == 0).all()
+    kept = PlyElement.describe(drop_fields(vertex.data, "refl_weight"), "vertex")
+    PlyData([kept]).write(str(tmp_path / "half.ply"))
+    with pytest.raises(SceneError, match="it has no refl_weight"):
+        load_splats(tmp_path / "half.ply")
 
 
 def test_the_frame_is_the_users(tmp_path: Path) -> None:

@@ -84,6 +84,13 @@ def test_what_nobody_saw_does_not_count() -> None:
     assert surface_metrics(first.vertices, first.faces, truth)["completeness"] < 4e-3
 
 
+def test_a_truth_that_nobody_saw_has_no_completeness() -> None:
+    truth = truth_of(ball())
+    truth.view_counts[:] = 1
+    values = surface_metrics(truth.vertices, truth.faces, truth)
+    assert np.isnan(values["completeness"]) and np.isnan(values["normal_consistency"])
+
+
 def test_turned_faces_show_in_the_signed_value() -> None:
     mesh = ball()
     values = surface_metrics(mesh.vertices, mesh.faces[:, ::-1], truth_of(mesh))

@@ -1,6 +1,9 @@
-"""Ask the reference program for its figures on what tests/metrics/altered.py makes, and store them beside this file.
+"""Ask the reference program for its figures and store them beside this file.
 
     DRJIT_LIBLLVM_PATH=.../libLLVM.so python -m tests.metrics.golden.make ../shared
+
+bunny_flash.json: for what tests/metrics/altered.py makes. bunny_flash_floor.json and bunny_flash_hull.json: what
+`evaluate.py SCENE --floor` and `--hull` print, for the truth itself and for the masks' visual hull.
 
 It needs what ../shared/tools/evaluate.py needs (mitsuba among others). One run takes a minute.
 """
@@ -28,11 +31,18 @@ def main(shared: Path) -> None:
         for path in frames(scene):
             Image.fromarray(altered_image(load(path), 1.0)).save(renders / path.name)
             Image.fromarray(altered_image(load(path), 3.0)).save(renders / f"{path.stem}_transmitted.png")
-        command = [sys.executable, str(shared / "tools" / "evaluate.py"), str(scene)]
-        command += ["--mesh", str(renders / "mesh.ply"), "--renders", folder]
-        printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        ask(shared, SCENE, "--mesh", str(renders / "mesh.ply"), "--renders", folder)
+    ask(shared, f"{SCENE}_floor", "--floor")
+    ask(shared, f"{SCENE}_hull", "--hull")
+
+
+def ask(shared: Path, name: str, *options: str) -> None:
+    """Store what the reference program says of the scene as `name`.json."""
+    program, scene = shared / "tools" / "evaluate.py", shared / "data" / "scenes" / SCENE
+    command = [sys.executable, str(program), str(scene), *options]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     figures = json.loads(printed.splitlines()[-1])
-    (HERE / f"{SCENE}.json").write_text(json.dumps(figures, indent=1) + "\n")
+    (HERE / f"{name}.json").write_text(json.dumps(figures, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def evaluate_mesh(
     return scores | (normal_metrics(vertices, faces, truth, test_cameras) if test_cameras else {})
 
 
-def evaluate_renders(scene: Scene, renders: Path) -> dict[str, float | dict]:
+def evaluate_renders(scene: Scene, renders: Path) -> dict[str, Any]:
     """A folder's ``<view>.png`` (RGBA with straight alpha, or RGB on white) against the scene's test views.
 
     Means over the views: psnr, ssim and, with masks, psnr_fg and psnr_fg_gain (`image_metrics`); views: the same for

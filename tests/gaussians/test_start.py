@@ -30,7 +30,7 @@ def test_quats_take_z_to_the_normals() -> None:
 
 def test_surfels_lie_on_the_surface() -> None:
     points = ball_points(500)
-    model = start_surfels(points.positions, points.normals, points.colors, SurfelConfig(), generator())
+    model = start_surfels(points.positions, points.normals, points.colors, SurfelConfig(start_opacity=0.1, start_scale=1.0), generator())
     assert len(model) == 500
     assert np.allclose(rotate(model.quats.numpy(), [0, 0, 1]), points.normals, atol=1e-5)
     assert torch.allclose(model.opacities(), torch.tensor(0.1))
@@ -56,7 +56,7 @@ def test_plane_normals_of_a_plane() -> None:
 
 def test_volumes_with_and_without_split() -> None:
     points = ball_points(50)
-    both = start_volumes(points.positions, None, points.colors, VolumeConfig(), generator())
+    both = start_volumes(points.positions, None, points.colors, VolumeConfig(sh_degree=1), generator())
     assert both.split
     assert torch.allclose(both.weights(), torch.tensor(0.1))
     assert (both.sh_degree, both.refl_sh_degree) == (1, 3)

@@ -92,7 +92,7 @@ def test_a_term_without_weight_is_not_computed() -> None:
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
 def test_who_is_taught(teaching: str) -> None:
     """One way, the 2D branch's terms leave C_tran alone and the depth loss the 2D branch's depth."""
-    config = make_config(overrides=[f"teaching={teaching}"]).train
+    config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
     flat, full = surfels(), volumes()
     terms = mutual_terms(flat, full, target(), config)
     by_image = torch.autograd.grad(terms["surfels.transmitted"], full.transmitted, retain_graph=True, allow_unused=True)

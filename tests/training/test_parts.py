@@ -14,7 +14,7 @@ from tests.training.ball import ball_scene
 
 
 def test_rates_fade_from_start_to_end() -> None:
-    config = RatesConfig(final=0.1)
+    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, final=0.1)
     assert rates_at(0.0, config, 2.0)["means"] == pytest.approx(2 * config.position)
     assert rates_at(1.0, config, 2.0)["means"] == pytest.approx(2 * config.position_end)
     assert rates_at(0.5, config, 1.0)["means"] == pytest.approx(1.6e-5)
@@ -22,7 +22,7 @@ def test_rates_fade_from_start_to_end() -> None:
 
 
 def test_higher_bands_learn_slower() -> None:
-    scale = rest_scale(torch.zeros(5, 4, 3), RatesConfig())
+    scale = rest_scale(torch.zeros(5, 4, 3), RatesConfig(sh=2e-3, sh_rest=1e-4))
     assert scale[0].tolist() == [1, 1, 1]
     assert torch.allclose(scale[1:], torch.tensor(1 / 20))
 

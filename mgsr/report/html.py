@@ -180,10 +180,14 @@ def _mesh_words(data: ReportData) -> str:
     if data.mesh is None:
         return "Shaded from four sides."
     mesh = data.mesh
-    pieces = "one piece" if mesh.components == 1 else f"{mesh.components:,} pieces"
-    rim = f"{mesh.boundary_edges:,} boundary edges" if mesh.boundary_edges else "no boundary: it is closed"
-    holes = f" around {mesh.holes:,} holes" if mesh.holes and mesh.boundary_edges else ""
+    pieces = "one piece" if mesh.components == 1 else _counted(mesh.components, "piece")
+    rim = _counted(mesh.boundary_edges, "boundary edge") if mesh.boundary_edges else "no boundary: it is closed"
+    holes = f" around {_counted(mesh.holes, 'hole')}" if mesh.holes and mesh.boundary_edges else ""
     return f"{mesh.vertices:,} vertices and {mesh.faces:,} faces in {pieces}, {rim}{holes}."
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count:,} {thing}" + ("" if count == 1 else "s")
 
 
 def _sides(kind: str, pictures: Sequence[Picture]) -> str:

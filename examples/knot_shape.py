@@ -85,18 +85,6 @@ def knot_bend(t: Array) -> Array:
     )
 
 
-def knot_bend(t: Array) -> Array:
-    """Second derivative of knot_curve, [N,3]."""
-    return np.stack(
-        [
-            (-np.sin(t) - 8 * np.sin(2 * t)) / 3,
-            -3.78 * np.sin(3 * t),
-            (-np.cos(t) + 8 * np.cos(2 * t)) / 3,
-        ],
-        axis=-1,
-    )
-
-
 def tube_radius(t: Array) -> Array:
     """Radius of the tube [N]: six soft swellings, no two alike."""
     return 0.18 + 0.03 * np.cos(6 * t + 0.5) + 0.02 * np.cos(t)

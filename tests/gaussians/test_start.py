@@ -30,7 +30,8 @@ def test_quats_take_z_to_the_normals() -> None:
 
 def test_surfels_lie_on_the_surface() -> None:
     points = ball_points(500)
-    model = start_surfels(points.positions, points.normals, points.colors, SurfelConfig(start_opacity=0.1, start_scale=1.0), generator())
+    config = SurfelConfig(start_opacity=0.1, start_scale=1.0)
+    model = start_surfels(points.positions, points.normals, points.colors, config, generator())
     assert len(model) == 500
     assert np.allclose(rotate(model.quats.numpy(), [0, 0, 1]), points.normals, atol=1e-5)
     assert torch.allclose(model.opacities(), torch.tensor(0.1))

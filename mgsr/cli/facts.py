@@ -18,6 +18,7 @@ from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.data.starting_points import StartingPoints
 from mgsr.mesh.surface import SurfaceMesh, topology
 from mgsr.native.runtime import isas
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
@@ -28,6 +29,7 @@ PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
 
 def run_report(
     scene: Scene,
+    start: StartingPoints,
     path: Path,
     config: Config,
     device: Device,
@@ -53,7 +55,7 @@ def run_report(
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
-        other={"input": scene_facts(scene, path), "settings": asdict(config), "machine": _machine()}
+        other={"input": _input(scene, start, path), "settings": asdict(config), "machine": _machine()}
         | {name: value for name, value in scores.items() if name not in known},
         **known,
     )
@@ -75,6 +77,11 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
             "offset": [float(x) for x in scene.user_from_scene.offset],
         },
     }
+
+
+def _input(scene: Scene, start: StartingPoints, path: Path) -> dict[str, Any]:
+    begun = {"source": str(start.source), "count": len(start.positions)}
+    return scene_facts(scene, path) | {"starting_points": begun}
 
 
 def scene_line(scene: Scene) -> str:

@@ -19,7 +19,7 @@ from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
 from mgsr.config import Config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.data.starting_points import starting_points
+from mgsr.data.starting_points import StartingPoints, starting_points
 from mgsr.errors import Cancelled
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
@@ -71,7 +71,8 @@ def run_scene(
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    trained = _train(scene, config, out, step, resume, deadline)
+    start = _start(scene, config, step)
+    trained = _train(scene, start, config, out, step, resume, deadline)
     models = Models(trained.surfels, trained.volumes)
     with step("render", f"rendering {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
@@ -85,7 +86,7 @@ def run_scene(
     with step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
         pictures = report_pictures(rendered, psnr, mesh, truth, scene)
-    report = run_report(scene, scene_path, config, chosen, trained, mesh, scores, step.clock)
+    report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock)
     outputs.write_reports(out, report, pictures)
     progress(Event("report", result_line(report)))
     return out / outputs.REPORT
@@ -103,7 +104,8 @@ def train_only(
     """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors."""
     pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    return _train(_load(scene_path, out, config, step), config, out, step, resume)
+    scene = _load(scene_path, out, config, step)
+    return _train(scene, _start(scene, config, step), config, out, step, resume)
 
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
@@ -130,14 +132,23 @@ def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
     return scene
 
 
-def _train(
-    scene: Scene, config: Config, out: Path, step: Steps, resume: bool, deadline: float | None = None
-) -> TrainResult:
-    """The trained branches, also written as splats; `out`/checkpoint holds them on the way and at the end."""
+def _start(scene: Scene, config: Config, step: Steps) -> StartingPoints:
     with step("start", "choosing starting points"):
         settings = config.train
-        start = starting_points(scene, max(settings.surfels.max_start, settings.volumes.max_start), config.seed)
-    with step("train", f"training from {len(start.positions)} points"):
+        return starting_points(scene, max(settings.surfels.max_start, settings.volumes.max_start), config.seed)
+
+
+def _train(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    out: Path,
+    step: Steps,
+    resume: bool,
+    deadline: float | None = None,
+) -> TrainResult:
+    """The trained branches, also written as splats; `out`/checkpoint holds them on the way and at the end."""
+    with step("train", f"training from {len(start.positions)} points ({start.source})"):
         trained = train(
             scene,
             start,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -21,6 +22,14 @@ MIN_POINTS = 500
 FARTHEST = 50.0
 
 
+class StartSource(StrEnum):
+    """capture: the capture's own points; hull: the visual hull of the masks; ball: nothing was known."""
+
+    CAPTURE = "capture"
+    HULL = "hull"
+    BALL = "ball"
+
+
 @dataclass(frozen=True)
 class StartingPoints:
     """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
@@ -28,6 +37,7 @@ class StartingPoints:
 
     positions: np.ndarray
     colors: np.ndarray
+    source: StartSource
     normals: np.ndarray | None = None
 
 
@@ -73,7 +83,7 @@ def _own_points(
         return None
     if len(kept) > count:
         kept = np.sort(generator.choice(kept, count, replace=False))
-    return StartingPoints(points.positions[kept], points.colors[kept])
+    return StartingPoints(points.positions[kept], points.colors[kept], StartSource.CAPTURE)
 
 
 def _hull_points(
@@ -83,7 +93,7 @@ def _hull_points(
     positions, normals = _sample(vertices, faces, count, generator)
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / RESOLUTION)
-    return StartingPoints(positions, colors, normals)
+    return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 
 def _sample(
@@ -108,4 +118,4 @@ def _ball_points(views: Sequence[View], count: int, generator: np.random.Generat
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     positions = directions * np.cbrt(generator.random(count))[:, None]
-    return StartingPoints(positions, seen_colors(views, positions))
+    return StartingPoints(positions, seen_colors(views, positions), StartSource.BALL)

@@ -14,6 +14,11 @@ STOPS = {
     "converged": "the loss had stopped falling, so more of the same would have gained little",
     "deadline": "the time allowed for this run was over",
 }
+STARTS = {
+    "capture": ("of the capture's own", "they came with the cameras"),
+    "hull": ("on the visual hull", "the masks bound the object, and the capture brought too few points of it"),
+    "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
+}
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
     "2dgs": "flat 2D Gaussians alone",
@@ -47,10 +52,10 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
     if "train_views" in given:
         count = f"{len(given['train_views'])} to train on, {len(given.get('test_views', []))} held back"
         yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
-    if "points" in given:
-        own = "the capture's own points" if given["points"] else "made here"
-        why = "they came with the cameras" if given["points"] else "the capture brought no points"
-        yield Decision("Starting points", own, why)
+    if given.get("starting_points"):
+        source, count = given["starting_points"]["source"], given["starting_points"]["count"]
+        words, why = STARTS.get(source, (str(source), ""))
+        yield Decision("Starting points", f"{count:,} {words}", why)
 
 
 def _about_stages(data: ReportData) -> Iterator[Decision]:

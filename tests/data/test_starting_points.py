@@ -25,6 +25,7 @@ def ball_scene(tmp_path):
 def test_hull_points_lie_on_the_ball(ball_scene):
     points = starting_points(ball_scene, 3000, seed=0)
     assert points.positions.shape == (3000, 3) and points.normals is not None
+    assert points.source is StartSource.HULL
     user = ball_scene.user_from_scene.to_user(points.positions)
     radius = np.linalg.norm(user, axis=1)
     # Pixels are 0.037 wide at the ball; the hull of 35 views sticks out of it by as much.
@@ -45,7 +46,7 @@ def test_without_masks_or_points_a_ball(tmp_path):
     scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
     points = starting_points(scene, 4000, seed=0)
     radius = np.linalg.norm(points.positions, axis=1)
-    assert points.normals is None and radius.max() <= 1
+    assert points.normals is None and radius.max() <= 1 and points.source is StartSource.BALL
     assert abs((radius < 0.5).mean() - 1 / 8) < 0.03, "even through the volume"
     np.testing.assert_array_equal(points.positions, starting_points(scene, 4000, seed=0).positions)
 
@@ -70,7 +71,7 @@ def test_own_points_outside_the_masks_are_dropped(ball_scene):
     user = np.r_[on_ball, table]
     cloud = PointCloud(ball_scene.user_from_scene.to_scene(user), np.zeros((1200, 3), np.uint8))
     points = starting_points(replace(ball_scene, points=cloud), 5000, seed=0)
-    assert points.normals is None
+    assert points.normals is None and points.source is StartSource.CAPTURE
     assert (np.linalg.norm(ball_scene.user_from_scene.to_user(points.positions), axis=1) < 0.9).all()
     assert len(points.positions) > 700
 

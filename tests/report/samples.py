@@ -30,7 +30,7 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
         peak_memory_mib=1342.0, command=command,
         other={
             "input": {"train_views": [f"r_{i}" for i in range(48)], "test_views": ["r_0"], "image_size": [256, 256],
-                      "masked": True, "points": 0},
+                      "masked": True, "points": 0, "starting_points": {"source": "hull", "count": 9000}},
             "settings": {"mesh": {"extractor": "poisson", "close_holes": False}},
             "machine": {"cores": 2, "kernels": "avx512"}, "psnr_fg_test": 29.9,
             "split": {"split_psnr": 33.1, "split_photo": 29.1, "split_gain": 4.0},

@@ -13,7 +13,7 @@ from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import carve, signed_field, silhouettes
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud
-from mgsr.data.starting_points import hull_surface, starting_points
+from mgsr.data.starting_points import StartSource, hull_surface, starting_points
 from tests.data.captures import BallCapture
 
 

@@ -146,7 +146,8 @@ class KnotShape:
 
     def surface(self, vertices: Array, faces: NDArray[np.int64]) -> Surface:
         """The Surface of these faces, its vertices snapped; normals and colours come from the implicit shape."""
-        mesh = trimesh.Trimesh(self.snapped(vertices.astype(np.float64)), faces)
+        # As it is: merging vertices that came to lie together would pinch the surface.
+        mesh = trimesh.Trimesh(self.snapped(vertices.astype(np.float64)), faces, process=False)
         if mesh.volume < 0:
             mesh.invert()
         points = np.asarray(mesh.vertices)

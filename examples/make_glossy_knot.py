@@ -100,7 +100,7 @@ class Studio:
     def _render(self, seed: int) -> Array:
         """Linear light premultiplied by alpha, [H,W,4]: the mean of several renders without each pixel's brightest and
         darkest. A ray in thousands finds the flash by way of gloss elsewhere, and would leave a bright speck."""
-        seeds = range(RENDERS * seed, RENDERS * (seed + 1))
+        seeds = [mi.UInt32(each) for each in range(RENDERS * seed, RENDERS * (seed + 1))]
         renders = [np.array(mi.render(self._scene, spp=SAMPLES, seed=each), dtype=np.float64) for each in seeds]
         image = np.sort(renders, axis=0)[1:-1].mean(axis=0)
         image[..., 3] = np.mean([render[..., 3] for render in renders], axis=0)

@@ -2,95 +2,59 @@
 
     python benchmarks/volumes.py ../shared/data/raster s20k_256 s100k_800
 
-Each row is one scene, variant and mode through autograd as training makes it: median and least milliseconds of 20 runs,
-and, where a float64 reference lies beside the scene, the largest error of the image. `single` is one opacity and colour
-alone; `dual` is transmitted and reflected colour, weight and depth in one pass. Run it on a machine that is otherwise
-idle; the modes alternate, so that their ratio holds even where the times drift.
+Each row is one scene, variant and mode through autograd as training makes it: median milliseconds of 20 runs, and,
+where a float64 reference lies beside the scene, the largest error of the image. `single` is one opacity and colour
+alone; `dual` is transmitted and reflected colour, weight and depth in one pass. CPU is the time of all threads. Run it
+on a machine that is otherwise idle; the modes alternate, so that their ratio holds even where the times drift.
 """
 
 from __future__ import annotations
 
-import argparse
-import statistics
-import time
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import torch
+from rasters import HEADER, RasterScene, arguments, cells, measure, print_row
+from torch import Tensor
 
-from mgsr.data.camera import Camera
-from mgsr.native import _volumes
-from mgsr.ops.volumes import Reflected, VolumeOptions, VolumeRaster, rasterize_volumes
-
-NAMES = ("means", "quats", "scales", "opacities", "rgb")
-
-
-class Scene:
-    """One file of the raster folder: its splats as leaves, its camera and its gradient image."""
-
-    def __init__(self, folder: Path, name: str) -> None:
-        data = np.load(folder / f"{name}.npz")
-        self.splats = [torch.tensor(data[key]).requires_grad_() for key in NAMES]
-        other = (self.splats[3], self.splats[4], self.splats[3])
-        self.reflected = Reflected(*(tensor.detach().clone().requires_grad_() for tensor in other))
-        size = int(data["width"]), int(data["height"])
-        self.camera = Camera(data["K"].astype(float), data["viewmat"].astype(float), *size)
-        self.background = torch.tensor(data["background"])
-        self.gradient = torch.tensor(data["grad_image"])
-        reference = folder / f"ref_{name}.npz"
-        self.reference = np.load(reference)["img"] if reference.exists() else None
-
-    def forward(self, dual: bool) -> VolumeRaster:
-        reflected = self.reflected if dual else None
-        return rasterize_volumes(*self.splats, self.camera, self.background, reflected, VolumeOptions(depth=dual))
-
-    def backward(self, out: VolumeRaster, dual: bool) -> None:
-        images, gradients = [out.color], [self.gradient]
-        if dual:
-            grey = self.gradient[..., 0].contiguous()
-            images += [out.depth, out.reflected, out.weight]
-            gradients += [grey, self.gradient, grey]
-        torch.autograd.backward(images, gradients)
-
-    def error(self) -> str:
-        if self.reference is None:
-            return "-"
-        return f"{np.abs(self.forward(False).color.detach().numpy() - self.reference).max():.1e}"
+from mgsr.native import runtime
+from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 
 
-def measure(scene: Scene, runs: int) -> dict[str, list[tuple[float, float]]]:
-    """(forward, backward) milliseconds of each run, by mode."""
-    times: dict[str, list[tuple[float, float]]] = {"single": [], "dual": []}
-    for run in range(runs + 2):
-        for mode, rows in times.items():
-            begin = time.perf_counter()
-            out = scene.forward(mode == "dual")
-            middle = time.perf_counter()
-            scene.backward(out, mode == "dual")
-            if run >= 2:
-                rows.append(((middle - begin) * 1e3, (time.perf_counter() - middle) * 1e3))
-    return times
+def single(scene: RasterScene) -> list[Tensor]:
+    """Colour by one opacity."""
+    out = rasterize_volumes(*scene.splats, scene.camera, scene.background, None, VolumeOptions(depth=False))
+    return [out.color]
+
+
+def dual(scene: RasterScene, reflected: Reflected) -> list[Tensor]:
+    """Every output that training uses."""
+    out = rasterize_volumes(*scene.splats, scene.camera, scene.background, reflected)
+    assert out.depth is not None and out.reflected is not None and out.weight is not None
+    return [out.color, out.depth, out.reflected, out.weight]
+
+
+def error(scene: RasterScene) -> str:
+    if scene.reference is None:
+        return "-"
+    return f"{np.abs(single(scene)[0].detach().numpy() - scene.reference).max():.1e}"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("scenes", nargs="+")
-    parser.add_argument("--runs", type=int, default=20)
-    args = parser.parse_args()
+    args = arguments(__doc__, runtime.isas())
     torch.set_num_threads(1)
-    print("| scene | variant | mode | forward ms | backward ms | both: median (least) | largest error |")
-    print("|---|---|---|---|---|---|---|")
+    runtime.set_threads(args.threads)
+    print_row((*HEADER, "largest error"))
+    print_row("---" for _ in range(len(HEADER) + 1))
     for name in args.scenes:
-        scene = Scene(args.folder, name)
-        for isa in _volumes.isas():
-            _volumes.set_isa(isa)
-            error = scene.error()
-            for mode, rows in measure(scene, args.runs).items():
-                forward, backward = (statistics.median(column) for column in zip(*rows, strict=True))
-                both = [sum(row) for row in rows]
-                total = f"{statistics.median(both):.2f} ({min(both):.2f})"
-                print(f"| {name} | {isa} | {mode} | {forward:.2f} | {backward:.2f} | {total} | {error} |", flush=True)
+        scene = RasterScene(args.folder, name)
+        _, _, _, opacities, colors = scene.splats
+        reflected = Reflected(*(t.detach().clone().requires_grad_() for t in (opacities, colors, opacities)))
+        modes = {"single": partial(single, scene), "dual": partial(dual, scene, reflected)}
+        for isa in args.isa:
+            runtime.set_isa(isa)
+            for mode, rows in measure(modes, scene, args.runs).items():
+                print_row((name, isa, mode, *cells(rows), error(scene)))
 
 
 if __name__ == "__main__":

@@ -68,9 +68,9 @@ def rasterize_surfels(
 
     The weight is the larger of exp(-(u^2 + v^2) / 2), at the point (u, v) where a pixel's ray meets the splat's plane
     beyond `near`, and exp(-d^2 / (2 low_pass)) at d pixels from the projected centre, which has the centre's depth. A
-    plane seen under a sine below 1e-3 has only the latter. A pixel blends splats while its transmittance is at least
-    1e-4; alpha = min(0.999, opacity * weight) counts from 1/255. stats.v_means2d is the gradient to moving a splat's
-    weights in the image plane.
+    plane seen under a sine below 1e-3 has only the latter. alpha = min(0.999, opacity * weight) counts from 1/255; a
+    pixel stops before the splat that would leave a transmittance under 1e-4. stats.v_means2d is the gradient to
+    moving a splat's weights in the image plane.
 
     Raises TensorError for a wrong shape or dtype, or for options without 0 < near < far and low_pass > 0.
     Source: 2DGS, Eq. 4-13; method.md "2D branch". Deviation: distortion squares differences of plain depth.

@@ -97,8 +97,8 @@ def render(
 
     alpha = (opacities * weight).clamp(max=MAX_ALPHA)
     alpha = torch.where(alpha >= MIN_ALPHA, alpha, torch.zeros_like(alpha))
-    before = _exclusive_product(1 - alpha)
-    alpha = torch.where(before >= MIN_TRANSMITTANCE, alpha, torch.zeros_like(alpha))
+    stops = torch.cumprod(1 - alpha, 1) < MIN_TRANSMITTANCE
+    alpha = torch.where(torch.cummax(stops.to(torch.int8), 1).values.bool(), torch.zeros_like(alpha), alpha)
     before = _exclusive_product(1 - alpha)
     after = before * (1 - alpha)
     share = alpha * before

@@ -3,8 +3,8 @@
 
 #include <cstring>
 #include <memory>
-#include <mutex>
 
+#include "bindings/frames.h"
 #include "bindings/raster_arrays.h"
 #include "math/surfel.h"
 
@@ -15,34 +15,6 @@ IsaChoice<SurfelKernels>& kernels() {
   static IsaChoice<SurfelKernels> choice(MGSR_TABLES(surfel_kernels));
   return choice;
 }
-
-// States that no frame uses at the moment; their memory serves the next one.
-struct StatePool {
-  std::mutex mutex;
-  std::vector<std::unique_ptr<SurfelState>> free;
-
-  static StatePool& instance() {
-    static StatePool pool;
-    return pool;
-  }
-  std::unique_ptr<SurfelState> take() {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (free.empty()) return std::make_unique<SurfelState>();
-    auto state = std::move(free.back());
-    free.pop_back();
-    return state;
-  }
-  void give(std::unique_ptr<SurfelState> state) {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (free.size() < 2) free.push_back(std::move(state));
-  }
-};
-
-// One rendered view: what backward needs from forward. Opaque to Python.
-struct SurfelFrameState {
-  std::unique_ptr<SurfelState> state = StatePool::instance().take();
-  ~SurfelFrameState() { StatePool::instance().give(std::move(state)); }
-};
 
 SurfelInputs make_inputs(const In& means, const In& quats, const In& scales, const In& opacities, const In& colors,
                          const In& background, const Matrix& K, const Matrix& cam_from_world, int width, int height,
@@ -115,7 +87,7 @@ bool outline_double(Doubles mean, Doubles quat, Doubles scale, Doubles camera, d
 
 NB_MODULE(_surfels, m) {
   using namespace mgsr;
-  nb::class_<SurfelFrameState>(m, "Frame");
+  nb::class_<Frame<SurfelState>>(m, "Frame");
 
   m.def("forward",
         [](In means, In quats, In scales, In opacities, In colors, In background, Matrix K, Matrix cam_from_world, int width,
@@ -126,9 +98,9 @@ NB_MODULE(_surfels, m) {
           const SurfelImages out =
               make_images<Out>(int64_t(width) * height, color, alpha, depth, median_depth, normal, distortion);
           float* r = data(radii, in.count, "radii");
-          auto frame = std::make_unique<SurfelFrameState>();
+          auto frame = std::make_unique<Frame<SurfelState>>();
           nb::gil_scoped_release release;
-          kernels()->forward(in, *frame->state, out, r);
+          kernels()->forward(in, **frame, out, r);
           return frame.release();
         },
         nb::rv_policy::take_ownership, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"),
@@ -137,7 +109,7 @@ NB_MODULE(_surfels, m) {
         nb::arg("normal"), nb::arg("distortion").none(), nb::arg("radii"));
 
   m.def("backward",
-        [](SurfelFrameState& frame, In means, In quats, In scales, In opacities, In colors, In background, Matrix K,
+        [](Frame<SurfelState>& frame, In means, In quats, In scales, In opacities, In colors, In background, Matrix K,
            Matrix cam_from_world, int width, int height, float near, float far, float low_pass, In color, In alpha, In depth, In median_depth,
            In normal, std::optional<In> distortion, std::optional<In> v_color, std::optional<In> v_alpha,
            std::optional<In> v_depth, std::optional<In> v_median_depth, std::optional<In> v_normal,
@@ -152,7 +124,7 @@ NB_MODULE(_surfels, m) {
                                      data(v_scales, 2 * n, "v_scales"),       data(v_opacities, n, "v_opacities"),
                                      data(v_colors, 3 * n, "v_colors"),       data(v_means2d, 2 * n, "v_means2d")};
           nb::gil_scoped_release release;
-          kernels()->backward(in, *frame.state, out, v_out, v);
+          kernels()->backward(in, *frame, out, v_out, v);
         },
         nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("colors"),
         nb::arg("background"), nb::arg("K"), nb::arg("cam_from_world"), nb::arg("width"), nb::arg("height"), nb::arg("near"),
@@ -161,7 +133,7 @@ NB_MODULE(_surfels, m) {
         nb::arg("v_median_depth").none(), nb::arg("v_normal").none(), nb::arg("v_distortion").none(), nb::arg("v_means"),
         nb::arg("v_quats"), nb::arg("v_scales"), nb::arg("v_opacities"), nb::arg("v_colors"), nb::arg("v_means2d"));
 
-  m.def("pairs", [](const SurfelFrameState& frame) { return frame.state->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
+  m.def("pairs", [](const Frame<SurfelState>& frame) { return frame->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
   bind_choices(m, kernels());
   m.def("project_double", &project_double);
   m.def("project_double_vjp", &project_double_vjp);

@@ -2,8 +2,8 @@
 #include "kernels/volumes/volumes.h"
 
 #include <memory>
-#include <mutex>
 
+#include "bindings/frames.h"
 #include "bindings/raster_arrays.h"
 #include "math/gaussian.h"
 
@@ -14,34 +14,6 @@ IsaChoice<VolumeKernels>& kernels() {
   static IsaChoice<VolumeKernels> choice(MGSR_TABLES(volume_kernels));
   return choice;
 }
-
-// States that no frame uses at the moment; their memory serves the next one.
-struct StatePool {
-  std::mutex mutex;
-  std::vector<std::unique_ptr<VolumeState>> free;
-
-  static StatePool& instance() {
-    static StatePool pool;
-    return pool;
-  }
-  std::unique_ptr<VolumeState> take() {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (free.empty()) return std::make_unique<VolumeState>();
-    auto state = std::move(free.back());
-    free.pop_back();
-    return state;
-  }
-  void give(std::unique_ptr<VolumeState> state) {
-    std::lock_guard<std::mutex> lock(mutex);
-    if (free.size() < 2) free.push_back(std::move(state));
-  }
-};
-
-// One rendered view: what backward needs from forward. Opaque to Python.
-struct VolumeFrame {
-  std::unique_ptr<VolumeState> state = StatePool::instance().take();
-  ~VolumeFrame() { StatePool::instance().give(std::move(state)); }
-};
 
 struct Arguments {
   In means, quats, scales, opacities, colors;
@@ -84,7 +56,7 @@ VolumeImages make_images(int64_t pixels, const std::optional<Array>& color, cons
 
 NB_MODULE(_volumes, m) {
   using namespace mgsr;
-  nb::class_<VolumeFrame>(m, "Frame");
+  nb::class_<Frame<VolumeState>>(m, "Frame");
 
   m.def("forward",
         [](In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities, std::optional<In> refl_colors,
@@ -97,9 +69,9 @@ NB_MODULE(_volumes, m) {
           const VolumeImages out =
               make_images<Out>(int64_t(width) * height, color, alpha, depth, reflected, weight);
           float* r = data(radii, in.count, "radii");
-          auto frame = std::make_unique<VolumeFrame>();
+          auto frame = std::make_unique<Frame<VolumeState>>();
           nb::gil_scoped_release release;
-          kernels()->forward(in, *frame->state, out, r);
+          kernels()->forward(in, **frame, out, r);
           return frame.release();
         },
         nb::rv_policy::take_ownership, nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("colors"),
@@ -109,7 +81,7 @@ NB_MODULE(_volumes, m) {
         nb::arg("weight").none(), nb::arg("radii"));
 
   m.def("backward",
-        [](VolumeFrame& frame, In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities,
+        [](Frame<VolumeState>& frame, In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities,
            std::optional<In> refl_colors, std::optional<In> weights, In background, Matrix K, Matrix cam_from_world, int width,
            int height, float near, float low_pass, bool compensate, In color, In alpha, std::optional<In> depth,
            std::optional<In> reflected, std::optional<In> weight, std::optional<In> v_color, std::optional<In> v_alpha,
@@ -131,7 +103,7 @@ NB_MODULE(_volumes, m) {
                                      data(v_weights, n, "v_weights"),
                                      data(v_means2d, 2 * n, "v_means2d")};
           nb::gil_scoped_release release;
-          kernels()->backward(in, *frame.state, out, v_out, v);
+          kernels()->backward(in, *frame, out, v_out, v);
         },
         nb::arg("frame"), nb::arg("means"), nb::arg("quats"), nb::arg("scales"), nb::arg("opacities"), nb::arg("colors"),
         nb::arg("refl_opacities").none(), nb::arg("refl_colors").none(), nb::arg("weights").none(), nb::arg("background"),
@@ -142,7 +114,7 @@ NB_MODULE(_volumes, m) {
         nb::arg("v_opacities"), nb::arg("v_colors"), nb::arg("v_refl_opacities").none(), nb::arg("v_refl_colors").none(),
         nb::arg("v_weights").none(), nb::arg("v_means2d"));
 
-  m.def("pairs", [](const VolumeFrame& frame) { return frame.state->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
+  m.def("pairs", [](const Frame<VolumeState>& frame) { return frame->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
   bind_choices(m, kernels());
 
   // The projection in float64, for checks of the derivative: (mean, quat, scale) -> x, y, depth, cxx, cxy, cyy, compensation.

@@ -15,6 +15,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "kernels/common/blending.h"
 #include "kernels/common/simd.h"
 #include "kernels/common/subtiles.h"
 #include "math/surfel.h"
@@ -22,12 +23,6 @@
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
-
-// Blending rules, the same in every rasterizer here.
-constexpr float kMinTransmittance = 1e-4f;
-constexpr float kMinAlpha = 1.0f / 255.0f;
-constexpr float kLog2MinAlpha = -7.9943534f;
-constexpr float kMaxAlpha = 0.999f;
 
 constexpr int kVectors = 16 / kWidth;  // vectors to a sub-tile
 constexpr int kSplatChunk = 512;
@@ -271,30 +266,31 @@ inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, co
 
 // What blending adds up at a vector of pixels.
 struct Blend {
-  vfloat T, color[3], normal[3], depth, median, m1, m2;
+  Light light;
+  vfloat color[3], normal[3], depth, median, m1, m2;
 };
 
 template <bool Distortion>
 inline void blend_vector(const Hit* hits, int n, int v, const DepthUnit& unit, Blend& sums) {
   // Copied out one by one, so that the loop has them in registers.
-  vfloat T = sums.T, depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
+  Light light = sums.light;
+  vfloat depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
   vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2];
   vfloat nx = sums.normal[0], ny = sums.normal[1], nz = sums.normal[2];
   for (int e = 0; e < n; ++e) {
     const SurfelRecord& s = *hits[e].splat;
-    const vfloat alpha = keep(T >= kMinTransmittance, hits[e].alpha[v]), z = hits[e].depth * hits[e].r[v];
-    const vfloat w = alpha * T, after = T - w;
+    const vfloat alpha = light.admit(hits[e].alpha[v]), T = light.T, w = alpha * T, z = hits[e].depth * hits[e].r[v];
+    light.pass(alpha);
     red = fma(w, splat(s.color[0]), red), green = fma(w, splat(s.color[1]), green), blue = fma(w, splat(s.color[2]), blue);
     nx = fma(w, splat(s.normal[0]), nx), ny = fma(w, splat(s.normal[1]), ny), nz = fma(w, splat(s.normal[2]), nz);
     depth = fma(w, z, depth);
-    median = select((T >= 0.5f) & (after < 0.5f), z, median);
+    median = select((T >= 0.5f) & (light.T < 0.5f), z, median);
     if (Distortion) {
       const vfloat m = unit.of(z), wm = w * m;
       m1 += wm, m2 = fma(wm, m, m2);
     }
-    T = after;
   }
-  sums.T = T, sums.depth = depth, sums.median = median;
+  sums.light = light, sums.depth = depth, sums.median = median;
   sums.color[0] = red, sums.color[1] = green, sums.color[2] = blue;
   sums.normal[0] = nx, sums.normal[1] = ny, sums.normal[2] = nz;
   if (Distortion) sums.m1 += m1, sums.m2 += m2;
@@ -305,13 +301,12 @@ inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, cons
                           const Pixels& pixels, Blend p[kVectors]) {
   const DepthUnit unit = depth_unit(in, state, items, count);
   Hit hits[kBatch];
-  for (int v = 0; v < kVectors; ++v) p[v].T = splat(1.0f);
   for (int e = 0; e < count; e += kBatch) {
     const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       blend_vector<Distortion>(hits, n, v, unit, p[v]);
-      open |= p[v].T >= kMinTransmittance;
+      open |= p[v].light.open;
     }
     if (!any(open)) break;
   }
@@ -321,8 +316,10 @@ template <bool Distortion>
 void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const Blend p[kVectors], int x0, int y0) {
   float f[11][16];
   for (int v = 0; v < kVectors; ++v) {
-    const vfloat* fields = &p[v].T;
-    for (int k = 0; k < 11; ++k) store(f[k] + v * kWidth, fields[k]);
+    store(f[0] + v * kWidth, p[v].light.T);
+    for (int k = 0; k < 3; ++k) store(f[1 + k] + v * kWidth, p[v].color[k]), store(f[4 + k] + v * kWidth, p[v].normal[k]);
+    store(f[7] + v * kWidth, p[v].depth), store(f[8] + v * kWidth, p[v].median);
+    if (Distortion) store(f[9] + v * kWidth, p[v].m1), store(f[10] + v * kWidth, p[v].m2);
   }
   for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int j) {
     const float T = f[0][j], alpha = 1.0f - T;
@@ -388,7 +385,8 @@ struct PixelGradients {
 
 // A vector of pixels on the walk.
 struct Walk {
-  vfloat T, behind;
+  Light light;
+  vfloat behind;
 };
 
 // What the walk finds for one splat.
@@ -401,15 +399,16 @@ template <bool Distortion>
 inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fields& g, const DepthUnit& unit, Walk& walk,
                         Step* steps) {
   const int lane = v * kWidth;
-  vfloat T = walk.T, behind = walk.behind;
+  Light light = walk.light;
+  vfloat behind = walk.behind;
   for (int e = 0; e < n; ++e) {
     const SurfelRecord& s = *hits[e].splat;
-    const vfloat alpha = keep(T >= kMinTransmittance, hits[e].alpha[v]), z = hits[e].depth * hits[e].r[v];
-    const vfloat w = alpha * T, after = T - w;
+    const vfloat alpha = light.admit(hits[e].alpha[v]), T = light.T, w = alpha * T, z = hits[e].depth * hits[e].r[v];
+    light.pass(alpha);
     const vfloat v_depth = load(g.depth + lane);
     vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
     q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + (load(g.normal[2] + lane) * s.normal[2] + v_depth * z);
-    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (after < 0.5f), load(g.median + lane));
+    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (light.T < 0.5f), load(g.median + lane));
     if (Distortion) {
       const vfloat m = unit.of(z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
       q += m * (v_m1 + m * v_m2);
@@ -421,9 +420,8 @@ inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fie
     steps[e].opacity[v] = keep(alpha < kMaxAlpha, v_alpha * alpha);
     steps[e].depth[v] = v_z * z;
     steps[e].share[v] = w;
-    T = after;
   }
-  walk = {T, behind};
+  walk = {light, behind};
 }
 
 // sums: [kFields] of the sub-tile's pixels, lane by lane.
@@ -471,13 +469,13 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
   Walk p[kVectors];
   Hit hits[kBatch];
   Step steps[kBatch];
-  for (int v = 0; v < kVectors; ++v) p[v] = {splat(1.0f), load(g.behind + v * kWidth)};
+  for (int v = 0; v < kVectors; ++v) p[v].behind = load(g.behind + v * kWidth);
   for (int e = 0; e < count; e += kBatch) {
     const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       walk_vector<Distortion>(hits, n, v, g, unit, p[v], steps);
-      open |= p[v].T >= kMinTransmittance;
+      open |= p[v].light.open;
     }
     for (int i = 0; i < n; ++i) {
       vfloat sums[kFields];

@@ -9,12 +9,6 @@
 
 namespace mgsr {
 
-// Blending rules, the same in every rasterizer here: a splat counts for a pixel where its alpha is at least kMinAlpha;
-// a pixel stops before the first splat that would leave it less than kMinTransmittance.
-constexpr float kMinTransmittance = 1e-4f;
-constexpr float kMinAlpha = 1.0f / 255.0f;
-constexpr float kMaxAlpha = 0.999f;
-
 struct VolumeInputs {
   int64_t count;
   const float *means, *quats, *scales;         // [N,3], [N,4] wxyz, [N,3]

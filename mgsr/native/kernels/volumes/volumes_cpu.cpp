@@ -13,7 +13,9 @@
 #include <cmath>
 #include <cstring>
 
+#include "kernels/common/blending.h"
 #include "kernels/common/simd.h"
+#include "kernels/common/subtiles.h"
 #include "math/gaussian.h"
 
 namespace mgsr {
@@ -138,13 +140,6 @@ struct Pixels {
   }
 };
 
-// Calls f(pixel index in the image, p) for the sub-tile's pixels p = 0..15 that lie on the image.
-template <class F>
-inline void for_pixels(int x0, int y0, int width, int height, const F& f) {
-  for (int j = 0; j < kSubTile && y0 + j < height; ++j)
-    for (int i = 0; i < kSubTile && x0 + i < width; ++i) f(int64_t(y0 + j) * width + x0 + i, j * kSubTile + i);
-}
-
 // The footprint of a splat at a vector of pixels.
 struct Footprint {
   vfloat dx, dy, weight;  // offsets from the centre; G
@@ -160,58 +155,28 @@ inline Footprint footprint(const VolumeRecord& r, const Pixels& pixels, int v) {
   return f;
 }
 
-// What is left of the light at a vector of pixels, and which of them still blend: a pixel is closed by the first splat
-// that would leave less than kMinTransmittance, and that splat is not blended.
-struct Light {
-  vfloat T = splat(1.0f);
-  vint open = vint{} - 1;
-
-  // alpha of a splat whose o G is `raw`: zero where it doesn't count. T is that before the splat; call pass(alpha) then.
-  vfloat alpha(vfloat raw) {
-    const vfloat a = keep((raw >= kMinAlpha) & open, min(raw, splat(kMaxAlpha)));
-    open &= fma(-a, T, T) >= kMinTransmittance;
-    return keep(open, a);
-  }
-  void pass(vfloat a) { T = fma(-a, T, T); }
-};
-
-// For each of a tile's four sub-tiles, the entries that touch it, in depth order.
-struct SubTileLists {
-  std::vector<uint32_t> entry[4];  // positions in the tile's list
-  int count[4];
-
-  void fill(const TileEntry* entries, int n) {
-    for (int s = 0; s < 4; ++s) {
-      if (entry[s].size() < size_t(n)) entry[s].resize(n);
-      count[s] = 0;
-    }
-    for (int e = 0; e < n; ++e)
-      for (int s = 0; s < 4; ++s) {
-        entry[s][count[s]] = uint32_t(e);  // overwritten by the next one unless it counts
-        count[s] += entries[e].splat_mask >> s & 1;
-      }
-  }
-};
+// alpha of a splat whose o G is `raw`: zero where it doesn't count.
+inline vfloat alpha_of(vfloat raw) { return keep(raw >= kMinAlpha, min(raw, splat(kMaxAlpha))); }
 
 template <bool Dual, bool Depth>
-void blend_subtile(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const TileEntry* entries,
-                   const uint32_t* list, int count, int x0, int y0) {
+void blend_subtile(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const SubTileItem* items,
+                   int count, int x0, int y0) {
   const Pixels pixels(x0, y0);
   Light light[kVectors], refl_light[kVectors];
   vfloat C[kVectors][3] = {}, D[kVectors] = {}, Cr[kVectors][3] = {}, W[kVectors] = {};
   for (int e = 0; e < count; ++e) {
-    const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
+    const VolumeRecord& r = state.records[items[e].splat];
     vint open = vint{};
     for (int v = 0; v < kVectors; ++v) {
       const Footprint f = footprint(r, pixels, v);
-      const vfloat alpha = light[v].alpha(r.opacity * f.weight), w = alpha * light[v].T;
+      const vfloat alpha = light[v].admit(alpha_of(r.opacity * f.weight)), w = alpha * light[v].T;
       for (int c = 0; c < 3; ++c) C[v][c] = fma(w, splat(r.color[c]), C[v][c]);
       if (Depth) D[v] = fma(w, splat(r.depth), D[v]);
       light[v].pass(alpha);
       open |= light[v].open;
       if (Dual) {
         W[v] = fma(w, splat(r.weight), W[v]);
-        const vfloat alpha_r = refl_light[v].alpha(r.refl_opacity * f.weight), w_r = alpha_r * refl_light[v].T;
+        const vfloat alpha_r = refl_light[v].admit(alpha_of(r.refl_opacity * f.weight)), w_r = alpha_r * refl_light[v].T;
         for (int c = 0; c < 3; ++c) Cr[v][c] = fma(w_r, splat(r.refl_color[c]), Cr[v][c]);
         refl_light[v].pass(alpha_r);
         open |= refl_light[v].open;
@@ -284,18 +249,18 @@ struct PixelGradients {
 // pairs: [tile's entries, stride] gets each pair's sums added.
 template <bool Dual, bool Depth>
 void backward_subtile(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
-                      const TileEntry* entries, const uint32_t* list, int count, int x0, int y0, float* pairs) {
+                      const SubTileItem* items, int count, int x0, int y0, float* pairs) {
   constexpr int kFields = Dual ? kDualFields : Depth ? kSingleFields : kDepth;
   const Pixels pixels(x0, y0);
   PixelGradients<Dual, Depth> g(in, state, out, v_out, x0, y0);
   Light light[kVectors], refl_light[kVectors];
   for (int e = 0; e < count; ++e) {
-    const VolumeRecord& r = state.records[entries[list[e]].splat_mask >> 4];
+    const VolumeRecord& r = state.records[items[e].splat];
     vfloat sums[kDualFields] = {};
     vint open = vint{};
     for (int v = 0; v < kVectors; ++v) {
       const Footprint f = footprint(r, pixels, v);
-      const vfloat raw = r.opacity * f.weight, alpha = light[v].alpha(raw), w = alpha * light[v].T;
+      const vfloat raw = r.opacity * f.weight, alpha = light[v].admit(alpha_of(raw)), w = alpha * light[v].T;
       vfloat gain = g.color[v][0] * r.color[0] + g.color[v][1] * r.color[1] + g.color[v][2] * r.color[2];
       if (Depth) gain += g.depth[v] * r.depth;
       if (Dual) gain += g.weight[v] * r.weight;
@@ -311,7 +276,7 @@ void backward_subtile(const VolumeInputs& in, const VolumeState& state, const Vo
       open |= light[v].open;
       if (Dual) {
         sums[kWeight] += w * g.weight[v];
-        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = refl_light[v].alpha(raw_r),
+        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = refl_light[v].admit(alpha_of(raw_r)),
                      w_r = alpha_r * refl_light[v].T;
         const vfloat gain_r =
             g.refl_color[v][0] * r.refl_color[0] + g.refl_color[v][1] * r.refl_color[1] + g.refl_color[v][2] * r.refl_color[2];
@@ -329,48 +294,33 @@ void backward_subtile(const VolumeInputs& in, const VolumeState& state, const Vo
       sums[kDx] += vx, sums[kDy] += vy;
       sums[kDxx] += vx * f.dx, sums[kDxy] += vx * f.dy, sums[kDyy] += vy * f.dy;
     }
-    add_sums<kFields>(sums, pairs + size_t(list[e]) * stride(Dual));
+    add_sums<kFields>(sums, pairs + size_t(items[e].entry) * stride(Dual));
     if (!any(open)) break;
   }
 }
 
-// Walks the tiles on all threads; work(tile's entries, their number, sub-tile lists, x0, y0 of the tile).
-template <class Work>
-void for_tiles(const TileLists& lists, const Work& work) {
-  ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
-    static thread_local SubTileLists sub;
-    const TileEntry* entries = lists.entries.data() + lists.begin[tile];
-    const int n = int(lists.begin[tile + 1] - lists.begin[tile]);
-    sub.fill(entries, n);
-    work(entries, n, sub, tile % lists.tiles_x * kTile, tile / lists.tiles_x * kTile);
-  });
-}
-
 template <bool Dual, bool Depth>
 void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) {
-  for_tiles(state.lists, [&](const TileEntry* entries, int, const SubTileLists& sub, int x0, int y0) {
-    for (int s = 0; s < 4; ++s) {
-      const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
-      if (x < in.width && y < in.height)
-        blend_subtile<Dual, Depth>(in, state, out, entries, sub.entry[s].data(), sub.count[s], x, y);
-    }
+  for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
+    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
+      blend_subtile<Dual, Depth>(in, state, out, sub.begin(s), sub.count(s), x, y);
+    });
   });
 }
 
 template <bool Dual, bool Depth>
 void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out) {
   state.pair_gradients.resize(size_t(state.lists.pairs()) * stride(Dual));
-  for_tiles(state.lists, [&](const TileEntry* entries, int n, const SubTileLists& sub, int x0, int y0) {
+  for_tiles(state.lists, state.records.data(), [&](int tile, const SubTileLists& sub, int x0, int y0) {
     static thread_local std::vector<float> pairs;
+    const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
     pairs.assign(size_t(n) * stride(Dual), 0.0f);
-    for (int s = 0; s < 4; ++s) {
-      const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
-      if (x < in.width && y < in.height)
-        backward_subtile<Dual, Depth>(in, state, out, v_out, entries, sub.entry[s].data(), sub.count[s], x, y, pairs.data());
-    }
-    for (int e = 0; e < n; ++e)
-      std::memcpy(&state.pair_gradients[size_t(entries[e].slot) * stride(Dual)], &pairs[size_t(e) * stride(Dual)],
-                  sizeof(float) * stride(Dual));
+    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
+      backward_subtile<Dual, Depth>(in, state, out, v_out, sub.begin(s), sub.count(s), x, y, pairs.data());
+    });
+    for (int64_t e = 0; e < n; ++e)
+      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * stride(Dual)],
+                  &pairs[size_t(e) * stride(Dual)], sizeof(float) * stride(Dual));
   });
 }
 

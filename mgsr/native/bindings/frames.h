@@ -1,0 +1,47 @@
+// One rendered view as Python holds it: what backward needs from forward, opaque there.
+#pragma once
+
+#include <memory>
+#include <mutex>
+#include <vector>
+
+namespace mgsr {
+
+// Owns a rasterizer's state while the view is needed; then the state's memory serves a later one.
+template <class State>
+class Frame {
+ public:
+  Frame() : state_(Pool::instance().take()) {}
+  ~Frame() { Pool::instance().give(std::move(state_)); }
+  State& operator*() const { return *state_; }
+  State* operator->() const { return state_.get(); }
+
+ private:
+  class Pool {
+   public:
+    static Pool& instance() {
+      static Pool pool;
+      return pool;
+    }
+    std::unique_ptr<State> take() {
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (free_.empty()) return std::make_unique<State>();
+      auto state = std::move(free_.back());
+      free_.pop_back();
+      return state;
+    }
+    void give(std::unique_ptr<State> state) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (free_.size() < kKept) free_.push_back(std::move(state));
+    }
+
+   private:
+    static constexpr size_t kKept = 2;
+    std::mutex mutex_;
+    std::vector<std::unique_ptr<State>> free_;
+  };
+
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace mgsr

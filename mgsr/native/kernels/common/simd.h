@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <utility>
 
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -98,22 +99,52 @@ inline void add_sums(const vfloat* v, float* sums) {
 #endif
 }
 
-// 2^x for x <= 0 (values under -126 give 0); largest relative error 2e-7 (polynomial of degree 6 on [-0.5, 0.5]).
-inline vfloat exp2_nonpositive(vfloat x) {
-  const vfloat clamped = max(x, splat(-126.0f));
+// 1 / x, good to the last two bits.
+inline vfloat reciprocal(vfloat x) {
+#if defined(MGSR_ISA_avx512)
+  const vfloat r = (vfloat)_mm512_rcp14_ps((__m512)x);
+  return r * fma(-x, r, splat(2.0f));
+#elif defined(MGSR_ISA_avx2)
+  const vfloat r = (vfloat)_mm256_rcp_ps((__m256)x);
+  return r * fma(-x, r, splat(2.0f));
+#else
+  return 1.0f / x;
+#endif
+}
+
+// 2^x for -126 <= x < 127, with a relative error of 1e-7; anything outside (polynomial of degree 5, fitted on +-0.5).
+inline vfloat exp2_in_range(vfloat x) {
   const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
-  const vfloat shifted = clamped + shifter;
-  const vfloat f = clamped - (shifted - shifter);
-  vfloat p = splat(1.5403530e-4f);
-  p = fma(p, f, splat(1.33335581e-3f));
-  p = fma(p, f, splat(9.61812911e-3f));
-  p = fma(p, f, splat(5.55041087e-2f));
-  p = fma(p, f, splat(2.40226507e-1f));
-  p = fma(p, f, splat(6.93147181e-1f));
-  p = fma(p, f, splat(1.0f));
+  const vfloat shifted = x + shifter;
+  const vfloat f = x - (shifted - shifter);
+  vfloat p = fma(splat(1.3276479e-3f), f, splat(9.6755410e-3f));
+  p = fma(p, f, splat(5.5507131e-2f));
+  p = fma(p, f, splat(2.4022120e-1f));
+  p = fma(p, f, splat(6.9314694e-1f));
+  p = fma(p, f, splat(1.0000001f));
   // The rounded integer sits in the low bits of `shifted`; moved into the exponent field it scales by 2^n.
-  const vfloat scaled = (vfloat)((vint)p + ((vint)shifted << 23));
-  return keep(x > splat(-126.0f), scaled);
+  return (vfloat)((vint)p + ((vint)shifted << 23));
+}
+
+// 2^x for x <= 0; values under -126 give 0.
+inline vfloat exp2_nonpositive(vfloat x) { return keep(x > splat(-126.0f), exp2_in_range(max(x, splat(-126.0f)))); }
+
+// Swaps, in each square of 2 Half x 2 Half, the upper right quarter with the lower left one.
+template <int Half, int... Lane>
+inline void swap_quarters(vfloat& upper, vfloat& lower, std::integer_sequence<int, Lane...>) {
+  const vfloat a = upper, b = lower;
+  upper = __builtin_shufflevector(a, b, (Lane & Half ? Lane - Half + kWidth : Lane)...);
+  lower = __builtin_shufflevector(a, b, (Lane & Half ? Lane + kWidth : Lane + Half)...);
+}
+
+// Turns kWidth rows of a square matrix into its columns.
+template <int Half = kWidth / 2>
+inline void transpose(vfloat rows[kWidth]) {
+  if constexpr (Half > 0) {
+    for (int i = 0; i < kWidth; ++i)
+      if (!(i & Half)) swap_quarters<Half>(rows[i], rows[i + Half], std::make_integer_sequence<int, kWidth>());
+    transpose<Half / 2>(rows);
+  }
 }
 
 }  // namespace MGSR_ISA

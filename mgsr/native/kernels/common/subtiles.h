@@ -6,8 +6,10 @@
 
 #include "kernels/common/binning.h"
 #include "kernels/common/parallel.h"
+#include "kernels/common/simd.h"
 
 namespace mgsr {
+namespace MGSR_ISA {
 
 // An entry of a sub-tile's list: the splat's position in depth order, and the entry's position in the tile's list.
 struct SubTileItem {
@@ -70,4 +72,22 @@ inline void for_pixels(int x0, int y0, int width, int height, const F& f) {
     for (int i = 0; i < kSubTile && x0 + i < width; ++i) f(int64_t(y0 + j) * width + x0 + i, j * kSubTile + i);
 }
 
+constexpr int kVectors = kSubTile * kSubTile / kWidth;  // vectors to a sub-tile
+
+// The 16 pixels of a sub-tile as vectors: their centres' offsets from the corner (x0, y0). Every vector holds whole rows,
+// so that x is the same in all.
+struct Pixels {
+  int x0, y0;
+  vfloat x, y[kVectors];
+
+  Pixels(int left, int top) : x0(left), y0(top) {
+    for (int v = 0; v < kVectors; ++v)
+      for (int lane = 0; lane < kWidth; ++lane) {
+        x[lane] = float(lane % kSubTile) + 0.5f;
+        y[v][lane] = float((v * kWidth + lane) / kSubTile) + 0.5f;
+      }
+  }
+};
+
+}  // namespace MGSR_ISA
 }  // namespace mgsr

@@ -24,7 +24,6 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kVectors = 16 / kWidth;  // vectors to a sub-tile
 constexpr int kSplatChunk = 512;
 constexpr float kLog2E = 1.4426950408889634f, kLn2 = 0.69314718056f;
 constexpr float kExponentScale = 0.5f * kLog2E;       // 2^-(this * (u^2 + v^2)) is the weight ...
@@ -164,45 +163,6 @@ void sort_and_bin(const SurfelInputs& in, SurfelState& state) {
                     [bounds](int s, float y0, float y1, float& x0, float& x1) { return bounds[s].rows(y0, y1, x0, x1); });
 }
 
-// Good to the last two bits.
-inline vfloat reciprocal(vfloat x) {
-#if defined(MGSR_ISA_avx512)
-  const vfloat r = (vfloat)_mm512_rcp14_ps((__m512)x);
-  return r * fma(-x, r, splat(2.0f));
-#elif defined(MGSR_ISA_avx2)
-  const vfloat r = (vfloat)_mm256_rcp_ps((__m256)x);
-  return r * fma(-x, r, splat(2.0f));
-#else
-  return 1.0f / x;
-#endif
-}
-
-// 2^x for -8 <= x <= 1, with a relative error of 1e-7; anything outside (polynomial of degree 5, fitted on +-0.5).
-inline vfloat exp2_near_zero(vfloat x) {
-  const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
-  const vfloat shifted = x + shifter;
-  const vfloat f = x - (shifted - shifter);
-  vfloat p = fma(splat(1.3276479e-3f), f, splat(9.6755410e-3f));
-  p = fma(p, f, splat(5.5507131e-2f));
-  p = fma(p, f, splat(2.4022120e-1f));
-  p = fma(p, f, splat(6.9314694e-1f));
-  p = fma(p, f, splat(1.0000001f));
-  return (vfloat)((vint)p + ((vint)shifted << 23));
-}
-
-// The 16 pixels of a sub-tile as vectors of their centres. Every vector holds whole rows, so that x is the same in all.
-struct Pixels {
-  vfloat x, y[kVectors];
-
-  Pixels(int x0, int y0) {
-    for (int v = 0; v < kVectors; ++v)
-      for (int lane = 0; lane < kWidth; ++lane) {
-        x[lane] = float(x0 + lane % kSubTile) + 0.5f;
-        y[v][lane] = float(y0 + (v * kWidth + lane) / kSubTile) + 0.5f;
-      }
-  }
-};
-
 // A splat met by the pixels of a sub-tile, whatever lies before it.
 struct Hit {
   const SurfelRecord* splat;
@@ -217,10 +177,10 @@ struct Hit {
 template <bool Plain>
 inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, Hit& hit) {
   hit.splat = &s, hit.depth = Plain ? s.signed_depth : -s.signed_depth;
-  const vfloat dx = pixels.x - s.x;
+  const vfloat dx = pixels.x + (pixels.x0 - s.x);
   const vfloat ax = s.L[0] * dx, bx = s.L[2] * dx, wx = fma(splat(s.g[0]), dx, splat(1.0f));
   for (int v = 0; v < kVectors; ++v) {
-    const vfloat dy = pixels.y[v] - s.y;
+    const vfloat dy = pixels.y[v] + (pixels.y0 - s.y);
     const vfloat a = fma(splat(s.L[1]), dy, ax), b = fma(splat(s.L[3]), dy, bx);
     const vfloat inverse = reciprocal(fma(splat(s.g[1]), dy, wx));
     vfloat exponent = fma(a, a, b * b) * (inverse * inverse), r = inverse;
@@ -231,7 +191,7 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
       hit.on_disk[v] = on_disk;
     }
     const vfloat log2_raw = s.log2_opacity - exponent;
-    hit.alpha[v] = keep(log2_raw >= kLog2MinAlpha, min(exp2_near_zero(log2_raw), splat(kMaxAlpha)));
+    hit.alpha[v] = keep(log2_raw >= kLog2MinAlpha, min(exp2_in_range(log2_raw), splat(kMaxAlpha)));
     hit.r[v] = r, hit.exponent[v] = exponent;
   }
 }
@@ -429,11 +389,11 @@ template <bool Plain>
 inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g, float low_pass,
                    vfloat sums[kFields]) {
   const SurfelRecord& s = *hit.splat;
-  const vfloat dx = pixels.x - s.x;
+  const vfloat dx = pixels.x + (pixels.x0 - s.x);
   vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
   for (int k = 0; k < kFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
-    const vfloat dy = pixels.y[n] - s.y, scaled = (2.0f * kLn2) * step.opacity[n], r = hit.r[n];
+    const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = hit.r[n];
     // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
     vfloat v_w = (scaled * hit.exponent[n] - step.depth[n]) * r, v_second = scaled * (r * r);
     if (!Plain) {

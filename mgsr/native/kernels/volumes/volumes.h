@@ -34,15 +34,15 @@ struct VolumeGradients {
   float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
 };
 
-// One splat as the blending loops read it.
-struct VolumeRecord {
-  float x, y;                // centre, pixels: the whole part
-  float x_rest, y_rest;      // and the rest
-  float qxx, qxy, qyy;       // exponent of 2: qxx dx^2 + qxy dx dy + qyy dy^2
+// One splat as the blending loops read it: one cache line. Its weight at d pixels from the centre is 2^-|root d|^2.
+// A centre far from the image's origin is coarse in float; its whole and its fractional part are not.
+struct alignas(64) VolumeRecord {
+  int16_t x, y;          // centre, pixels: the whole part
+  float x_rest, y_rest;  // and the rest
+  float root[3];         // of the inverse covariance: xx, xy, yy of an upper triangle
   float opacity, depth;
   float color[3];
   float refl_opacity, weight, refl_color[3];
-  uint32_t index;            // of the splat in the inputs
 };
 
 // Kept between forward and backward. Its vectors keep their memory when it is used again.
@@ -54,8 +54,8 @@ struct VolumeState {
   std::vector<Ellipse> outlines, sorted_outlines;
   std::vector<PixelBox> boxes;
   TileLists lists;
-  std::vector<float> transmittance, refl_transmittance;  // [H,W], final
-  std::vector<float> pair_gradients;                     // [pairs, stride]
+  std::vector<float> transmittance;           // [H,W], final
+  std::vector<float> pair_gradients;                     // [pairs, 16]
   std::vector<int64_t> chunk_counts;
   DepthSort sorter;
 };

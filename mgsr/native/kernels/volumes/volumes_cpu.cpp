@@ -13,23 +13,16 @@
 #include <cmath>
 #include <cstring>
 
-#include "kernels/common/blending.h"
-#include "kernels/common/simd.h"
-#include "kernels/common/subtiles.h"
+#include "kernels/volumes/backward_cpu.h"
+#include "kernels/volumes/blending_cpu.h"
 #include "math/gaussian.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kVectors = 16 / kWidth;          // vectors to a sub-tile
 constexpr double kLog2E = 1.4426950408889634;
 constexpr int kSplatChunk = 512;
-
-// Gradient of one (splat, tile) pair. The moments are of v_exponent over the pixels' offsets from the centre.
-enum PairField { kDx, kDy, kDxx, kDxy, kDyy, kOpacity, kColor, kDepth = kColor + 3, kReflOpacity, kWeight, kReflColor };
-constexpr int kSingleFields = kDepth + 1, kDualFields = kReflColor + 3;
-constexpr int stride(bool dual) { return dual ? 16 : 12; }
 
 bool finite(const float* p, int n) {
   float zero = 0;
@@ -68,29 +61,31 @@ bool project_one(const VolumeInputs& in, int64_t i, VolumeRecord& record, Ellips
   const PixelBox box = outline.box();
   if (!(box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height)) return false;
   record = {};
-  record.x = std::floor(float(g.x)), record.y = std::floor(float(g.y));
+  record.x = int16_t(std::min(std::max(std::floor(g.x), -32768.0), 32767.0));
+  record.y = int16_t(std::min(std::max(std::floor(g.y), -32768.0), 32767.0));
   record.x_rest = float(g.x - record.x), record.y_rest = float(g.y - record.y);
-  const double scale = -0.5 * kLog2E / det;
-  record.qxx = float(scale * g.cyy), record.qxy = float(-2.0 * scale * g.cxy), record.qyy = float(scale * g.cxx);
+  const double k = std::sqrt(0.5 * kLog2E), inverse = k / std::sqrt(det * g.cyy);
+  record.root[0] = float(inverse * g.cyy), record.root[1] = float(-inverse * g.cxy), record.root[2] = float(k / std::sqrt(g.cyy));
   record.opacity = opacity, record.depth = g.depth;
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (in.refl_opacities) {
     record.refl_opacity = refl_opacity, record.weight = in.weights[i];
     std::memcpy(record.refl_color, in.refl_colors + 3 * i, sizeof(record.refl_color));
   }
-  record.index = uint32_t(i);
   return true;
 }
 
 // Projects all splats; state.projected, outlines and depths then hold the visible ones by index.
 void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
   const int chunks = int((in.count + kSplatChunk - 1) / kSplatChunk);
-  state.projected.resize(in.count), state.outlines.resize(in.count), state.chunk_counts.assign(chunks + 1, 0);
+  state.projected.resize(in.count), state.outlines.resize(in.count), state.visible.resize(in.count);
+  state.chunk_counts.assign(chunks, 0);
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
     int64_t place = begin;
     for (int64_t i = begin; i < end; ++i) {
       const bool seen = project_one(in, i, state.projected[place], state.outlines[place]);
       radii[i] = seen ? std::max(state.outlines[place].hx, state.outlines[place].hy) : 0.0f;
+      state.visible[place] = uint32_t(i);
       place += seen;
     }
     state.chunk_counts[begin / kSplatChunk] = place - begin;
@@ -102,6 +97,7 @@ void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
     if (total != begin) {
       std::copy_n(state.projected.begin() + begin, n, state.projected.begin() + total);
       std::copy_n(state.outlines.begin() + begin, n, state.outlines.begin() + total);
+      std::copy_n(state.visible.begin() + begin, n, state.visible.begin() + total);
     }
     total += n;
   }
@@ -125,210 +121,12 @@ void sort_and_bin(const VolumeInputs& in, VolumeState& state) {
                     [outlines](int s, float y0, float y1, float& x0, float& x1) { return outlines[s].rows(y0, y1, x0, x1); });
 }
 
-// The 16 pixels of a sub-tile: their offsets from its first pixel's centre.
-struct Pixels {
-  vfloat x[kVectors], y[kVectors];
-  float x0, y0;
-
-  Pixels(int left, int top) : x0(left + 0.5f), y0(top + 0.5f) {
-    for (int v = 0; v < kVectors; ++v)
-      for (int lane = 0; lane < kWidth; ++lane) {
-        const int p = v * kWidth + lane;
-        x[v][lane] = float(p % kSubTile);
-        y[v][lane] = float(p / kSubTile);
-      }
-  }
-};
-
-// The footprint of a splat at a vector of pixels.
-struct Footprint {
-  vfloat dx, dy, weight;  // offsets from the centre; G
-};
-
-// A centre far from the image's origin is coarse in float; its whole and its fractional part are not, nor is their
-// difference to a pixel near by.
-inline Footprint footprint(const VolumeRecord& r, const Pixels& pixels, int v) {
-  Footprint f;
-  f.dx = pixels.x[v] + ((pixels.x0 - r.x) - r.x_rest), f.dy = pixels.y[v] + ((pixels.y0 - r.y) - r.y_rest);
-  const vfloat ydy = (r.qyy * f.dy) * f.dy;
-  f.weight = exp2_nonpositive(fma(f.dx, fma(splat(r.qxx), f.dx, r.qxy * f.dy), ydy));
-  return f;
-}
-
-// alpha of a splat whose o G is `raw`: zero where it doesn't count.
-inline vfloat alpha_of(vfloat raw) { return keep(raw >= kMinAlpha, min(raw, splat(kMaxAlpha))); }
-
-template <bool Dual, bool Depth>
-void blend_subtile(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const SubTileItem* items,
-                   int count, int x0, int y0) {
-  const Pixels pixels(x0, y0);
-  Light light[kVectors], refl_light[kVectors];
-  vfloat C[kVectors][3] = {}, D[kVectors] = {}, Cr[kVectors][3] = {}, W[kVectors] = {};
-  for (int e = 0; e < count; ++e) {
-    const VolumeRecord& r = state.records[items[e].splat];
-    vint open = vint{};
-    for (int v = 0; v < kVectors; ++v) {
-      const Footprint f = footprint(r, pixels, v);
-      const vfloat alpha = light[v].admit(alpha_of(r.opacity * f.weight)), w = alpha * light[v].T;
-      for (int c = 0; c < 3; ++c) C[v][c] = fma(w, splat(r.color[c]), C[v][c]);
-      if (Depth) D[v] = fma(w, splat(r.depth), D[v]);
-      light[v].pass(alpha);
-      open |= light[v].open;
-      if (Dual) {
-        W[v] = fma(w, splat(r.weight), W[v]);
-        const vfloat alpha_r = refl_light[v].admit(alpha_of(r.refl_opacity * f.weight)), w_r = alpha_r * refl_light[v].T;
-        for (int c = 0; c < 3; ++c) Cr[v][c] = fma(w_r, splat(r.refl_color[c]), Cr[v][c]);
-        refl_light[v].pass(alpha_r);
-        open |= refl_light[v].open;
-      }
-    }
-    if (!any(open)) break;
-  }
-  float t[16], c[3][16], d[16], tr[16], cr[3][16], w[16];
-  for (int v = 0; v < kVectors; ++v) {
-    store(t + v * kWidth, light[v].T);
-    for (int k = 0; k < 3; ++k) store(c[k] + v * kWidth, C[v][k]);
-    if (Depth) store(d + v * kWidth, D[v]);
-    if (!Dual) continue;
-    store(tr + v * kWidth, refl_light[v].T), store(w + v * kWidth, W[v]);
-    for (int k = 0; k < 3; ++k) store(cr[k] + v * kWidth, Cr[v][k]);
-  }
-  for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int p) {
-    const float alpha = 1.0f - t[p];
-    state.transmittance[i] = t[p], out.alpha[i] = alpha;
-    for (int k = 0; k < 3; ++k) out.color[3 * i + k] = c[k][p] + t[p] * in.background[k];
-    if (Depth) out.depth[i] = alpha > kMinAlpha / 2 ? d[p] / alpha : 0.0f;
-    if (!Dual) return;
-    state.refl_transmittance[i] = tr[p], out.weight[i] = w[p];
-    for (int k = 0; k < 3; ++k) out.reflected[3 * i + k] = cr[k][p];
-  });
-}
-
-// The gradient images at a sub-tile's pixels, made ready for the walk.
-template <bool Dual, bool Depth>
-struct PixelGradients {
-  vfloat color[kVectors][3], depth[kVectors], behind[kVectors];
-  vfloat refl_color[kVectors][3], weight[kVectors], refl_behind[kVectors];
-
-  PixelGradients(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v, int x0,
-                 int y0) {
-    float g[10][16] = {};
-    for_pixels(x0, y0, in.width, in.height, [&](int64_t i, int p) {
-      const float T = state.transmittance[i], alpha = 1.0f - T;
-      // What the walk will have added up by its end, and what the background and alpha add behind the last splat.
-      float total = v.alpha ? -T * v.alpha[i] : 0.0f;
-      for (int k = 0; k < 3; ++k) {
-        g[k][p] = v.color ? v.color[3 * i + k] : 0.0f;
-        total += g[k][p] * out.color[3 * i + k];
-      }
-      if (Depth && v.depth && out.depth[i] > 0) {
-        // depth = D / alpha: v_D = v / alpha, and v_alpha loses v * depth / alpha.
-        g[3][p] = v.depth[i] / alpha;
-        total += g[3][p] * out.depth[i] * alpha + T * g[3][p] * out.depth[i];
-      }
-      if (Dual) {
-        g[5][p] = v.weight ? v.weight[i] : 0.0f;
-        total += g[5][p] * out.weight[i];
-        float refl_total = 0;
-        for (int k = 0; k < 3; ++k) {
-          g[6 + k][p] = v.reflected ? v.reflected[3 * i + k] : 0.0f;
-          refl_total += g[6 + k][p] * out.reflected[3 * i + k];
-        }
-        g[9][p] = refl_total;
-      }
-      g[4][p] = total;
-    });
-    for (int n = 0; n < kVectors; ++n) {
-      for (int k = 0; k < 3; ++k) color[n][k] = load(g[k] + n * kWidth), refl_color[n][k] = load(g[6 + k] + n * kWidth);
-      depth[n] = load(g[3] + n * kWidth), behind[n] = load(g[4] + n * kWidth);
-      weight[n] = load(g[5] + n * kWidth), refl_behind[n] = load(g[9] + n * kWidth);
-    }
-  }
-};
-
-// pairs: [tile's entries, stride] gets each pair's sums added.
-template <bool Dual, bool Depth>
-void backward_subtile(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
-                      const SubTileItem* items, int count, int x0, int y0, float* pairs) {
-  constexpr int kFields = Dual ? kDualFields : Depth ? kSingleFields : kDepth;
-  const Pixels pixels(x0, y0);
-  PixelGradients<Dual, Depth> g(in, state, out, v_out, x0, y0);
-  Light light[kVectors], refl_light[kVectors];
-  for (int e = 0; e < count; ++e) {
-    const VolumeRecord& r = state.records[items[e].splat];
-    vfloat sums[kDualFields] = {};
-    vint open = vint{};
-    for (int v = 0; v < kVectors; ++v) {
-      const Footprint f = footprint(r, pixels, v);
-      const vfloat raw = r.opacity * f.weight, alpha = light[v].admit(alpha_of(raw)), w = alpha * light[v].T;
-      vfloat gain = g.color[v][0] * r.color[0] + g.color[v][1] * r.color[1] + g.color[v][2] * r.color[2];
-      if (Depth) gain += g.depth[v] * r.depth;
-      if (Dual) gain += g.weight[v] * r.weight;
-      g.behind[v] -= w * gain;
-      // Zero where the splat doesn't count and where alpha is held at its maximum.
-      vfloat v_alpha = light[v].T * gain - g.behind[v] / (1.0f - alpha);
-      v_alpha = keep((alpha > 0.0f) & (raw < kMaxAlpha), v_alpha);
-      vfloat v_exponent = v_alpha * raw;
-      sums[kOpacity] += v_exponent;
-      for (int c = 0; c < 3; ++c) sums[kColor + c] += w * g.color[v][c];
-      if (Depth) sums[kDepth] += w * g.depth[v];
-      light[v].pass(alpha);
-      open |= light[v].open;
-      if (Dual) {
-        sums[kWeight] += w * g.weight[v];
-        const vfloat raw_r = r.refl_opacity * f.weight, alpha_r = refl_light[v].admit(alpha_of(raw_r)),
-                     w_r = alpha_r * refl_light[v].T;
-        const vfloat gain_r =
-            g.refl_color[v][0] * r.refl_color[0] + g.refl_color[v][1] * r.refl_color[1] + g.refl_color[v][2] * r.refl_color[2];
-        g.refl_behind[v] -= w_r * gain_r;
-        vfloat v_alpha_r = refl_light[v].T * gain_r - g.refl_behind[v] / (1.0f - alpha_r);
-        v_alpha_r = keep((alpha_r > 0.0f) & (raw_r < kMaxAlpha), v_alpha_r);
-        const vfloat v_exponent_r = v_alpha_r * raw_r;
-        sums[kReflOpacity] += v_exponent_r;
-        v_exponent += v_exponent_r;
-        for (int c = 0; c < 3; ++c) sums[kReflColor + c] += w_r * g.refl_color[v][c];
-        refl_light[v].pass(alpha_r);
-        open |= refl_light[v].open;
-      }
-      const vfloat vx = v_exponent * f.dx, vy = v_exponent * f.dy;
-      sums[kDx] += vx, sums[kDy] += vy;
-      sums[kDxx] += vx * f.dx, sums[kDxy] += vx * f.dy, sums[kDyy] += vy * f.dy;
-    }
-    add_sums<kFields>(sums, pairs + size_t(items[e].entry) * stride(Dual));
-    if (!any(open)) break;
-  }
-}
-
-template <bool Dual, bool Depth>
-void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) {
-  for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
-    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
-      blend_subtile<Dual, Depth>(in, state, out, sub.begin(s), sub.count(s), x, y);
-    });
-  });
-}
-
-template <bool Dual, bool Depth>
-void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out) {
-  state.pair_gradients.resize(size_t(state.lists.pairs()) * stride(Dual));
-  for_tiles(state.lists, state.records.data(), [&](int tile, const SubTileLists& sub, int x0, int y0) {
-    static thread_local std::vector<float> pairs;
-    const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
-    pairs.assign(size_t(n) * stride(Dual), 0.0f);
-    for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
-      backward_subtile<Dual, Depth>(in, state, out, v_out, sub.begin(s), sub.count(s), x, y, pairs.data());
-    });
-    for (int64_t e = 0; e < n; ++e)
-      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * stride(Dual)],
-                  &pairs[size_t(e) * stride(Dual)], sizeof(float) * stride(Dual));
-  });
-}
-
 // From the pairs' moments to the projected splat's gradient, and on to the parameters.
-void splat_backward(const VolumeInputs& in, const VolumeRecord& r, const float* total, bool dual, const VolumeGradients& v) {
-  const int64_t i = r.index;
+void splat_backward(const VolumeInputs& in, int64_t i, const VolumeRecord& r, const float* total, bool dual, const VolumeGradients& v) {
   // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
-  const float qxx = r.qxx * float(-2.0 / kLog2E), qxy = r.qxy * float(-1.0 / kLog2E), qyy = r.qyy * float(-2.0 / kLog2E);
+  constexpr float kScale = float(2.0 / kLog2E);
+  const float qxx = kScale * r.root[0] * r.root[0], qxy = kScale * r.root[0] * r.root[1];
+  const float qyy = kScale * (r.root[1] * r.root[1] + r.root[2] * r.root[2]);
   ProjectedGaussian<float> g = {};
   g.x = qxx * total[kDx] + qxy * total[kDy];
   g.y = qxy * total[kDx] + qyy * total[kDy];
@@ -357,14 +155,13 @@ void splat_backward(const VolumeInputs& in, const VolumeRecord& r, const float* 
                        v.quats + 4 * i, v.scales + 3 * i);
 }
 
-template <bool Dual>
-void reduce_pairs(const VolumeInputs& in, const VolumeState& state, const VolumeGradients& v) {
+void reduce_pairs(const VolumeInputs& in, const VolumeState& state, bool dual, const VolumeGradients& v) {
   parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
     for (int64_t s = begin; s < end; ++s) {
-      float total[16] = {};
+      float total[kFields] = {};
       for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
-        for (int k = 0; k < stride(Dual); ++k) total[k] += state.pair_gradients[size_t(slot) * stride(Dual) + k];
-      splat_backward(in, state.records[s], total, Dual, v);
+        for (int k = 0; k < kFields; ++k) total[k] += state.pair_gradients[size_t(slot) * kFields + k];
+      splat_backward(in, state.visible[state.order[s]], state.records[s], total, dual, v);
     }
   });
 }
@@ -374,20 +171,19 @@ void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out
   project_all(in, state, radii);
   sort_and_bin(in, state);
   state.transmittance.resize(size_t(in.width) * in.height);
-  if (dual) state.refl_transmittance.resize(size_t(in.width) * in.height);
   if (dual) in.depth ? blend<true, true>(in, state, out) : blend<true, false>(in, state, out);
   else in.depth ? blend<false, true>(in, state, out) : blend<false, false>(in, state, out);
 }
 
 void backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
               const VolumeGradients& v) {
-  if (in.refl_opacities) {
+  const bool dual = in.refl_opacities != nullptr;
+  if (dual) {
     v_out.depth ? blend_backward<true, true>(in, state, out, v_out) : blend_backward<true, false>(in, state, out, v_out);
-    reduce_pairs<true>(in, state, v);
   } else {
     v_out.depth ? blend_backward<false, true>(in, state, out, v_out) : blend_backward<false, false>(in, state, out, v_out);
-    reduce_pairs<false>(in, state, v);
   }
+  reduce_pairs(in, state, dual, v);
 }
 
 }  // namespace

@@ -38,6 +38,17 @@ inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
 inline vfloat min(vfloat a, vfloat b) { return a < b ? a : b; }
 inline vfloat max(vfloat a, vfloat b) { return a > b ? a : b; }
 
+inline vfloat sqrt(vfloat x) {
+#if defined(MGSR_ISA_avx512)
+  return (vfloat)_mm512_sqrt_ps((__m512)x);
+#elif defined(MGSR_ISA_avx2)
+  return (vfloat)_mm256_sqrt_ps((__m256)x);
+#else
+  for (int lane = 0; lane < kWidth; ++lane) x[lane] = __builtin_sqrtf(x[lane]);
+  return x;
+#endif
+}
+
 // a * b + c, rounded once where the variant has it. Written out where forward and backward must agree to the bit: the
 // compiler may contract a plain product and sum in one place and not in another.
 inline vfloat fma(vfloat a, vfloat b, vfloat c) {
@@ -64,6 +75,29 @@ inline bool any(vint mask) {
   int32_t bits = 0;
   for (int i = 0; i < kWidth; ++i) bits |= mask[i];
   return bits != 0;
+#endif
+}
+
+// Writes first + lane for every lane whose mask is set, in order; returns their number. Writes on to out[kWidth - 1].
+inline int pack_lanes(vint mask, uint32_t first, uint32_t* out) {
+#if defined(MGSR_ISA_avx512)
+  const __m512i lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  const __mmask16 set = _mm512_test_epi32_mask((__m512i)mask, (__m512i)mask);
+  _mm512_storeu_si512(out, _mm512_maskz_compress_epi32(set, _mm512_add_epi32(lanes, _mm512_set1_epi32(int(first)))));
+  return __builtin_popcount(set);
+#elif defined(MGSR_ISA_avx2)
+  const uint32_t set = _mm256_movemask_ps((__m256)mask);
+  const uint64_t bytes = _pdep_u64(set, 0x0101010101010101u) * 0xff;  // 0xff for each lane that is set
+  const __m128i lanes = _mm_cvtsi64_si128(int64_t(_pext_u64(0x0706050403020100u, bytes)));
+  _mm256_storeu_si256((__m256i*)out, _mm256_add_epi32(_mm256_cvtepu8_epi32(lanes), _mm256_set1_epi32(int(first))));
+  return __builtin_popcount(set);
+#else
+  int n = 0;
+  for (int lane = 0; lane < kWidth; ++lane) {
+    out[n] = first + lane;  // overwritten by the next one unless it counts
+    n += mask[lane] & 1;
+  }
+  return n;
 #endif
 }
 

@@ -1,7 +1,9 @@
-// What the blending loops walk over: tiles over the threads, and in a tile four 4x4 sub-tiles, each with its own list.
+// What the blending loops walk over: tiles over the threads, and in a tile its 4x4 sub-tiles, each with its own list.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "kernels/common/binning.h"
@@ -11,38 +13,43 @@
 namespace mgsr {
 namespace MGSR_ISA {
 
-// An entry of a sub-tile's list: the splat's position in depth order, and the entry's position in the tile's list.
-struct SubTileItem {
-  uint32_t splat, entry;
-};
-
-// For each of a tile's four sub-tiles, the splats that touch it, in depth order.
+// For each of a tile's sub-tiles, the entries of the tile that touch it, in depth order.
 class SubTileLists {
  public:
   // Also asks for the records of the splats to be brought near, all at once: they lie scattered.
   template <class Record>
   void fill(const TileEntry* entries, int n, const Record* records) {
-    if (items_[0].size() < size_t(n) + 1)
-      for (auto& items : items_) items.resize(n + 1);
-    SubTileItem* end[4];
-    for (int s = 0; s < 4; ++s) end[s] = items_[s].data();
+    splats_.resize(n), masks_.resize(n + kWidth);
     for (int e = 0; e < n; ++e) {
-      const uint32_t splat = entries[e].splat_mask >> 4, mask = entries[e].splat_mask;
-      __builtin_prefetch(records + splat);
-      for (int s = 0; s < 4; ++s) {
-        *end[s] = {splat, uint32_t(e)};  // overwritten by the next one unless it counts
-        end[s] += mask >> s & 1;
-      }
+      __builtin_prefetch(records + entries[e].splat);
+      splats_[e] = entries[e].splat, masks_[e] = int32_t(entries[e].mask);
     }
-    for (int s = 0; s < 4; ++s) counts_[s] = int(end[s] - items_[s].data());
+    std::fill(masks_.begin() + n, masks_.end(), 0);
+    for (int s = 0; s < kSubTiles; ++s) pick(s, n);
   }
 
-  const SubTileItem* begin(int s) const { return items_[s].data(); }
+  const uint32_t* begin(int s) const { return entries_[s].data(); }
   int count(int s) const { return counts_[s]; }
+  // The splat of an entry.
+  uint32_t splat(uint32_t entry) const { return splats_[entry]; }
 
  private:
-  std::vector<SubTileItem> items_[4];
-  int counts_[4] = {};
+  void pick(int s, int n) {
+    auto& picked = entries_[s];
+    if (picked.size() < size_t(n + kWidth)) picked.resize(n + kWidth);
+    int count = 0;
+    for (int e = 0; e < n; e += kWidth) {
+      vint mask;
+      std::memcpy(&mask, &masks_[e], sizeof(mask));
+      count += pack_lanes((mask & 1 << s) != 0, uint32_t(e), &picked[count]);
+    }
+    counts_[s] = count;
+  }
+
+  std::vector<uint32_t> splats_;
+  std::vector<int32_t> masks_;
+  std::vector<uint32_t> entries_[kSubTiles];
+  int counts_[kSubTiles] = {};
 };
 
 // Calls work(tile, sub-tile lists, x0, y0 of the tile) for every tile, on all threads.
@@ -50,17 +57,16 @@ template <class Record, class Work>
 void for_tiles(const TileLists& lists, const Record* records, const Work& work) {
   ThreadPool::instance().run(lists.tiles_x * lists.tiles_y, [&](int tile) {
     static thread_local SubTileLists sub;
-    sub.fill(lists.entries.data() + lists.begin[tile], int(lists.begin[tile + 1] - lists.begin[tile]),
-             records);
+    sub.fill(lists.entries.data() + lists.begin[tile], int(lists.begin[tile + 1] - lists.begin[tile]), records);
     work(tile, sub, tile % lists.tiles_x * kTile, tile / lists.tiles_x * kTile);
   });
 }
 
-// Calls body(s, x, y) for the sub-tiles s = 0..3, at pixel (x, y), of the tile at (x0, y0) that lie on the image.
+// Calls body(s, x, y) for the sub-tiles s, at pixel (x, y), of the tile at (x0, y0) that lie on the image.
 template <class Body>
 void for_subtiles(int x0, int y0, int width, int height, const Body& body) {
-  for (int s = 0; s < 4; ++s) {
-    const int x = x0 + s % 2 * kSubTile, y = y0 + s / 2 * kSubTile;
+  for (int s = 0; s < kSubTiles; ++s) {
+    const int x = x0 + s % kSubTilesAcross * kSubTile, y = y0 + s / kSubTilesAcross * kSubTile;
     if (x < width && y < height) body(s, x, y);
   }
 }

@@ -1,12 +1,11 @@
 // The 2D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <vector>
 
 #include "kernels/common/binning.h"
+#include "kernels/common/depth_sort.h"
 #include "math/camera.h"
 
 namespace mgsr {
@@ -47,43 +46,15 @@ struct alignas(64) SurfelRecord {
   float depth() const { return signed_depth > 0 ? signed_depth : -signed_depth; }
 };
 
-// A splat's footprint on the image: where its disk is strong enough to count, and the circle of its low-pass.
-struct SurfelBounds {
-  Ellipse disk;
-  float x, y, radius;  // radius 0 where the disk is stronger than the low-pass everywhere
-  bool clipped;        // the disk reaches behind the near plane
-
-  PixelBox box() const {
-    const PixelBox b = disk.box();
-    return {std::min(b.x0, x - radius), std::max(b.x1, x + radius), std::min(b.y0, y - radius), std::max(b.y1, y + radius)};
-  }
-
-  // The x interval of the pixels with y in [y0, y1]; false when there are none.
-  bool rows(float y0, float y1, float& x0, float& x1) const {
-    const bool on_disk = disk.rows(y0, y1, x0, x1);
-    const float dy = std::max(std::max(y0 - y, y - y1), 0.0f);
-    if (!(dy < radius)) return on_disk;
-    const float half = std::sqrt(radius * radius - dy * dy);
-    x0 = on_disk ? std::min(x0, x - half) : x - half;
-    x1 = on_disk ? std::max(x1, x + half) : x + half;
-    return true;
-  }
-};
-
 // Kept between forward and backward. Its vectors keep their memory when it is used again.
 struct SurfelState {
-  std::vector<uint32_t> visible;  // indices of splats that survived culling
-  std::vector<uint32_t> order;    // depth order over `visible`
-  std::vector<float> depths;      // of `visible`
-  std::vector<SurfelRecord> projected, records;        // in the order of `visible`; in depth order
-  std::vector<SurfelBounds> bounds, sorted_bounds;     // likewise
-  std::vector<PixelBox> boxes;                         // in depth order
+  std::vector<SurfelRecord> records;  // [N], set where a splat is visible
+  std::vector<float> depths;          // [N] of the centres, -1 where a splat was culled
+  DepthSort sort;
   TileLists lists;
   std::vector<float> transmittance;   // [H,W], final
   std::vector<float> moments;         // [H,W,2] of depth, for distortion
   std::vector<float> pair_gradients;  // [pairs, 16]
-  std::vector<int64_t> chunk_counts;
-  DepthSort sorter;
 };
 
 struct SurfelKernels {

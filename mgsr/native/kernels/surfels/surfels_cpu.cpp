@@ -24,7 +24,6 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr int kSplatChunk = 512;
 constexpr float kLog2E = 1.4426950408889634f, kLn2 = 0.69314718056f;
 constexpr float kExponentScale = 0.5f * kLog2E;       // 2^-(this * (u^2 + v^2)) is the weight ...
 constexpr float kRootExponentScale = 0.84932180028f;  // ... so that this, times L, leaves a plain square
@@ -41,6 +40,30 @@ bool finite(const float* p, int n) {
   for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
   return zero == 0.0f;
 }
+
+// A splat's footprint on the image: where its disk is strong enough to count, and the circle of its low-pass.
+struct SurfelBounds {
+  Ellipse disk;
+  float x, y, radius;  // radius 0 where the disk is stronger than the low-pass everywhere
+  bool clipped;        // the disk reaches behind the near plane
+
+  PixelBox box() const {
+    const PixelBox b = disk.box();
+    return {std::min(b.x0, x - radius), std::max(b.x1, x + radius), std::min(b.y0, y - radius), std::max(b.y1, y + radius)};
+  }
+
+  Intervals cut(vfloat y0, vfloat y1) const {
+    Intervals c = disk.cut(y0, y1);
+    if (radius == 0.0f) return c;
+    const vfloat dy = max(max(y0 - y, y - y1), vfloat{}), half2 = radius * radius - dy * dy;
+    const vfloat half = sqrt(max(half2, vfloat{}));
+    const vint on_circle = half2 > 0.0f;
+    c.x0 = select(on_circle, select(c.any, min(c.x0, x - half), x - half), c.x0);
+    c.x1 = select(on_circle, select(c.any, max(c.x1, x + half), x + half), c.x1);
+    c.any |= on_circle;
+    return c;
+  }
+};
 
 Ellipse ellipse_of_box(const PixelBox& b) {
   const float hx = 0.5f * (b.x1 - b.x0), hy = 0.5f * (b.y1 - b.y0);
@@ -116,51 +139,21 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
 }
 
-// Projects all splats; state.visible, projected, bounds and depths then hold the visible ones by index.
+// Projects and culls all splats, and notes the tiles that the visible ones touch. radii: [N] pixels, 0 where culled.
 void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
-  const int chunks = int((in.count + kSplatChunk - 1) / kSplatChunk);
-  state.projected.resize(in.count), state.bounds.resize(in.count), state.visible.resize(in.count);
-  state.chunk_counts.assign(chunks, 0);
+  state.records.resize(in.count), state.depths.resize(in.count);
+  start_lists(state.lists, in.count, in.width, in.height);
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    int64_t place = begin;
+    state.lists.found[begin / kSplatChunk].count = 0;
     for (int64_t i = begin; i < end; ++i) {
-      const bool seen = project_one(in, i, state.projected[place], state.bounds[place]);
-      const SurfelBounds& b = state.bounds[place];
-      radii[i] = seen ? std::max({b.disk.hx, b.disk.hy, b.radius}) : 0.0f;
-      state.visible[place] = uint32_t(i);
-      place += seen;
-    }
-    state.chunk_counts[begin / kSplatChunk] = place - begin;
-  });
-  // Close the gaps that culled splats left at the chunks' ends.
-  int64_t total = 0;
-  for (int c = 0; c < chunks; ++c) {
-    const int64_t begin = int64_t(c) * kSplatChunk, n = state.chunk_counts[c];
-    if (total != begin) {
-      std::copy_n(state.projected.begin() + begin, n, state.projected.begin() + total);
-      std::copy_n(state.bounds.begin() + begin, n, state.bounds.begin() + total);
-      std::copy_n(state.visible.begin() + begin, n, state.visible.begin() + total);
-    }
-    total += n;
-  }
-  state.projected.resize(total), state.bounds.resize(total), state.visible.resize(total), state.depths.resize(total);
-  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth();
-}
-
-void sort_and_bin(const SurfelInputs& in, SurfelState& state) {
-  state.sorter.sort(state.depths, state.order);
-  const int count = int(state.order.size());
-  state.records.resize(count), state.sorted_bounds.resize(count), state.boxes.resize(count);
-  parallel_chunks(count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    for (int64_t s = begin; s < end; ++s) {
-      state.records[s] = state.projected[state.order[s]];
-      state.sorted_bounds[s] = state.bounds[state.order[s]];
-      state.boxes[s] = state.sorted_bounds[s].box();
+      SurfelBounds bounds;
+      const bool seen = project_one(in, i, state.records[i], bounds);
+      radii[i] = seen ? std::max({bounds.disk.hx, bounds.disk.hy, bounds.radius}) : 0.0f;
+      state.depths[i] = seen ? state.records[i].depth() : -1.0f;
+      state.lists.spans[i] = {};
+      if (seen) find_tiles(state.lists, i, bounds);
     }
   });
-  const SurfelBounds* bounds = state.sorted_bounds.data();
-  state.lists.build(count, in.width, in.height, state.boxes.data(),
-                    [bounds](int s, float y0, float y1, float& x0, float& x1) { return bounds[s].rows(y0, y1, x0, x1); });
 }
 
 // A splat met by the pixels of a sub-tile, whatever lies before it.
@@ -200,11 +193,11 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
 // blending, which does. In one loop the processor would not see far enough ahead to overlap them.
 constexpr int kBatch = 8;
 
-inline int meet_batch(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count,
-                      const Pixels& pixels, Hit* hits) {
+inline int meet_batch(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
+                      int count, const Pixels& pixels, Hit* hits) {
   const int n = count < kBatch ? count : kBatch;
   for (int e = 0; e < n; ++e) {
-    const SurfelRecord& s = state.records[items[e].splat];
+    const SurfelRecord& s = state.records[sub.splat(list[e])];
     if (s.plain())
       meet<true>(s, pixels, in.near, in.low_pass, hits[e]);
     else
@@ -220,8 +213,8 @@ struct DepthUnit {
   vfloat of(vfloat z) const { return (z - offset) * scale; }
 };
 
-inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count) {
-  return {count > 0 ? state.records[items[0].splat].depth() : 0.0f, 1.0f / (in.far - in.near)};
+inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, int s) {
+  return {sub.count(s) > 0 ? state.records[sub.splat(*sub.begin(s))].depth() : 0.0f, 1.0f / (in.far - in.near)};
 }
 
 // What blending adds up at a vector of pixels.
@@ -257,12 +250,14 @@ inline void blend_vector(const Hit* hits, int n, int v, const DepthUnit& unit, B
 }
 
 template <bool Distortion>
-inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileItem* items, int count,
+inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, int s,
                           const Pixels& pixels, Blend p[kVectors]) {
-  const DepthUnit unit = depth_unit(in, state, items, count);
+  const DepthUnit unit = depth_unit(in, state, sub, s);
   Hit hits[kBatch];
+  const uint32_t* list = sub.begin(s);
+  const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
+    const int n = meet_batch(in, state, sub, list + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       blend_vector<Distortion>(hits, n, v, unit, p[v]);
@@ -303,7 +298,7 @@ void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) 
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       Blend p[kVectors] = {};
-      blend_subtile<Distortion>(in, state, sub.begin(s), sub.count(s), pixels, p);
+      blend_subtile<Distortion>(in, state, sub, s, pixels, p);
       write_pixels<Distortion>(in, state, out, p, x, y);
     });
   });
@@ -424,14 +419,16 @@ inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const
 // pairs: [tile's entries, kFields] gets each pair's sums added.
 template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
-                      const SubTileItem* items, int count, const Pixels& pixels, float* pairs) {
-  const DepthUnit unit = depth_unit(in, state, items, count);
+                      const SubTileLists& sub, int s, const Pixels& pixels, float* pairs) {
+  const DepthUnit unit = depth_unit(in, state, sub, s);
   Walk p[kVectors];
   Hit hits[kBatch];
   Step steps[kBatch];
   for (int v = 0; v < kVectors; ++v) p[v].behind = load(g.behind + v * kWidth);
+  const uint32_t* list = sub.begin(s);
+  const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch(in, state, items + e, count - e, pixels, hits);
+    const int n = meet_batch(in, state, sub, list + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       walk_vector<Distortion>(hits, n, v, g, unit, p[v], steps);
@@ -443,7 +440,7 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
         gather<true>(hits[i], steps[i], pixels, g, in.low_pass, sums);
       else
         gather<false>(hits[i], steps[i], pixels, g, in.low_pass, sums);
-      add_sums<kFields>(sums, pairs + size_t(items[e + i].entry) * kFields);
+      add_sums<kFields>(sums, pairs + size_t(list[e + i]) * kFields);
     }
     if (!any(open)) break;
   }
@@ -458,7 +455,7 @@ void blend_backward(const SurfelInputs& in, SurfelState& state, const SurfelImag
     pairs.assign(size_t(n) * kFields, 0.0f);
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const PixelGradients g(in, state, out, v_out, x, y);
-      backward_subtile<Distortion>(in, state, g.f, sub.begin(s), sub.count(s), Pixels(x, y), pairs.data());
+      backward_subtile<Distortion>(in, state, g.f, sub, s, Pixels(x, y), pairs.data());
     });
     for (int64_t e = 0; e < n; ++e)
       std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kFields], &pairs[size_t(e) * kFields],
@@ -493,19 +490,22 @@ void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, co
 }
 
 void reduce_pairs(const SurfelInputs& in, const SurfelState& state, const SurfelGradients& v) {
-  parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
-    for (int64_t s = begin; s < end; ++s) {
+  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    const float* pairs = state.pair_gradients.data() + size_t(state.lists.chunk_slots[begin / kSplatChunk]) * kFields;
+    for (int64_t i = begin; i < end; ++i) {
+      if (state.depths[i] < 0) continue;
       float total[kFields] = {};
-      for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
-        for (int k = 0; k < kFields; ++k) total[k] += state.pair_gradients[size_t(slot) * kFields + k];
-      splat_backward(in, state.visible[state.order[s]], state.records[s], total, v);
+      for (uint32_t slot = state.lists.spans[i].begin; slot < state.lists.spans[i].end; ++slot)
+        for (int k = 0; k < kFields; ++k) total[k] += pairs[size_t(slot) * kFields + k];
+      splat_backward(in, i, state.records[i], total, v);
     }
   });
 }
 
 void forward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, float* radii) {
   project_all(in, state, radii);
-  sort_and_bin(in, state);
+  sort_by_depth(state.sort, state.depths);
+  lay_out_lists(state.lists, state.sort.order);
   const size_t pixels = size_t(in.width) * in.height;
   state.transmittance.resize(pixels);
   if (out.distortion) state.moments.resize(2 * pixels);

@@ -157,18 +157,18 @@ inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfl
 }
 
 // pairs: [tile's entries, kFields] gets the sums of a batch's splats added.
-inline void add_to_pairs(vfloat fields[kFields], const SubTileItem* items, int n, float* pairs) {
+inline void add_to_pairs(vfloat fields[kFields], const uint32_t* list, int n, float* pairs) {
   for (int k = 0; k < kFields; k += kWidth) {
     transpose(fields + k);
     for (int e = 0; e < n; ++e) {
-      float* pair = pairs + size_t(items[e].entry) * kFields + k;
+      float* pair = pairs + size_t(list[e]) * kFields + k;
       store(pair, load(pair) + fields[k + e]);
     }
   }
 }
 
 template <bool Dual, bool Depth>
-void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth>& g, const SubTileItem* items, int count,
+void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
                       const Pixels& pixels, float* pairs) {
   Walk p[kVectors];
   for (int v = 0; v < kVectors; ++v) {
@@ -178,8 +178,10 @@ void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth
   Hit hits[kBatch];
   Steps steps = {};
   vfloat dx = {}, dy = {}, fields[kFields];
+  const uint32_t* list = sub.begin(s);
+  const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch<Dual>(state, items + e, count - e, pixels, hits);
+    const int n = meet_batch<Dual>(state, sub, list + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       walk_vector<Dual, Depth>(hits, n, v, g, p[v], steps);
@@ -188,7 +190,7 @@ void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth
     }
     for (int i = 0; i < n; ++i) dx[i] = hits[i].dx + 0.5f * kSubTile, dy[i] = hits[i].dy + 0.5f * kSubTile;
     gather<Dual, Depth>(steps, g, dx, dy, fields);
-    add_to_pairs(fields, items + e, n, pairs);
+    add_to_pairs(fields, list + e, n, pairs);
     if (!any(open)) break;
   }
 }
@@ -203,7 +205,7 @@ void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImag
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       const PixelGradients<Dual, Depth> g(in, state, out, v_out, pixels);
-      backward_subtile<Dual, Depth>(state, g, sub.begin(s), sub.count(s), pixels, pairs.data());
+      backward_subtile<Dual, Depth>(state, g, sub, s, pixels, pairs.data());
     });
     for (int64_t e = 0; e < n; ++e)
       std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kFields], &pairs[size_t(e) * kFields],

@@ -40,9 +40,11 @@ inline void meet(const VolumeRecord& r, const Pixels& pixels, Hit& hit) {
 }
 
 template <bool Dual>
-inline int meet_batch(const VolumeState& state, const SubTileItem* items, int count, const Pixels& pixels, Hit* hits) {
+inline int meet_batch(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels, Hit* hits) {
   const int n = count < kBatch ? count : kBatch;
-  for (int e = 0; e < n; ++e) meet<Dual>(state.records[items[e].splat], pixels, hits[e]);
+  const int ahead = count < 2 * kBatch ? count : 2 * kBatch;
+  for (int e = kBatch; e < ahead; ++e) __builtin_prefetch(&state.records[sub.splat(list[e])]);
+  for (int e = 0; e < n; ++e) meet<Dual>(state.records[sub.splat(list[e])], pixels, hits[e]);
   return n;
 }
 
@@ -81,11 +83,13 @@ inline void blend_vector(const Hit* hits, int n, int v, Blend& sums) {
 }
 
 template <bool Dual, bool Depth>
-inline void blend_subtile(const VolumeState& state, const SubTileItem* items, int count, const Pixels& pixels,
+inline void blend_subtile(const VolumeState& state, const SubTileLists& sub, int s, const Pixels& pixels,
                           Blend p[kVectors]) {
   Hit hits[kBatch];
+  const uint32_t* list = sub.begin(s);
+  const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch<Dual>(state, items + e, count - e, pixels, hits);
+    const int n = meet_batch<Dual>(state, sub, list + e, count - e, pixels, hits);
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       blend_vector<Dual, Depth>(hits, n, v, p[v]);
@@ -126,7 +130,7 @@ void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) 
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       Blend p[kVectors] = {};
-      blend_subtile<Dual, Depth>(state, sub.begin(s), sub.count(s), pixels, p);
+      blend_subtile<Dual, Depth>(state, sub, s, pixels, p);
       write_pixels<Dual, Depth>(in, state, out, p, pixels);
     });
   });

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "kernels/common/binning.h"
+#include "kernels/common/depth_sort.h"
 #include "math/camera.h"
 
 namespace mgsr {
@@ -47,17 +48,12 @@ struct alignas(64) VolumeRecord {
 
 // Kept between forward and backward. Its vectors keep their memory when it is used again.
 struct VolumeState {
-  std::vector<uint32_t> visible;      // indices of splats that survived culling
-  std::vector<uint32_t> order;        // depth order over `visible`
-  std::vector<float> depths;          // of `visible`
-  std::vector<VolumeRecord> projected, records;  // in the order of `visible`; in depth order
-  std::vector<Ellipse> outlines, sorted_outlines;
-  std::vector<PixelBox> boxes;
+  std::vector<VolumeRecord> records;   // [N], set where a splat is visible
+  std::vector<float> depths;           // [N] of the centres, -1 where a splat was culled
+  DepthSort sort;
   TileLists lists;
-  std::vector<float> transmittance;           // [H,W], final
-  std::vector<float> pair_gradients;                     // [pairs, 16]
-  std::vector<int64_t> chunk_counts;
-  DepthSort sorter;
+  std::vector<float> transmittance;    // [H,W], final
+  std::vector<float> pair_gradients;   // [pairs, 16]
 };
 
 struct VolumeKernels {

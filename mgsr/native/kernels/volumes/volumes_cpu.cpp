@@ -1,125 +1,19 @@
 // 3D Gaussians on the CPU.
 //
-// Forward: project and cull every splat (chunks of splats over the threads); sort the visible ones by depth; fill the
-// tile lists; blend tile by tile (one tile is one piece of work). Within a tile each 4x4 sub-tile is blended on its
-// own, its 16 pixels in registers, over the entries of the tile whose mask names it.
-// Backward: the same walk front to back. With g = v_out . (what the splat adds), the gradient to alpha_i is
-// T_i g_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
-// scalar however many channels there are. Sums over a tile's pixels go to the pair's own slot; a splat's slots are then
-// added in tile order, so the result doesn't depend on the number of threads.
+// Forward: project and cull every splat and find the tiles it touches (chunks of splats over the threads); sort the
+// visible ones by depth; lay out the tiles' lists; blend tile by tile (one tile is one piece of work). Within a tile each
+// 4x4 sub-tile is blended on its own, its 16 pixels in registers, over the entries of the tile whose mask names it.
+// Backward: the same walk front to back leaves the gradient of each (splat, tile) pair in the pair's own slot; a splat's
+// slots are then added in tile order, so the result doesn't depend on the number of threads.
 #include "kernels/volumes/volumes.h"
-
-#include <algorithm>
-#include <cmath>
-#include <cstring>
 
 #include "kernels/volumes/backward_cpu.h"
 #include "kernels/volumes/blending_cpu.h"
-#include "math/gaussian.h"
+#include "kernels/volumes/projection_cpu.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
-
-constexpr double kLog2E = 1.4426950408889634;
-constexpr int kSplatChunk = 512;
-
-bool finite(const float* p, int n) {
-  float zero = 0;
-  for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
-  return zero == 0.0f;
-}
-
-// In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent, which is what float
-// leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
-ProjectedGaussian<double> project_exactly(const VolumeInputs& in, int64_t i) {
-  Camera<double> camera;
-  for (int k = 0; k < 9; ++k) camera.R[k] = in.camera.R[k];
-  for (int k = 0; k < 3; ++k) camera.t[k] = in.camera.t[k];
-  camera.fx = in.camera.fx, camera.fy = in.camera.fy, camera.cx = in.camera.cx, camera.cy = in.camera.cy;
-  camera.width = in.width, camera.height = in.height;
-  double mean[3], quat[4], scale[3];
-  for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
-  for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
-  return project_gaussian(camera, mean, quat, scale, double(in.low_pass));
-}
-
-// Fills the record and outline of splat i; false when it can't be seen or isn't finite.
-bool project_one(const VolumeInputs& in, int64_t i, VolumeRecord& record, Ellipse& outline) {
-  const ProjectedGaussian<double> g = project_exactly(in, i);
-  const double det = g.cxx * g.cyy - g.cxy * g.cxy;
-  if (!(g.depth > in.near) || !(det > 0) || !(g.cxx + g.cyy < 1e12f)) return false;
-  const float factor = in.compensate ? float(g.compensation) : 1.0f;
-  const float opacity = in.opacities[i] * factor;
-  const float refl_opacity = in.refl_opacities ? in.refl_opacities[i] * factor : 0.0f;
-  const float strongest = std::max(opacity, refl_opacity);
-  if (!(strongest >= kMinAlpha) || !(strongest <= 1e6f) || !(opacity >= 0) || !(refl_opacity >= 0)) return false;
-  if (!finite(in.colors + 3 * i, 3) || (in.refl_colors && !(finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1))))
-    return false;
-  const float r2 = 2.0f * std::log(strongest / kMinAlpha);
-  outline = Ellipse::make(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
-  const PixelBox box = outline.box();
-  if (!(box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height)) return false;
-  record = {};
-  record.x = int16_t(std::min(std::max(std::floor(g.x), -32768.0), 32767.0));
-  record.y = int16_t(std::min(std::max(std::floor(g.y), -32768.0), 32767.0));
-  record.x_rest = float(g.x - record.x), record.y_rest = float(g.y - record.y);
-  const double k = std::sqrt(0.5 * kLog2E), inverse = k / std::sqrt(det * g.cyy);
-  record.root[0] = float(inverse * g.cyy), record.root[1] = float(-inverse * g.cxy), record.root[2] = float(k / std::sqrt(g.cyy));
-  record.opacity = opacity, record.depth = g.depth;
-  std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
-  if (in.refl_opacities) {
-    record.refl_opacity = refl_opacity, record.weight = in.weights[i];
-    std::memcpy(record.refl_color, in.refl_colors + 3 * i, sizeof(record.refl_color));
-  }
-  return true;
-}
-
-// Projects all splats; state.projected, outlines and depths then hold the visible ones by index.
-void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
-  const int chunks = int((in.count + kSplatChunk - 1) / kSplatChunk);
-  state.projected.resize(in.count), state.outlines.resize(in.count), state.visible.resize(in.count);
-  state.chunk_counts.assign(chunks, 0);
-  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    int64_t place = begin;
-    for (int64_t i = begin; i < end; ++i) {
-      const bool seen = project_one(in, i, state.projected[place], state.outlines[place]);
-      radii[i] = seen ? std::max(state.outlines[place].hx, state.outlines[place].hy) : 0.0f;
-      state.visible[place] = uint32_t(i);
-      place += seen;
-    }
-    state.chunk_counts[begin / kSplatChunk] = place - begin;
-  });
-  // Close the gaps that culled splats left at the chunks' ends.
-  int64_t total = 0;
-  for (int c = 0; c < chunks; ++c) {
-    const int64_t begin = int64_t(c) * kSplatChunk, n = state.chunk_counts[c];
-    if (total != begin) {
-      std::copy_n(state.projected.begin() + begin, n, state.projected.begin() + total);
-      std::copy_n(state.outlines.begin() + begin, n, state.outlines.begin() + total);
-      std::copy_n(state.visible.begin() + begin, n, state.visible.begin() + total);
-    }
-    total += n;
-  }
-  state.projected.resize(total), state.outlines.resize(total), state.depths.resize(total);
-  for (int64_t s = 0; s < total; ++s) state.depths[s] = state.projected[s].depth;
-}
-
-void sort_and_bin(const VolumeInputs& in, VolumeState& state) {
-  state.sorter.sort(state.depths, state.order);
-  const int count = int(state.order.size());
-  state.records.resize(count), state.sorted_outlines.resize(count), state.boxes.resize(count);
-  parallel_chunks(count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    for (int64_t s = begin; s < end; ++s) {
-      state.records[s] = state.projected[state.order[s]];
-      state.sorted_outlines[s] = state.outlines[state.order[s]];
-      state.boxes[s] = state.sorted_outlines[s].box();
-    }
-  });
-  const Ellipse* outlines = state.sorted_outlines.data();
-  state.lists.build(count, in.width, in.height, state.boxes.data(),
-                    [outlines](int s, float y0, float y1, float& x0, float& x1) { return outlines[s].rows(y0, y1, x0, x1); });
-}
 
 // From the pairs' moments to the projected splat's gradient, and on to the parameters.
 void splat_backward(const VolumeInputs& in, int64_t i, const VolumeRecord& r, const float* total, bool dual, const VolumeGradients& v) {
@@ -156,12 +50,14 @@ void splat_backward(const VolumeInputs& in, int64_t i, const VolumeRecord& r, co
 }
 
 void reduce_pairs(const VolumeInputs& in, const VolumeState& state, bool dual, const VolumeGradients& v) {
-  parallel_chunks(int64_t(state.records.size()), kSplatChunk, [&](int64_t begin, int64_t end) {
-    for (int64_t s = begin; s < end; ++s) {
+  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    const float* pairs = state.pair_gradients.data() + size_t(state.lists.chunk_slots[begin / kSplatChunk]) * kFields;
+    for (int64_t i = begin; i < end; ++i) {
+      if (state.depths[i] < 0) continue;
       float total[kFields] = {};
-      for (uint32_t slot = state.lists.slot_begin[s]; slot < state.lists.slot_begin[s + 1]; ++slot)
-        for (int k = 0; k < kFields; ++k) total[k] += state.pair_gradients[size_t(slot) * kFields + k];
-      splat_backward(in, state.visible[state.order[s]], state.records[s], total, dual, v);
+      for (uint32_t slot = state.lists.spans[i].begin; slot < state.lists.spans[i].end; ++slot)
+        for (int k = 0; k < kFields; ++k) total[k] += pairs[size_t(slot) * kFields + k];
+      splat_backward(in, i, state.records[i], total, dual, v);
     }
   });
 }
@@ -169,7 +65,8 @@ void reduce_pairs(const VolumeInputs& in, const VolumeState& state, bool dual, c
 void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, float* radii) {
   const bool dual = in.refl_opacities != nullptr;
   project_all(in, state, radii);
-  sort_and_bin(in, state);
+  sort_by_depth(state.sort, state.depths);
+  lay_out_lists(state.lists, state.sort.order);
   state.transmittance.resize(size_t(in.width) * in.height);
   if (dual) in.depth ? blend<true, true>(in, state, out) : blend<true, false>(in, state, out);
   else in.depth ? blend<false, true>(in, state, out) : blend<false, false>(in, state, out);

@@ -35,8 +35,32 @@ inline vfloat load(const float* p) {
 inline void store(float* p, vfloat v) { std::memcpy(p, &v, sizeof(v)); }
 
 inline vfloat select(vint mask, vfloat a, vfloat b) { return mask ? a : b; }
-inline vfloat min(vfloat a, vfloat b) { return a < b ? a : b; }
-inline vfloat max(vfloat a, vfloat b) { return a > b ? a : b; }
+// The processor's own minimum and maximum, which compilers don't see in a < b ? a : b. A NaN in a gives b.
+inline vfloat min(vfloat a, vfloat b) {
+#if defined(MGSR_ISA_avx512)
+  return (vfloat)_mm512_min_ps((__m512)a, (__m512)b);
+#elif defined(MGSR_ISA_avx2)
+  return (vfloat)_mm256_min_ps((__m256)a, (__m256)b);
+#elif defined(__SSE2__)
+  return (vfloat)_mm_min_ps((__m128)a, (__m128)b);
+#else
+  return a < b ? a : b;
+#endif
+}
+
+inline vfloat max(vfloat a, vfloat b) {
+#if defined(MGSR_ISA_avx512)
+  return (vfloat)_mm512_max_ps((__m512)a, (__m512)b);
+#elif defined(MGSR_ISA_avx2)
+  return (vfloat)_mm256_max_ps((__m256)a, (__m256)b);
+#elif defined(__SSE2__)
+  return (vfloat)_mm_max_ps((__m128)a, (__m128)b);
+#else
+  return a > b ? a : b;
+#endif
+}
+
+inline vfloat abs(vfloat x) { return (vfloat)((vint)x & INT32_MAX); }
 
 inline vfloat sqrt(vfloat x) {
 #if defined(MGSR_ISA_avx512)
@@ -146,18 +170,24 @@ inline vfloat reciprocal(vfloat x) {
 #endif
 }
 
-// 2^x for -126 <= x < 127, with a relative error of 1e-7; anything outside (polynomial of degree 5, fitted on +-0.5).
-inline vfloat exp2_in_range(vfloat x) {
+// 2^x for Count vectors with -126 <= x < 127, with a relative error of 1e-7; anything outside (polynomial of degree 5,
+// fitted on +-0.5). Several at once go step by step: one alone waits for each of its steps.
+template <int Count>
+inline void exp2_in_range(vfloat x[Count]) {
   const vfloat shifter = splat(12582912.0f);  // 1.5 * 2^23: adding it rounds to the nearest integer
-  const vfloat shifted = x + shifter;
-  const vfloat f = x - (shifted - shifter);
-  vfloat p = fma(splat(1.3276479e-3f), f, splat(9.6755410e-3f));
-  p = fma(p, f, splat(5.5507131e-2f));
-  p = fma(p, f, splat(2.4022120e-1f));
-  p = fma(p, f, splat(6.9314694e-1f));
-  p = fma(p, f, splat(1.0000001f));
+  constexpr float kTerms[] = {9.6755410e-3f, 5.5507131e-2f, 2.4022120e-1f, 6.9314694e-1f, 1.0000001f};
+  vfloat shifted[Count], p[Count];
+  for (int i = 0; i < Count; ++i) shifted[i] = x[i] + shifter;
+  for (int i = 0; i < Count; ++i) x[i] = x[i] - (shifted[i] - shifter), p[i] = splat(1.3276479e-3f);
+  for (float term : kTerms)
+    for (int i = 0; i < Count; ++i) p[i] = fma(p[i], x[i], splat(term));
   // The rounded integer sits in the low bits of `shifted`; moved into the exponent field it scales by 2^n.
-  return (vfloat)((vint)p + ((vint)shifted << 23));
+  for (int i = 0; i < Count; ++i) x[i] = (vfloat)((vint)p[i] + ((vint)shifted[i] << 23));
+}
+
+inline vfloat exp2_in_range(vfloat x) {
+  exp2_in_range<1>(&x);
+  return x;
 }
 
 // 2^x for x <= 0; values under -126 give 0.

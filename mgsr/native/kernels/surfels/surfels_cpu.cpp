@@ -219,25 +219,22 @@ inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, co
 
 // What blending adds up at a vector of pixels.
 struct Blend {
-  Light light;
-  vfloat color[3], normal[3], depth, median, m1, m2;
+  vfloat light, color[3], normal[3], depth, median, m1, m2;
 };
 
 template <bool Distortion>
 inline void blend_vector(const Hit* hits, int n, int v, const DepthUnit& unit, Blend& sums) {
   // Copied out one by one, so that the loop has them in registers.
-  Light light = sums.light;
-  vfloat depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
+  vfloat light = sums.light, depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
   vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2];
   vfloat nx = sums.normal[0], ny = sums.normal[1], nz = sums.normal[2];
   for (int e = 0; e < n; ++e) {
     const SurfelRecord& s = *hits[e].splat;
-    const vfloat alpha = light.admit(hits[e].alpha[v]), T = light.T, w = alpha * T, z = hits[e].depth * hits[e].r[v];
-    light.pass(alpha);
+    const vfloat T = light, alpha = pass(hits[e].alpha[v], light), w = alpha * T, z = hits[e].depth * hits[e].r[v];
     red = fma(w, splat(s.color[0]), red), green = fma(w, splat(s.color[1]), green), blue = fma(w, splat(s.color[2]), blue);
     nx = fma(w, splat(s.normal[0]), nx), ny = fma(w, splat(s.normal[1]), ny), nz = fma(w, splat(s.normal[2]), nz);
     depth = fma(w, z, depth);
-    median = select((T >= 0.5f) & (light.T < 0.5f), z, median);
+    median = select((T >= 0.5f) & (light < 0.5f), z, median);
     if (Distortion) {
       const vfloat m = unit.of(z), wm = w * m;
       m1 += wm, m2 = fma(wm, m, m2);
@@ -261,7 +258,7 @@ inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, cons
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       blend_vector<Distortion>(hits, n, v, unit, p[v]);
-      open |= p[v].light.open;
+      open |= p[v].light > 0.0f;
     }
     if (!any(open)) break;
   }
@@ -271,7 +268,7 @@ template <bool Distortion>
 void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const Blend p[kVectors], int x0, int y0) {
   float f[11][16];
   for (int v = 0; v < kVectors; ++v) {
-    store(f[0] + v * kWidth, p[v].light.T);
+    store(f[0] + v * kWidth, abs(p[v].light));
     for (int k = 0; k < 3; ++k) store(f[1 + k] + v * kWidth, p[v].color[k]), store(f[4 + k] + v * kWidth, p[v].normal[k]);
     store(f[7] + v * kWidth, p[v].depth), store(f[8] + v * kWidth, p[v].median);
     if (Distortion) store(f[9] + v * kWidth, p[v].m1), store(f[10] + v * kWidth, p[v].m2);
@@ -298,6 +295,7 @@ void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) 
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       Blend p[kVectors] = {};
+      for (Blend& sums : p) sums.light = splat(1.0f);
       blend_subtile<Distortion>(in, state, sub, s, pixels, p);
       write_pixels<Distortion>(in, state, out, p, x, y);
     });
@@ -340,8 +338,7 @@ struct PixelGradients {
 
 // A vector of pixels on the walk.
 struct Walk {
-  Light light;
-  vfloat behind;
+  vfloat light, behind;
 };
 
 // What the walk finds for one splat.
@@ -354,16 +351,14 @@ template <bool Distortion>
 inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fields& g, const DepthUnit& unit, Walk& walk,
                         Step* steps) {
   const int lane = v * kWidth;
-  Light light = walk.light;
-  vfloat behind = walk.behind;
+  vfloat light = walk.light, behind = walk.behind;
   for (int e = 0; e < n; ++e) {
     const SurfelRecord& s = *hits[e].splat;
-    const vfloat alpha = light.admit(hits[e].alpha[v]), T = light.T, w = alpha * T, z = hits[e].depth * hits[e].r[v];
-    light.pass(alpha);
+    const vfloat T = light, alpha = pass(hits[e].alpha[v], light), w = alpha * T, z = hits[e].depth * hits[e].r[v];
     const vfloat v_depth = load(g.depth + lane);
     vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
     q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + (load(g.normal[2] + lane) * s.normal[2] + v_depth * z);
-    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (light.T < 0.5f), load(g.median + lane));
+    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (light < 0.5f), load(g.median + lane));
     if (Distortion) {
       const vfloat m = unit.of(z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
       q += m * (v_m1 + m * v_m2);
@@ -424,7 +419,7 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
   Walk p[kVectors];
   Hit hits[kBatch];
   Step steps[kBatch];
-  for (int v = 0; v < kVectors; ++v) p[v].behind = load(g.behind + v * kWidth);
+  for (int v = 0; v < kVectors; ++v) p[v] = {splat(1.0f), load(g.behind + v * kWidth)};
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
@@ -432,7 +427,7 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
     vint open = {};
     for (int v = 0; v < kVectors; ++v) {
       walk_vector<Distortion>(hits, n, v, g, unit, p[v], steps);
-      open |= p[v].light.open;
+      open |= p[v].light > 0.0f;
     }
     for (int i = 0; i < n; ++i) {
       vfloat sums[kFields];

@@ -21,7 +21,8 @@ constexpr int kFields = 16;  // one cache line, the last one unused
 // The gradient images at a sub-tile's pixels, made ready for the walk.
 template <bool Dual, bool Depth>
 struct PixelGradients {
-  float color[3][16] = {}, depth[16] = {}, weight[16] = {}, refl_color[3][16] = {};
+  float color[4][16] = {};  // of depth too, the last one
+  float weight[16] = {}, refl_color[3][16] = {};
   // What the walk will have added up by its end, and what lies behind the last splat.
   float behind[16] = {}, refl_behind[16] = {};
 
@@ -36,8 +37,8 @@ struct PixelGradients {
       }
       if (Depth && v.depth && out.depth[i] > 0) {
         // depth = D / alpha: v_D = v / alpha, and v_alpha loses v * depth / alpha.
-        depth[j] = v.depth[i] / alpha;
-        total += depth[j] * out.depth[i];
+        color[3][j] = v.depth[i] / alpha;
+        total += color[3][j] * out.depth[i];
       }
       if (Dual) {
         weight[j] = v.weight ? v.weight[i] : 0.0f;
@@ -52,27 +53,6 @@ struct PixelGradients {
   }
 };
 
-// One of the two lights at a vector of pixels on the walk.
-struct LightWalk {
-  Light light;
-  vfloat behind;
-
-  // Goes through a splat of which a share adds `gain` each to the loss; returns that share.
-  vfloat pass(vfloat met, vfloat gain, vfloat& v_exponent) {
-    const vfloat alpha = light.admit(met), T = light.T, share = alpha * T;
-    light.pass(alpha);
-    behind = fma(-share, gain, behind);
-    const vfloat v_alpha = fma(T, gain, -(behind * reciprocal(1.0f - alpha)));
-    // Zero where alpha is held at its maximum, and where it is 0.
-    v_exponent = keep(alpha < kMaxAlpha, v_alpha * alpha);
-    return share;
-  }
-};
-
-struct Walk {
-  LightWalk main, refl;
-};
-
 // What the walk finds for a batch: for each splat, its pixels' shares and gradients of the exponent.
 struct Steps {
   alignas(64) float share[kBatch][16], exponent[kBatch][16], refl_share[kBatch][16], refl_exponent[kBatch][16];
@@ -80,25 +60,41 @@ struct Steps {
 
 inline vfloat dot(const vfloat a[3], const float b[3]) { return fma(a[0], splat(b[0]), fma(a[1], splat(b[1]), a[2] * b[2])); }
 
+// One splat's step at a vector of pixels, where a share of it adds `gain` each to the loss.
+inline void step(vfloat alpha, vfloat T, vfloat gain, vfloat& behind, float* share, float* v_exponent) {
+  const vfloat w = alpha * T;
+  behind = fma(-w, gain, behind);
+  const vfloat v_alpha = fma(T, gain, -(behind * reciprocal(1.0f - alpha)));
+  store(share, w);
+  // Zero where alpha is held at its maximum, and where it is 0.
+  store(v_exponent, keep(alpha < kMaxAlpha, v_alpha * alpha));
+}
+
 template <bool Dual, bool Depth>
-inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients<Dual, Depth>& g, Walk& walk, Steps& steps) {
+inline void walk_transmitted(const Batch<Dual>& batch, int v, const PixelGradients<Dual, Depth>& g, vfloat& behind, Steps& steps) {
   const int lane = v * kWidth;
-  LightWalk main = walk.main, refl = walk.refl;
   const vfloat v_color[3] = {load(g.color[0] + lane), load(g.color[1] + lane), load(g.color[2] + lane)};
-  const vfloat v_refl_color[3] = {load(g.refl_color[0] + lane), load(g.refl_color[1] + lane), load(g.refl_color[2] + lane)};
-  for (int e = 0; e < n; ++e) {
-    const VolumeRecord& r = *hits[e].splat;
-    vfloat gain = dot(v_color, r.color), v_exponent;
-    if (Depth) gain = fma(load(g.depth + lane), splat(r.depth), gain);
+  vfloat left = behind;
+  for (int e = 0; e < kBatch; ++e) {
+    const VolumeRecord& r = *batch.splat[e];
+    vfloat gain = dot(v_color, r.color);
+    if (Depth) gain = fma(load(g.color[3] + lane), splat(r.depth), gain);
     if (Dual) gain = fma(load(g.weight + lane), splat(r.weight), gain);
-    store(steps.share[e] + lane, main.pass(hits[e].alpha[v], gain, v_exponent));
-    store(steps.exponent[e] + lane, v_exponent);
-    if (!Dual) continue;
-    store(steps.refl_share[e] + lane, refl.pass(hits[e].refl_alpha[v], dot(v_refl_color, r.refl_color), v_exponent));
-    store(steps.refl_exponent[e] + lane, v_exponent);
+    step(batch.alpha[e][v], batch.T[e][v], gain, left, steps.share[e] + lane, steps.exponent[e] + lane);
   }
-  walk.main = main;
-  if (Dual) walk.refl = refl;
+  behind = left;
+}
+
+template <bool Depth>
+inline void walk_reflected(const Batch<true>& batch, int v, const PixelGradients<true, Depth>& g, vfloat& behind, Steps& steps) {
+  const int lane = v * kWidth, c = kVectors + v;
+  const vfloat v_color[3] = {load(g.refl_color[0] + lane), load(g.refl_color[1] + lane), load(g.refl_color[2] + lane)};
+  vfloat left = behind;
+  for (int e = 0; e < kBatch; ++e) {
+    const vfloat gain = dot(v_color, batch.splat[e]->refl_color);
+    step(batch.alpha[e][c], batch.T[e][c], gain, left, steps.refl_share[e] + lane, steps.refl_exponent[e] + lane);
+  }
+  behind = left;
 }
 
 // From here on a vector has a splat to each lane.
@@ -129,8 +125,14 @@ struct Moments {
   }
 };
 
-inline void add_products(const vfloat shares[kWidth], const float* v_image, vfloat& field) {
-  for (int p = 0; p < kWidth; ++p) field = fma(shares[p], splat(v_image[p]), field);
+// fields[k] += the shares times image k of some gradient images, whose rows are given from the first pixel on.
+template <int Images>
+inline void add_products(const vfloat shares[kWidth], const float (*v_images)[16], int pixel, vfloat fields[Images]) {
+  vfloat sums[Images];
+  for (int k = 0; k < Images; ++k) sums[k] = fields[k];
+  for (int p = 0; p < kWidth; ++p)
+    for (int k = 0; k < Images; ++k) sums[k] = fma(shares[p], splat(v_images[k][pixel + p]), sums[k]);
+  for (int k = 0; k < Images; ++k) fields[k] = sums[k];
 }
 
 template <bool Dual, bool Depth>
@@ -140,16 +142,15 @@ inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfl
   vfloat a[kWidth], b[kWidth];
   for (int pixel = 0; pixel < 16; pixel += kWidth) {
     turn(steps.share, pixel, a);
-    for (int k = 0; k < 3; ++k) add_products(a, g.color[k] + pixel, fields[kColor + k]);
-    if (Depth) add_products(a, g.depth + pixel, fields[kDepth]);
-    if (Dual) add_products(a, g.weight + pixel, fields[kWeight]);
+    add_products<Depth ? 4 : 3>(a, g.color, pixel, fields + kColor);
+    if (Dual) add_products<1>(a, &g.weight, pixel, fields + kWeight);
     turn(steps.exponent, pixel, a);
     for (int p = 0; p < kWidth; ++p) fields[kOpacity] += a[p];
     if (Dual) {
       turn(steps.refl_exponent, pixel, b);
       for (int p = 0; p < kWidth; ++p) fields[kReflOpacity] += b[p], a[p] += b[p];
       turn(steps.refl_share, pixel, b);
-      for (int k = 0; k < 3; ++k) add_products(b, g.refl_color[k] + pixel, fields[kReflColor + k]);
+      add_products<3>(b, g.refl_color, pixel, fields + kReflColor);
     }
     for (int p = 0; p < kWidth; p += kSubTile) moments.add_row(a + p, float((pixel + p) / kSubTile) - 1.5f);
   }
@@ -170,28 +171,25 @@ inline void add_to_pairs(vfloat fields[kFields], const uint32_t* list, int n, fl
 template <bool Dual, bool Depth>
 void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
                       const Pixels& pixels, float* pairs) {
-  Walk p[kVectors];
+  vfloat lights[chains(Dual)], behind[chains(Dual)], fields[kFields];
+  for (vfloat& light : lights) light = splat(1.0f);
   for (int v = 0; v < kVectors; ++v) {
-    p[v].main.behind = load(g.behind + v * kWidth);
-    if (Dual) p[v].refl.behind = load(g.refl_behind + v * kWidth);
+    behind[v] = load(g.behind + v * kWidth);
+    if (Dual) behind[kVectors + v] = load(g.refl_behind + v * kWidth);
   }
-  Hit hits[kBatch];
-  Steps steps = {};
-  vfloat dx = {}, dy = {}, fields[kFields];
+  Batch<Dual> batch;
+  Steps steps;
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch<Dual>(state, sub, list + e, count - e, pixels, hits);
-    vint open = {};
+    const int n = pass_splats<Dual>(state, sub, list + e, count - e, pixels, lights, batch);
     for (int v = 0; v < kVectors; ++v) {
-      walk_vector<Dual, Depth>(hits, n, v, g, p[v], steps);
-      open |= p[v].main.light.open;
-      if (Dual) open |= p[v].refl.light.open;
+      walk_transmitted<Dual, Depth>(batch, v, g, behind[v], steps);
+      if constexpr (Dual) walk_reflected<Depth>(batch, v, g, behind[kVectors + v], steps);
     }
-    for (int i = 0; i < n; ++i) dx[i] = hits[i].dx + 0.5f * kSubTile, dy[i] = hits[i].dy + 0.5f * kSubTile;
-    gather<Dual, Depth>(steps, g, dx, dy, fields);
+    gather<Dual, Depth>(steps, g, load(batch.dx) + 0.5f * kSubTile, load(batch.dy) + 0.5f * kSubTile, fields);
     add_to_pairs(fields, list + e, n, pairs);
-    if (!any(open)) break;
+    if (!any_open<chains(Dual)>(lights)) break;
   }
 }
 

@@ -1,6 +1,8 @@
 // Blending the 3D branch's splats, front to back.
 #pragma once
 
+#include <cstring>
+
 #include "kernels/common/blending.h"
 #include "kernels/common/subtiles.h"
 #include "kernels/volumes/volumes.h"
@@ -9,16 +11,22 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// The walk goes in batches: first the footprints of a batch's splats, which do not wait for one another, then their
-// blending, which does. In one loop the processor would not see far enough ahead to overlap them. A batch has a splat
-// for each lane of a vector, so that the backward pass can turn it over and sum over pixels.
+// The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
+// another; the passing of the light, which does; then what is made of it. In one loop the processor would not see far
+// enough ahead to overlap them. A batch has a splat for each lane of a vector, so that the backward pass can turn it over
+// and sum over pixels.
 constexpr int kBatch = kWidth;
 
-// A splat met by the pixels of a sub-tile, whatever lies before it: alphas, 0 where it does not count.
-struct Hit {
-  const VolumeRecord* splat;
-  float dx, dy;  // from its centre to the sub-tile's corner
-  vfloat alpha[kVectors], refl_alpha[kVectors];
+// The vectors of a sub-tile's pixels once, or once for each of the two lights.
+constexpr int chains(bool dual) { return dual ? 2 * kVectors : kVectors; }
+
+// Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
+template <bool Dual>
+struct Batch {
+  const VolumeRecord* splat[kBatch];
+  float dx[kBatch], dy[kBatch];          // from their centres to the sub-tile's corner
+  vfloat alpha[kBatch][chains(Dual)];    // 0 where one does not count
+  vfloat T[kBatch][chains(Dual)];        // before it
 };
 
 inline vfloat alpha_of(float opacity, vfloat weight) {
@@ -26,93 +34,108 @@ inline vfloat alpha_of(float opacity, vfloat weight) {
   return keep(raw >= kMinAlpha, min(raw, splat(kMaxAlpha)));
 }
 
+// The exponents of a splat's weights.
 template <bool Dual>
-inline void meet(const VolumeRecord& r, const Pixels& pixels, Hit& hit) {
-  hit.splat = &r;
-  hit.dx = float(pixels.x0 - r.x) - r.x_rest, hit.dy = float(pixels.y0 - r.y) - r.y_rest;
-  const vfloat ux = r.root[0] * (pixels.x + hit.dx);
+inline void meet(const VolumeRecord& r, const Pixels& pixels, int e, Batch<Dual>& batch) {
+  const float x = float(pixels.x0 - r.x) - r.x_rest, y = float(pixels.y0 - r.y) - r.y_rest;
+  batch.splat[e] = &r, batch.dx[e] = x, batch.dy[e] = y;
+  const vfloat ux = r.root[0] * (pixels.x + x);
   for (int n = 0; n < kVectors; ++n) {
-    const vfloat dy = pixels.y[n] + hit.dy, u = fma(splat(r.root[1]), dy, ux), v = r.root[2] * dy;
-    const vfloat weight = exp2_in_range(max(fma(-u, u, -(v * v)), splat(-126.0f)));
-    hit.alpha[n] = alpha_of(r.opacity, weight);
-    if (Dual) hit.refl_alpha[n] = alpha_of(r.refl_opacity, weight);
+    const vfloat dy = pixels.y[n] + y, u = fma(splat(r.root[1]), dy, ux), v = r.root[2] * dy;
+    batch.alpha[e][n] = max(fma(-u, u, -(v * v)), splat(-126.0f));
   }
 }
 
+// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
 template <bool Dual>
-inline int meet_batch(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels, Hit* hits) {
-  const int n = count < kBatch ? count : kBatch;
-  const int ahead = count < 2 * kBatch ? count : 2 * kBatch;
+inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
+                       vfloat lights[chains(Dual)], Batch<Dual>& batch) {
+  const int n = count < kBatch ? count : kBatch, ahead = count < 2 * kBatch ? count : 2 * kBatch;
   for (int e = kBatch; e < ahead; ++e) __builtin_prefetch(&state.records[sub.splat(list[e])]);
-  for (int e = 0; e < n; ++e) meet<Dual>(state.records[sub.splat(list[e])], pixels, hits[e]);
+  for (int e = 0; e < kBatch; ++e) meet<Dual>(state.records[sub.splat(list[e < n ? e : 0])], pixels, e, batch);
+  constexpr int kAtOnce = 4 / kVectors > 0 ? 4 / kVectors : 1;
+  for (int e = 0; e < kBatch; e += kAtOnce) {
+    vfloat weight[kAtOnce * kVectors];
+    for (int i = 0; i < kAtOnce; ++i)
+      for (int v = 0; v < kVectors; ++v) weight[i * kVectors + v] = batch.alpha[e + i][v];
+    exp2_in_range<kAtOnce * kVectors>(weight);
+    for (int i = 0; i < kAtOnce; ++i)
+      for (int v = 0; v < kVectors; ++v) {
+        batch.alpha[e + i][v] = alpha_of(batch.splat[e + i]->opacity, weight[i * kVectors + v]);
+        if (Dual) batch.alpha[e + i][kVectors + v] = alpha_of(batch.splat[e + i]->refl_opacity, weight[i * kVectors + v]);
+      }
+  }
+  for (int e = n; e < kBatch; ++e)
+    for (int c = 0; c < chains(Dual); ++c) batch.alpha[e][c] = vfloat{};
+  pass_batch<kBatch, chains(Dual)>(lights, batch.alpha, batch.T);
   return n;
 }
 
-// What blending adds up at a vector of pixels.
+// What blending adds up at a sub-tile's pixels.
 struct Blend {
-  Light light, refl_light;
-  vfloat color[3], depth, weight, refl_color[3];
+  vfloat color[3][kVectors] = {}, depth[kVectors] = {}, weight[kVectors] = {}, refl_color[3][kVectors] = {};
+};
+
+// The sums of a few images at a vector of pixels, held in registers while a batch is added.
+template <int Count>
+struct Sums {
+  vfloat value[Count];
+
+  Sums(const vfloat images[][kVectors], int v) {
+    for (int k = 0; k < Count; ++k) value[k] = images[k][v];
+  }
+  void write(vfloat images[][kVectors], int v) const {
+    for (int k = 0; k < Count; ++k) images[k][v] = value[k];
+  }
+  void add(vfloat share, const float color[Count]) {
+    for (int k = 0; k < Count; ++k) value[k] = fma(share, splat(color[k]), value[k]);
+  }
 };
 
 template <bool Dual, bool Depth>
-inline void blend_vector(const Hit* hits, int n, int v, Blend& sums) {
-  // Copied out one by one, so that the loop has them in registers.
-  Light light = sums.light, refl_light = sums.refl_light;
-  vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2], depth = sums.depth, weight = sums.weight;
-  vfloat refl_red = sums.refl_color[0], refl_green = sums.refl_color[1], refl_blue = sums.refl_color[2];
-  for (int e = 0; e < n; ++e) {
-    const VolumeRecord& r = *hits[e].splat;
-    const vfloat alpha = light.admit(hits[e].alpha[v]), share = alpha * light.T;
-    light.pass(alpha);
-    red = fma(share, splat(r.color[0]), red), green = fma(share, splat(r.color[1]), green);
-    blue = fma(share, splat(r.color[2]), blue);
+inline void add_transmitted(const Batch<Dual>& batch, int v, Blend& out) {
+  Sums<3> color(out.color, v);
+  vfloat depth = out.depth[v], weight = out.weight[v];
+  for (int e = 0; e < kBatch; ++e) {
+    const VolumeRecord& r = *batch.splat[e];
+    const vfloat share = batch.alpha[e][v] * batch.T[e][v];
+    color.add(share, r.color);
     if (Depth) depth = fma(share, splat(r.depth), depth);
-    if (!Dual) continue;
-    weight = fma(share, splat(r.weight), weight);
-    const vfloat refl_alpha = refl_light.admit(hits[e].refl_alpha[v]), refl_share = refl_alpha * refl_light.T;
-    refl_light.pass(refl_alpha);
-    refl_red = fma(refl_share, splat(r.refl_color[0]), refl_red);
-    refl_green = fma(refl_share, splat(r.refl_color[1]), refl_green);
-    refl_blue = fma(refl_share, splat(r.refl_color[2]), refl_blue);
+    if (Dual) weight = fma(share, splat(r.weight), weight);
   }
-  sums.light = light, sums.color[0] = red, sums.color[1] = green, sums.color[2] = blue;
-  if (Depth) sums.depth = depth;
-  if (!Dual) return;
-  sums.refl_light = refl_light, sums.weight = weight;
-  sums.refl_color[0] = refl_red, sums.refl_color[1] = refl_green, sums.refl_color[2] = refl_blue;
+  color.write(out.color, v), out.depth[v] = depth, out.weight[v] = weight;
+}
+
+inline void add_reflected(const Batch<true>& batch, int v, Blend& out) {
+  Sums<3> color(out.refl_color, v);
+  for (int e = 0; e < kBatch; ++e)
+    color.add(batch.alpha[e][kVectors + v] * batch.T[e][kVectors + v], batch.splat[e]->refl_color);
+  color.write(out.refl_color, v);
 }
 
 template <bool Dual, bool Depth>
 inline void blend_subtile(const VolumeState& state, const SubTileLists& sub, int s, const Pixels& pixels,
-                          Blend p[kVectors]) {
-  Hit hits[kBatch];
+                          vfloat lights[chains(Dual)], Blend& out) {
+  Batch<Dual> batch;
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch<Dual>(state, sub, list + e, count - e, pixels, hits);
-    vint open = {};
+    pass_splats<Dual>(state, sub, list + e, count - e, pixels, lights, batch);
     for (int v = 0; v < kVectors; ++v) {
-      blend_vector<Dual, Depth>(hits, n, v, p[v]);
-      open |= p[v].light.open;
-      if (Dual) open |= p[v].refl_light.open;
+      add_transmitted<Dual, Depth>(batch, v, out);
+      if constexpr (Dual) add_reflected(batch, v, out);
     }
-    if (!any(open)) break;
+    if (!any_open<chains(Dual)>(lights)) break;
   }
 }
 
 template <bool Dual, bool Depth>
-void write_pixels(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const Blend p[kVectors],
-                  const Pixels& pixels) {
+void write_pixels(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const vfloat lights[kVectors],
+                  const Blend& sums, const Pixels& pixels) {
   float T[16], color[3][16], depth[16], weight[16], refl_color[3][16];
-  for (int v = 0; v < kVectors; ++v) {
-    const int lane = v * kWidth;
-    store(T + lane, p[v].light.T);
-    for (int k = 0; k < 3; ++k) store(color[k] + lane, p[v].color[k]);
-    if (Depth) store(depth + lane, p[v].depth);
-    if (!Dual) continue;
-    store(weight + lane, p[v].weight);
-    for (int k = 0; k < 3; ++k) store(refl_color[k] + lane, p[v].refl_color[k]);
-  }
+  for (int v = 0; v < kVectors; ++v) store(T + v * kWidth, abs(lights[v]));
+  std::memcpy(color, sums.color, sizeof(color)), std::memcpy(depth, sums.depth, sizeof(depth));
+  std::memcpy(weight, sums.weight, sizeof(weight)), std::memcpy(refl_color, sums.refl_color, sizeof(refl_color));
   for_pixels(pixels.x0, pixels.y0, in.width, in.height, [&](int64_t i, int j) {
     const float alpha = 1.0f - T[j];
     state.transmittance[i] = T[j], out.alpha[i] = alpha;
@@ -129,9 +152,11 @@ void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) 
   for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
-      Blend p[kVectors] = {};
-      blend_subtile<Dual, Depth>(state, sub, s, pixels, p);
-      write_pixels<Dual, Depth>(in, state, out, p, pixels);
+      vfloat lights[chains(Dual)];
+      for (vfloat& light : lights) light = splat(1.0f);
+      Blend sums;
+      blend_subtile<Dual, Depth>(state, sub, s, pixels, lights, sums);
+      write_pixels<Dual, Depth>(in, state, out, lights, sums, pixels);
     });
   });
 }

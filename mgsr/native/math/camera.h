@@ -13,6 +13,16 @@ struct Camera {
   T width, height;  // pixels
 };
 
+template <class T, class S>
+MGSR_HD Camera<T> camera_as(const Camera<S>& cam) {
+  Camera<T> c;
+  for (int i = 0; i < 9; ++i) c.R[i] = T(cam.R[i]);
+  for (int i = 0; i < 3; ++i) c.t[i] = T(cam.t[i]);
+  c.fx = T(cam.fx), c.fy = T(cam.fy), c.cx = T(cam.cx), c.cy = T(cam.cy);
+  c.width = T(cam.width), c.height = T(cam.height);
+  return c;
+}
+
 // p = R x + t
 template <class T>
 MGSR_HD void to_camera(const Camera<T>& cam, const T x[3], T p[3]) {

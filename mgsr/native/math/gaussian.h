@@ -19,7 +19,7 @@ template <class T>
 struct GaussianFrame {
   T p[3];      // mean in the camera
   T tx, ty;    // x/z and y/z, held near the image where the linearisation is still good
-  bool held_x, held_y;
+  Condition<T> held_x, held_y;
   T R[9];      // of the quaternion
   T M[6];      // J times the camera's rotation, [2,3]
   T B[6];      // M R, [2,3]
@@ -27,9 +27,10 @@ struct GaussianFrame {
 };
 
 template <class T>
-MGSR_HD T hold(T x, T low, T high, bool& held) {
-  held = x < low || x > high;
-  return x < low ? low : x > high ? high : x;
+MGSR_HD T hold(T x, T low, T high, Condition<T>& held) {
+  const Condition<T> under = x < low, over = x > high;
+  held = under | over;
+  return select(under, low, select(over, high, x));
 }
 
 template <class T>
@@ -67,7 +68,7 @@ MGSR_HD ProjectedGaussian<T> project_gaussian(const Camera<T>& cam, const T mean
   g.depth = f.p[2];
   g.cxx = xx + low_pass, g.cxy = xy, g.cyy = yy + low_pass;
   const T det0 = xx * yy - xy * xy, det = g.cxx * g.cyy - xy * xy;
-  g.compensation = det0 > 0 ? MGSR_SQRT(det0 / det) : T(0);
+  g.compensation = select(det0 > T(0), MGSR_SQRT(det0 / det), T(0));
   return g;
 }
 
@@ -80,17 +81,17 @@ MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T
   gaussian_frame(cam, mean, quat, scale, f);
   const T* A = f.A;
   T v_xx = v.cxx, v_xy = v.cxy, v_yy = v.cyy;
-  if (v.compensation != 0) {
+  if (any(v.compensation != T(0))) {
     const T xx = A[0] * A[0] + A[1] * A[1] + A[2] * A[2];
     const T xy = A[0] * A[3] + A[1] * A[4] + A[2] * A[5];
     const T yy = A[3] * A[3] + A[4] * A[4] + A[5] * A[5];
     const T det0 = xx * yy - xy * xy, det = (xx + low_pass) * (yy + low_pass) - xy * xy;
-    if (det0 > 0) {
-      const T half = T(0.5) * MGSR_SQRT(det0 / det) * v.compensation;
-      v_xx += half * (yy / det0 - (yy + low_pass) / det);
-      v_yy += half * (xx / det0 - (xx + low_pass) / det);
-      v_xy += half * (-2 * xy / det0 + 2 * xy / det);
-    }
+    const Condition<T> flat = det0 <= T(0);  // no energy before the low-pass, nor any gradient
+    const T i0 = select(flat, T(0), T(1) / det0), i = T(1) / det;
+    const T half = select(flat, T(0), T(0.5) * MGSR_SQRT(det0 * i) * v.compensation);
+    v_xx += half * (yy * i0 - (yy + low_pass) * i);
+    v_yy += half * (xx * i0 - (xx + low_pass) * i);
+    v_xy += half * 2 * xy * (i - i0);
   }
   T v_B[6];
   for (int j = 0; j < 3; ++j) {
@@ -112,8 +113,8 @@ MGSR_HD void project_gaussian_vjp(const Camera<T>& cam, const T mean[3], const T
   const T my = v_M[3] * f.M[3] + v_M[4] * f.M[4] + v_M[5] * f.M[5];
   T v_tx = -cam.fx * iz * (v_M[0] * cam.R[6] + v_M[1] * cam.R[7] + v_M[2] * cam.R[8]);
   T v_ty = -cam.fy * iz * (v_M[3] * cam.R[6] + v_M[4] * cam.R[7] + v_M[5] * cam.R[8]);
-  if (f.held_x) v_tx = 0;
-  if (f.held_y) v_ty = 0;
+  v_tx = select(f.held_x, T(0), v_tx);
+  v_ty = select(f.held_y, T(0), v_ty);
   T v_p[3];
   const T v_ux = v_tx + cam.fx * v.x, v_uy = v_ty + cam.fy * v.y;  // of x/z and y/z
   v_p[0] = v_ux * iz;

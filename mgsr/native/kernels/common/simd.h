@@ -23,6 +23,7 @@ constexpr int kWidth = 4;
 
 typedef float vfloat __attribute__((vector_size(kWidth * 4)));
 typedef int32_t vint __attribute__((vector_size(kWidth * 4)));
+typedef double vdouble __attribute__((vector_size(kWidth * 4)));
 
 inline vfloat splat(float x) { return x - vfloat{}; }
 
@@ -69,6 +70,17 @@ inline vfloat sqrt(vfloat x) {
   return (vfloat)_mm256_sqrt_ps((__m256)x);
 #else
   for (int lane = 0; lane < kWidth; ++lane) x[lane] = __builtin_sqrtf(x[lane]);
+  return x;
+#endif
+}
+
+inline vdouble sqrt(vdouble x) {
+#if defined(MGSR_ISA_avx512)
+  return (vdouble)_mm512_sqrt_pd((__m512d)x);
+#elif defined(MGSR_ISA_avx2)
+  return (vdouble)_mm256_sqrt_pd((__m256d)x);
+#else
+  for (int lane = 0; lane < kWidth / 2; ++lane) x[lane] = __builtin_sqrt(x[lane]);
   return x;
 #endif
 }

@@ -67,7 +67,7 @@ struct SurfelBounds {
 
 Ellipse ellipse_of_box(const PixelBox& b) {
   const float hx = 0.5f * (b.x1 - b.x0), hy = 0.5f * (b.y1 - b.y0);
-  return {b.x0 + hx, b.y0 + hy, hx, hy, 0.0f, 0.0f, hx * hx, 0.0f};
+  return {{b.x0 + hx, b.y0 + hy, hx, hy, 0.0f, 0.0f, hx * hx, 0.0f}};
 }
 
 // The image of that part of the disk's bounding square (half side r in u and v) that lies beyond `near`.
@@ -109,7 +109,7 @@ SurfelBounds surfel_bounds(const SurfelInputs& in, const SurfelFrame<float>& f, 
   SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength, in.low_pass), false};
   SurfelOutline<float> o;
   if (surfel_outline(in.camera, f, scale, r2, in.near, o)) {
-    b.disk = Ellipse::make(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f);
+    b.disk = {EllipseForm<float>::make(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f)};
     b.disk.w2 += 1e-6f * o.cxx;  // the rounding of a thin ellipse's determinant
   } else {
     b.clipped = true;

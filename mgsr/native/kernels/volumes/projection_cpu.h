@@ -1,4 +1,5 @@
-// From the 3D branch's parameters to its splats on the image and into the tiles' lists.
+// From the 3D branch's parameters to its splats on the image and into the tiles' lists, and back to gradients of the
+// parameters. A few splats at once, one to each lane of a vector.
 #pragma once
 
 #include <algorithm>
@@ -6,6 +7,8 @@
 #include <cstring>
 
 #include "kernels/common/blending.h"
+#include "kernels/common/lanes.h"
+#include "kernels/volumes/backward_cpu.h"
 #include "kernels/volumes/volumes.h"
 #include "math/gaussian.h"
 
@@ -21,64 +24,204 @@ bool finite(const float* p, int n) {
   return zero == 0.0f;
 }
 
-// In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent, which is what float
-// leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
-ProjectedGaussian<double> project_exactly(const VolumeInputs& in, int64_t i) {
-  Camera<double> camera;
-  for (int k = 0; k < 9; ++k) camera.R[k] = in.camera.R[k];
-  for (int k = 0; k < 3; ++k) camera.t[k] = in.camera.t[k];
-  camera.fx = in.camera.fx, camera.fy = in.camera.fy, camera.cx = in.camera.cx, camera.cy = in.camera.cy;
-  camera.width = in.width, camera.height = in.height;
-  double mean[3], quat[4], scale[3];
-  for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
-  for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
-  return project_gaussian(camera, mean, quat, scale, double(in.low_pass));
-}
+// The geometry of a few splats, as the maths wants it.
+template <class L>
+struct Geometry {
+  L mean[3], quat[4], scale[3];
 
-// Fills the record and outline of splat i; false when it can't be seen or isn't finite.
-bool project_one(const VolumeInputs& in, int64_t i, VolumeRecord& record, Ellipse& outline) {
-  const ProjectedGaussian<double> g = project_exactly(in, i);
-  const double det = g.cxx * g.cyy - g.cxy * g.cxy;
-  if (!(g.depth > in.near) || !(det > 0) || !(g.cxx + g.cyy < 1e12f)) return false;
-  const float factor = in.compensate ? float(g.compensation) : 1.0f;
-  const float opacity = in.opacities[i] * factor;
-  const float refl_opacity = in.refl_opacities ? in.refl_opacities[i] * factor : 0.0f;
-  const float strongest = std::max(opacity, refl_opacity);
-  if (!(strongest >= kMinAlpha) || !(strongest <= 1e6f) || !(opacity >= 0) || !(refl_opacity >= 0)) return false;
-  if (!finite(in.colors + 3 * i, 3) || (in.refl_colors && !(finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1))))
-    return false;
-  const float r2 = 2.0f * std::log(strongest / kMinAlpha);
-  outline = Ellipse::make(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
-  const PixelBox box = outline.box();
-  if (!(box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height)) return false;
-  record = {};
-  record.x = int16_t(std::min(std::max(std::floor(g.x), -32768.0), 32767.0));
-  record.y = int16_t(std::min(std::max(std::floor(g.y), -32768.0), 32767.0));
-  record.x_rest = float(g.x - record.x), record.y_rest = float(g.y - record.y);
-  const double k = std::sqrt(0.5 * kLog2E), inverse = k / std::sqrt(det * g.cyy);
-  record.root[0] = float(inverse * g.cyy), record.root[1] = float(-inverse * g.cxy), record.root[2] = float(k / std::sqrt(g.cyy));
-  record.opacity = opacity, record.depth = g.depth;
-  std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
-  if (in.refl_opacities) {
-    record.refl_opacity = refl_opacity, record.weight = in.weights[i];
-    std::memcpy(record.refl_color, in.refl_colors + 3 * i, sizeof(record.refl_color));
+  Geometry(const VolumeInputs& in, const int64_t splats[L::kCount]) {
+    for (int k = 0; k < 3; ++k) mean[k] = load_column<L>(in.means, splats, 3, k);
+    for (int k = 0; k < 4; ++k) quat[k] = load_column<L>(in.quats, splats, 4, k);
+    for (int k = 0; k < 3; ++k) scale[k] = load_column<L>(in.scales, splats, 3, k);
   }
-  return true;
+};
+
+// What is left of a splat's opacities by the compensation.
+struct Opacities {
+  float main, refl;
+
+  Opacities(const VolumeInputs& in, int64_t i, float compensation)
+      : main(in.opacities[i] * compensation), refl(in.refl_opacities ? in.refl_opacities[i] * compensation : 0.0f) {}
+  float strongest() const { return std::max(main, refl); }
+  // In this form also false for a NaN.
+  bool visible() const { return strongest() >= kMinAlpha && strongest() <= 1e6f && main >= 0 && refl >= 0; }
+};
+
+bool finite_colors(const VolumeInputs& in, int64_t i) {
+  if (!finite(in.colors + 3 * i, 3)) return false;
+  return !in.refl_colors || (finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1));
 }
 
-// Projects and culls all splats, and notes the tiles that the visible ones touch. radii: [N] pixels, 0 where culled.
+// Splats on the image. In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent,
+// which is what float leaves of a centre 256 pixels out, flips some thousands of those decisions in a view.
+struct Footprints {
+  ProjectedGaussian<Doubles> g;
+  Doubles root[3];
+  Doubles::Test visible;
+
+  Footprints(const VolumeInputs& in, const Camera<Doubles>& camera, const int64_t splats[Doubles::kCount]) {
+    const Geometry<Doubles> geometry(in, splats);
+    g = project_gaussian(camera, geometry.mean, geometry.quat, geometry.scale, Doubles(double(in.low_pass)));
+    const Doubles det = g.cxx * g.cyy - g.cxy * g.cxy, k = std::sqrt(0.5 * kLog2E), inverse = k / sqrt(det * g.cyy);
+    root[0] = inverse * g.cyy, root[1] = -inverse * g.cxy, root[2] = k / sqrt(g.cyy);
+    visible = (g.depth > double(in.near)) & (det > 0.0) & (g.cxx + g.cyy < 1e12);
+  }
+
+  void write(int lane, VolumeRecord& record) const {
+    const double x = std::min(std::max(std::floor(g.x[lane]), -32768.0), 32767.0);
+    const double y = std::min(std::max(std::floor(g.y[lane]), -32768.0), 32767.0);
+    record.x = int16_t(x), record.y = int16_t(y);
+    record.x_rest = float(g.x[lane] - x), record.y_rest = float(g.y[lane] - y);
+    for (int k = 0; k < 3; ++k) record.root[k] = float(root[k][lane]);
+    record.depth = float(g.depth[lane]);
+  }
+};
+
+void write_light(const VolumeInputs& in, int64_t i, const Opacities& opacities, VolumeRecord& record) {
+  record.opacity = opacities.main, record.refl_opacity = opacities.refl;
+  std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
+  if (!in.refl_opacities) return;
+  record.weight = in.weights[i];
+  std::memcpy(record.refl_color, in.refl_colors + 3 * i, sizeof(record.refl_color));
+}
+
+Ellipse lane_of(const EllipseForm<Doubles>& e, int lane) {
+  return {{float(e.x[lane]), float(e.y[lane]), float(e.hx[lane]), float(e.hy[lane]), float(e.at_right[lane]),
+           float(e.slope[lane]), float(e.w2[lane]), float(e.k[lane])}};
+}
+
+// Projects the splats [begin, end), at most as many as there are lanes. radii: [N] pixels, 0 where culled.
+void project_few(const VolumeInputs& in, const Camera<Doubles>& camera, int64_t begin, int64_t end, VolumeState& state,
+                 float* radii) {
+  int64_t splats[Doubles::kCount];
+  for (int lane = 0; lane < Doubles::kCount; ++lane) splats[lane] = std::min(begin + lane, end - 1);
+  const Footprints footprints(in, camera, splats);
+  Doubles r2 = 1.0;
+  for (int64_t i = begin; i < end; ++i) {
+    const int lane = int(i - begin);
+    const Opacities opacities(in, i, in.compensate ? float(footprints.g.compensation[lane]) : 1.0f);
+    const bool visible = footprints.visible[lane] && opacities.visible() && finite_colors(in, i);
+    state.depths[i] = visible ? float(footprints.g.depth[lane]) : -1.0f;
+    if (!visible) continue;
+    r2.v[lane] = 2.0f * std::log(opacities.strongest() / kMinAlpha);
+    footprints.write(lane, state.records[i]);
+    write_light(in, i, opacities, state.records[i]);
+  }
+  const auto& g = footprints.g;
+  const auto outlines = EllipseForm<Doubles>::make(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
+  for (int64_t i = begin; i < end; ++i) {
+    const Ellipse outline = lane_of(outlines, int(i - begin));
+    const PixelBox box = outline.box();
+    const bool seen = state.depths[i] >= 0 && box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
+    radii[i] = seen ? std::max(outline.hx, outline.hy) : 0.0f;
+    state.lists.spans[i] = {};
+    if (seen) find_tiles(state.lists, i, outline);
+    else state.depths[i] = -1.0f;
+  }
+}
+
+// Projects and culls all splats, and notes the tiles that the visible ones touch.
 void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
   state.records.resize(in.count), state.depths.resize(in.count);
   start_lists(state.lists, in.count, in.width, in.height);
+  const Camera<Doubles> camera = camera_as<Doubles>(in.camera);
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
     state.lists.found[begin / kSplatChunk].count = 0;
+    for (int64_t i = begin; i < end; i += Doubles::kCount)
+      project_few(in, camera, i, std::min(i + Doubles::kCount, end), state, radii);
+  });
+}
+
+// The gradients of projected splats, from the moments of their exponents' gradients.
+ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const int64_t splats[Floats::kCount],
+                                              const Floats total[kFields]) {
+  Floats root[3] = {};
+  for (int k = 0; k < 3; ++k)
+    for (int lane = 0; lane < Floats::kCount; ++lane) root[k].v[lane] = state.records[splats[lane]].root[k];
+  // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
+  const Floats scale = float(2.0 / kLog2E);
+  const Floats qxx = scale * root[0] * root[0], qxy = scale * root[0] * root[1];
+  const Floats qyy = scale * (root[1] * root[1] + root[2] * root[2]);
+  ProjectedGaussian<Floats> g = {};
+  g.x = qxx * total[kDx] + qxy * total[kDy];
+  g.y = qxy * total[kDx] + qyy * total[kDy];
+  g.depth = total[kDepth];
+  // v_covariance = -Q v_Q Q, with v_Q = -0.5 * moments.
+  const Floats mxx = 0.5f * total[kDxx], mxy = 0.5f * total[kDxy], myy = 0.5f * total[kDyy];
+  const Floats axx = qxx * mxx + qxy * mxy, axy = qxx * mxy + qxy * myy;
+  const Floats ayx = qxy * mxx + qyy * mxy, ayy = qxy * mxy + qyy * myy;
+  g.cxx = axx * qxx + axy * qxy;
+  g.cyy = ayx * qxy + ayy * qyy;
+  g.cxy = (axx * qxy + axy * qyy) + (ayx * qxx + ayy * qxy);
+  return g;
+}
+
+// The gradients that need no projection; returns that of the compensation, 0 where there is none.
+float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, const float total[kFields],
+                     const VolumeGradients& v) {
+  // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
+  const float o = in.opacities[i], o_r = in.refl_opacities ? in.refl_opacities[i] : 0.0f;
+  v.opacities[i] = o > 0 ? total[kOpacity] / o : 0.0f;
+  for (int k = 0; k < 3; ++k) v.colors[3 * i + k] = total[kColor + k];
+  if (in.refl_opacities) {
+    v.refl_opacities[i] = o_r > 0 ? total[kReflOpacity] / o_r : 0.0f;
+    v.weights[i] = total[kWeight];
+    for (int k = 0; k < 3; ++k) v.refl_colors[3 * i + k] = total[kReflColor + k];
+  }
+  if (!in.compensate) return 0.0f;
+  const float factor = o > 0 ? r.opacity / o : r.refl_opacity / o_r;
+  return factor > 0 ? (total[kOpacity] + total[kReflOpacity]) / factor : 0.0f;
+}
+
+// From the sums over the pairs of `count` splats (the other lanes repeat one of them) to their gradients.
+// sums: [lanes, kFields], used up.
+void splats_backward(const VolumeInputs& in, const VolumeState& state, const int64_t splats[Floats::kCount], int count,
+                     float sums[Floats::kCount][kFields], const VolumeGradients& v) {
+  float v_compensation[Floats::kCount] = {};
+  for (int lane = 0; lane < count; ++lane)
+    v_compensation[lane] = light_backward(in, state.records[splats[lane]], splats[lane], sums[lane], v);
+  Floats total[kFields];
+  for (int k = 0; k < kFields; k += kWidth) {
+    vfloat rows[kWidth];
+    for (int lane = 0; lane < kWidth; ++lane) rows[lane] = load(sums[lane] + k);
+    transpose(rows);
+    for (int j = 0; j < kWidth; ++j) total[k + j].v = rows[j];
+  }
+  ProjectedGaussian<Floats> g = projected_gradients(state, splats, total);
+  g.compensation.v = load(v_compensation);
+  const Geometry<Floats> geometry(in, splats);
+  Floats v_mean[3] = {}, v_quat[4] = {}, v_scale[3] = {};
+  project_gaussian_vjp(camera_as<Floats>(in.camera), geometry.mean, geometry.quat, geometry.scale, Floats(in.low_pass), g, v_mean,
+                       v_quat, v_scale);
+  for (int lane = 0; lane < count; ++lane) {
+    const int64_t i = splats[lane];
+    for (int k = 0; k < 3; ++k) v.means[3 * i + k] = v_mean[k][lane];
+    for (int k = 0; k < 4; ++k) v.quats[4 * i + k] = v_quat[k][lane];
+    for (int k = 0; k < 3; ++k) v.scales[3 * i + k] = v_scale[k][lane];
+    v.means2d[2 * i] = g.x[lane], v.means2d[2 * i + 1] = g.y[lane];
+  }
+}
+
+// Adds each splat's pairs, in the order of their slots.
+void reduce_pairs(const VolumeInputs& in, const VolumeState& state, const VolumeGradients& v) {
+  parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
+    const float* pairs = state.pair_gradients.data() + size_t(state.lists.chunk_slots[begin / kSplatChunk]) * kFields;
+    int64_t splats[Floats::kCount];
+    alignas(64) float sums[Floats::kCount][kFields] = {};
+    int count = 0;
     for (int64_t i = begin; i < end; ++i) {
-      Ellipse outline;
-      const bool seen = project_one(in, i, state.records[i], outline);
-      radii[i] = seen ? std::max(outline.hx, outline.hy) : 0.0f;
-      state.depths[i] = seen ? state.records[i].depth : -1.0f;
-      state.lists.spans[i] = {};
-      if (seen) find_tiles(state.lists, i, outline);
+      if (state.depths[i] >= 0) {
+        const TileLists::Span span = state.lists.spans[i];
+        std::fill_n(sums[count], kFields, 0.0f);
+        for (uint32_t slot = span.begin; slot < span.end; ++slot)
+          for (int k = 0; k < kFields; ++k) sums[count][k] += pairs[size_t(slot) * kFields + k];
+        splats[count++] = i;
+      }
+      if (count == Floats::kCount || (count > 0 && i + 1 == end)) {
+        std::fill(splats + count, splats + Floats::kCount, splats[0]);
+        splats_backward(in, state, splats, count, sums, v);
+        count = 0;
+      }
     }
   });
 }

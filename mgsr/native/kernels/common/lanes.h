@@ -1,6 +1,8 @@
 // A vector that counts like a scalar, so that the maths headers work on several splats at once.
 #pragma once
 
+#include <cstring>
+
 #include "kernels/common/simd.h"
 #include "math/macros.h"
 
@@ -48,12 +50,14 @@ struct Lanes {
 using Floats = Lanes<vfloat>;
 using Doubles = Lanes<vdouble>;
 
-// Column `k` of rows of `width` floats, for one row to each lane.
-template <class L>
-inline L load_column(const float* values, const int64_t rows[L::kCount], int width, int k) {
-  L column;
-  for (int lane = 0; lane < L::kCount; ++lane) column.v[lane] = values[width * rows[lane] + k];
-  return column;
+// of(lane) in each lane.
+template <class L, class Of>
+inline L each_lane(const Of& of) {
+  typename L::Scalar values[L::kCount];
+  for (int lane = 0; lane < L::kCount; ++lane) values[lane] = of(lane);
+  L lanes;
+  std::memcpy(&lanes.v, values, sizeof(values));
+  return lanes;
 }
 
 }  // namespace MGSR_ISA

@@ -30,9 +30,9 @@ struct Geometry {
   L mean[3], quat[4], scale[3];
 
   Geometry(const VolumeInputs& in, const int64_t splats[L::kCount]) {
-    for (int k = 0; k < 3; ++k) mean[k] = load_column<L>(in.means, splats, 3, k);
-    for (int k = 0; k < 4; ++k) quat[k] = load_column<L>(in.quats, splats, 4, k);
-    for (int k = 0; k < 3; ++k) scale[k] = load_column<L>(in.scales, splats, 3, k);
+    for (int k = 0; k < 3; ++k) mean[k] = each_lane<L>([&](int lane) { return in.means[3 * splats[lane] + k]; });
+    for (int k = 0; k < 4; ++k) quat[k] = each_lane<L>([&](int lane) { return in.quats[4 * splats[lane] + k]; });
+    for (int k = 0; k < 3; ++k) scale[k] = each_lane<L>([&](int lane) { return in.scales[3 * splats[lane] + k]; });
   }
 };
 
@@ -135,9 +135,8 @@ void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
 // The gradients of projected splats, from the moments of their exponents' gradients.
 ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const int64_t splats[Floats::kCount],
                                               const Floats total[kFields]) {
-  Floats root[3] = {};
-  for (int k = 0; k < 3; ++k)
-    for (int lane = 0; lane < Floats::kCount; ++lane) root[k].v[lane] = state.records[splats[lane]].root[k];
+  Floats root[3];
+  for (int k = 0; k < 3; ++k) root[k] = each_lane<Floats>([&](int lane) { return state.records[splats[lane]].root[k]; });
   // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
   const Floats scale = float(2.0 / kLog2E);
   const Floats qxx = scale * root[0] * root[0], qxy = scale * root[0] * root[1];

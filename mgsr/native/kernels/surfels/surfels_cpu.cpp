@@ -156,20 +156,27 @@ void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
   });
 }
 
-// A splat met by the pixels of a sub-tile, whatever lies before it.
-struct Hit {
-  const SurfelRecord* splat;
-  float depth;               // of the splat's centre
-  vfloat alpha[kVectors];    // 0 where the splat does not count
-  vfloat r[kVectors];        // depth = centre's depth * r: 1 / w, or 1 where the low-pass is stronger
-  vfloat exponent[kVectors]; // the weight is 2^-exponent
-  vint on_disk[kVectors];    // where the disk, not the low-pass, gives the weight; not set for plain splats
+// The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
+// another; the passing of the light, which does; then what is made of it. In one loop the processor would not see far
+// enough ahead to overlap them.
+constexpr int kBatch = kWidth;
+
+// Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
+struct Batch {
+  const SurfelRecord* splat[kBatch];
+  float depth[kBatch];                 // of their centres
+  vfloat alpha[kBatch][kVectors];      // 0 where one does not count
+  vfloat T[kBatch][kVectors];          // before it
+  vfloat r[kBatch][kVectors];          // depth = centre's depth * r: 1 / w, or 1 where the low-pass is stronger
+  vfloat exponent[kBatch][kVectors];   // the weight is 2^-exponent
+  vint on_disk[kBatch][kVectors];      // where the disk, not the low-pass, gives the weight; not set for plain splats
 };
 
-// Plain splats need neither the low-pass nor the near plane looked at.
+// A splat's exponents; for now alpha is its logarithm. Plain splats need neither the low-pass nor the near plane looked at.
 template <bool Plain>
-inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, Hit& hit) {
-  hit.splat = &s, hit.depth = Plain ? s.signed_depth : -s.signed_depth;
+inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, int e, Batch& batch) {
+  const float depth = Plain ? s.signed_depth : -s.signed_depth;
+  batch.splat[e] = &s, batch.depth[e] = depth;
   const vfloat dx = pixels.x + (pixels.x0 - s.x);
   const vfloat ax = s.L[0] * dx, bx = s.L[2] * dx, wx = fma(splat(s.g[0]), dx, splat(1.0f));
   for (int v = 0; v < kVectors; ++v) {
@@ -179,30 +186,42 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
     vfloat exponent = fma(a, a, b * b) * (inverse * inverse), r = inverse;
     if (!Plain) {
       const vfloat blur = (kExponentScale / low_pass) * fma(dx, dx, dy * dy);
-      const vint on_disk = (exponent <= blur) & (hit.depth * inverse > near);
+      const vint on_disk = (exponent <= blur) & (depth * inverse > near);
       exponent = select(on_disk, exponent, blur), r = select(on_disk, inverse, splat(1.0f));
-      hit.on_disk[v] = on_disk;
+      batch.on_disk[e][v] = on_disk;
     }
-    const vfloat log2_raw = s.log2_opacity - exponent;
-    hit.alpha[v] = keep(log2_raw >= kLog2MinAlpha, min(exp2_in_range(log2_raw), splat(kMaxAlpha)));
-    hit.r[v] = r, hit.exponent[v] = exponent;
+    batch.alpha[e][v] = s.log2_opacity - exponent;
+    batch.r[e][v] = r, batch.exponent[e][v] = exponent;
   }
 }
 
-// The walk goes in batches: first the footprints of a batch's splats, which do not wait for one another, then their
-// blending, which does. In one loop the processor would not see far enough ahead to overlap them.
-constexpr int kBatch = 8;
-
-inline int meet_batch(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
-                      int count, const Pixels& pixels, Hit* hits) {
-  const int n = count < kBatch ? count : kBatch;
-  for (int e = 0; e < n; ++e) {
-    const SurfelRecord& s = state.records[sub.splat(list[e])];
-    if (s.plain())
-      meet<true>(s, pixels, in.near, in.low_pass, hits[e]);
-    else
-      meet<false>(s, pixels, in.near, in.low_pass, hits[e]);
+// From the alphas' logarithms to the alphas.
+inline void raise_alphas(vfloat* alpha, int count) {
+  constexpr int kAtOnce = 4;
+  for (int i = 0; i < count; i += kAtOnce) {
+    vfloat raw[kAtOnce];
+    for (int k = 0; k < kAtOnce; ++k) raw[k] = alpha[i + k];
+    exp2_in_range<kAtOnce>(raw);
+    for (int k = 0; k < kAtOnce; ++k) alpha[i + k] = keep(alpha[i + k] >= kLog2MinAlpha, min(raw[k], splat(kMaxAlpha)));
   }
+}
+
+// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
+inline int pass_splats(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
+                       int count, const Pixels& pixels, vfloat lights[kVectors], Batch& batch) {
+  const int n = count < kBatch ? count : kBatch, ahead = count < 2 * kBatch ? count : 2 * kBatch;
+  for (int e = kBatch; e < ahead; ++e) __builtin_prefetch(&state.records[sub.splat(list[e])]);
+  for (int e = 0; e < kBatch; ++e) {
+    const SurfelRecord& s = state.records[sub.splat(list[e < n ? e : 0])];
+    if (s.plain())
+      meet<true>(s, pixels, in.near, in.low_pass, e, batch);
+    else
+      meet<false>(s, pixels, in.near, in.low_pass, e, batch);
+  }
+  raise_alphas(batch.alpha[0], kBatch * kVectors);
+  for (int e = n; e < kBatch; ++e)
+    for (int v = 0; v < kVectors; ++v) batch.alpha[e][v] = vfloat{};
+  pass_batch<kBatch, kVectors>(lights, batch.alpha, batch.T);
   return n;
 }
 
@@ -219,56 +238,53 @@ inline DepthUnit depth_unit(const SurfelInputs& in, const SurfelState& state, co
 
 // What blending adds up at a vector of pixels.
 struct Blend {
-  vfloat light, color[3], normal[3], depth, median, m1, m2;
+  vfloat color[3], normal[3], depth, median, m1, m2;
 };
 
 template <bool Distortion>
-inline void blend_vector(const Hit* hits, int n, int v, const DepthUnit& unit, Blend& sums) {
+inline void blend_vector(const Batch& batch, int v, const DepthUnit& unit, Blend& sums) {
   // Copied out one by one, so that the loop has them in registers.
-  vfloat light = sums.light, depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
+  vfloat depth = sums.depth, median = sums.median, m1 = {}, m2 = {};
   vfloat red = sums.color[0], green = sums.color[1], blue = sums.color[2];
   vfloat nx = sums.normal[0], ny = sums.normal[1], nz = sums.normal[2];
-  for (int e = 0; e < n; ++e) {
-    const SurfelRecord& s = *hits[e].splat;
-    const vfloat T = light, alpha = pass(hits[e].alpha[v], light), w = alpha * T, z = hits[e].depth * hits[e].r[v];
+  for (int e = 0; e < kBatch; ++e) {
+    const SurfelRecord& s = *batch.splat[e];
+    const vfloat T = batch.T[e][v], w = batch.alpha[e][v] * T, z = batch.depth[e] * batch.r[e][v];
     red = fma(w, splat(s.color[0]), red), green = fma(w, splat(s.color[1]), green), blue = fma(w, splat(s.color[2]), blue);
     nx = fma(w, splat(s.normal[0]), nx), ny = fma(w, splat(s.normal[1]), ny), nz = fma(w, splat(s.normal[2]), nz);
     depth = fma(w, z, depth);
-    median = select((T >= 0.5f) & (light < 0.5f), z, median);
+    median = select((T >= 0.5f) & (T - w < 0.5f), z, median);
     if (Distortion) {
       const vfloat m = unit.of(z), wm = w * m;
       m1 += wm, m2 = fma(wm, m, m2);
     }
   }
-  sums.light = light, sums.depth = depth, sums.median = median;
+  sums.depth = depth, sums.median = median;
   sums.color[0] = red, sums.color[1] = green, sums.color[2] = blue;
   sums.normal[0] = nx, sums.normal[1] = ny, sums.normal[2] = nz;
   if (Distortion) sums.m1 += m1, sums.m2 += m2;
 }
 
 template <bool Distortion>
-inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, int s,
-                          const Pixels& pixels, Blend p[kVectors]) {
+inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, int s, const Pixels& pixels,
+                          vfloat lights[kVectors], Blend p[kVectors]) {
   const DepthUnit unit = depth_unit(in, state, sub, s);
-  Hit hits[kBatch];
+  Batch batch;
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch(in, state, sub, list + e, count - e, pixels, hits);
-    vint open = {};
-    for (int v = 0; v < kVectors; ++v) {
-      blend_vector<Distortion>(hits, n, v, unit, p[v]);
-      open |= p[v].light > 0.0f;
-    }
-    if (!any(open)) break;
+    pass_splats(in, state, sub, list + e, count - e, pixels, lights, batch);
+    for (int v = 0; v < kVectors; ++v) blend_vector<Distortion>(batch, v, unit, p[v]);
+    if (!any_open<kVectors>(lights)) break;
   }
 }
 
 template <bool Distortion>
-void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const Blend p[kVectors], int x0, int y0) {
+void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const vfloat lights[kVectors],
+                  const Blend p[kVectors], int x0, int y0) {
   float f[11][16];
   for (int v = 0; v < kVectors; ++v) {
-    store(f[0] + v * kWidth, abs(p[v].light));
+    store(f[0] + v * kWidth, abs(lights[v]));
     for (int k = 0; k < 3; ++k) store(f[1 + k] + v * kWidth, p[v].color[k]), store(f[4 + k] + v * kWidth, p[v].normal[k]);
     store(f[7] + v * kWidth, p[v].depth), store(f[8] + v * kWidth, p[v].median);
     if (Distortion) store(f[9] + v * kWidth, p[v].m1), store(f[10] + v * kWidth, p[v].m2);
@@ -295,9 +311,10 @@ void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) 
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       Blend p[kVectors] = {};
-      for (Blend& sums : p) sums.light = splat(1.0f);
-      blend_subtile<Distortion>(in, state, sub, s, pixels, p);
-      write_pixels<Distortion>(in, state, out, p, x, y);
+      vfloat lights[kVectors];
+      for (vfloat& light : lights) light = splat(1.0f);
+      blend_subtile<Distortion>(in, state, sub, s, pixels, lights, p);
+      write_pixels<Distortion>(in, state, out, lights, p, x, y);
     });
   });
 }
@@ -336,11 +353,6 @@ struct PixelGradients {
   }
 };
 
-// A vector of pixels on the walk.
-struct Walk {
-  vfloat light, behind;
-};
-
 // What the walk finds for one splat.
 struct Step {
   vfloat opacity[kVectors], depth[kVectors];  // gradients of opacity and depth, times opacity and depth
@@ -348,17 +360,17 @@ struct Step {
 };
 
 template <bool Distortion>
-inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fields& g, const DepthUnit& unit, Walk& walk,
+inline void walk_vector(const Batch& batch, int v, const PixelGradients::Fields& g, const DepthUnit& unit, vfloat& behind_them,
                         Step* steps) {
   const int lane = v * kWidth;
-  vfloat light = walk.light, behind = walk.behind;
-  for (int e = 0; e < n; ++e) {
-    const SurfelRecord& s = *hits[e].splat;
-    const vfloat T = light, alpha = pass(hits[e].alpha[v], light), w = alpha * T, z = hits[e].depth * hits[e].r[v];
+  vfloat behind = behind_them;
+  for (int e = 0; e < kBatch; ++e) {
+    const SurfelRecord& s = *batch.splat[e];
+    const vfloat alpha = batch.alpha[e][v], T = batch.T[e][v], w = alpha * T, z = batch.depth[e] * batch.r[e][v];
     const vfloat v_depth = load(g.depth + lane);
     vfloat q = load(g.color[0] + lane) * s.color[0] + load(g.color[1] + lane) * s.color[1] + load(g.color[2] + lane) * s.color[2];
     q += load(g.normal[0] + lane) * s.normal[0] + load(g.normal[1] + lane) * s.normal[1] + (load(g.normal[2] + lane) * s.normal[2] + v_depth * z);
-    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (light < 0.5f), load(g.median + lane));
+    vfloat v_z = w * v_depth + keep((T >= 0.5f) & (T - w < 0.5f), load(g.median + lane));
     if (Distortion) {
       const vfloat m = unit.of(z), v_m1 = load(g.m1 + lane), v_m2 = load(g.m2 + lane);
       q += m * (v_m1 + m * v_m2);
@@ -371,24 +383,24 @@ inline void walk_vector(const Hit* hits, int n, int v, const PixelGradients::Fie
     steps[e].depth[v] = v_z * z;
     steps[e].share[v] = w;
   }
-  walk = {light, behind};
+  behind_them = behind;
 }
 
 // sums: [kFields] of the sub-tile's pixels, lane by lane.
 template <bool Plain>
-inline void gather(const Hit& hit, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g, float low_pass,
-                   vfloat sums[kFields]) {
-  const SurfelRecord& s = *hit.splat;
+inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g,
+                   float low_pass, vfloat sums[kFields]) {
+  const SurfelRecord& s = *batch.splat[e];
   const vfloat dx = pixels.x + (pixels.x0 - s.x);
   vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
   for (int k = 0; k < kFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
-    const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = hit.r[n];
+    const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = batch.r[e][n];
     // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
-    vfloat v_w = (scaled * hit.exponent[n] - step.depth[n]) * r, v_second = scaled * (r * r);
+    vfloat v_w = (scaled * batch.exponent[e][n] - step.depth[n]) * r, v_second = scaled * (r * r);
     if (!Plain) {
-      v_second = keep(hit.on_disk[n], v_second), v_w = keep(hit.on_disk[n], v_w);
-      const vfloat v_blur = keep(~hit.on_disk[n], step.opacity[n] / low_pass);
+      v_second = keep(batch.on_disk[e][n], v_second), v_w = keep(batch.on_disk[e][n], v_w);
+      const vfloat v_blur = keep(~batch.on_disk[e][n], step.opacity[n] / low_pass);
       blur += v_blur, blur_y += v_blur * dy;
     }
     const vfloat y = v_second * dy;
@@ -416,28 +428,24 @@ template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
                       const SubTileLists& sub, int s, const Pixels& pixels, float* pairs) {
   const DepthUnit unit = depth_unit(in, state, sub, s);
-  Walk p[kVectors];
-  Hit hits[kBatch];
+  vfloat lights[kVectors], behind[kVectors];
+  for (int v = 0; v < kVectors; ++v) lights[v] = splat(1.0f), behind[v] = load(g.behind + v * kWidth);
+  Batch batch;
   Step steps[kBatch];
-  for (int v = 0; v < kVectors; ++v) p[v] = {splat(1.0f), load(g.behind + v * kWidth)};
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = meet_batch(in, state, sub, list + e, count - e, pixels, hits);
-    vint open = {};
-    for (int v = 0; v < kVectors; ++v) {
-      walk_vector<Distortion>(hits, n, v, g, unit, p[v], steps);
-      open |= p[v].light > 0.0f;
-    }
+    const int n = pass_splats(in, state, sub, list + e, count - e, pixels, lights, batch);
+    for (int v = 0; v < kVectors; ++v) walk_vector<Distortion>(batch, v, g, unit, behind[v], steps);
     for (int i = 0; i < n; ++i) {
       vfloat sums[kFields];
-      if (hits[i].splat->plain())
-        gather<true>(hits[i], steps[i], pixels, g, in.low_pass, sums);
+      if (batch.splat[i]->plain())
+        gather<true>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       else
-        gather<false>(hits[i], steps[i], pixels, g, in.low_pass, sums);
+        gather<false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       add_sums<kFields>(sums, pairs + size_t(list[e + i]) * kFields);
     }
-    if (!any(open)) break;
+    if (!any_open<kVectors>(lights)) break;
   }
 }
 

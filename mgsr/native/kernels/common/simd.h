@@ -205,6 +205,12 @@ inline vfloat exp2_in_range(vfloat x) {
 // 2^x for x <= 0; values under -126 give 0.
 inline vfloat exp2_nonpositive(vfloat x) { return keep(x > splat(-126.0f), exp2_in_range(max(x, splat(-126.0f)))); }
 
+inline bool all_finite(const float* values, int n) {
+  float zero = 0;
+  for (int i = 0; i < n; ++i) zero += values[i] * 0.0f;
+  return zero == 0.0f;
+}
+
 // Swaps, in each square of 2 Half x 2 Half, the upper right quarter with the lower left one.
 template <int Half, int... Lane>
 inline void swap_quarters(vfloat& upper, vfloat& lower, std::integer_sequence<int, Lane...>) {

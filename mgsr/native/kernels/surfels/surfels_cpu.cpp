@@ -16,6 +16,7 @@
 #include <cstring>
 
 #include "kernels/common/blending.h"
+#include "kernels/common/pairs.h"
 #include "kernels/common/simd.h"
 #include "kernels/common/subtiles.h"
 #include "math/surfel.h"
@@ -33,13 +34,6 @@ constexpr float kNever = 1e6f;                        // L of an edge-on splat: 
 // w^2, which give L's. kSlopeX, kSlopeY, kW: w's gradient times dx, dy, 1. kMeanX, kMeanY: first moments where the splat
 // is plain, else the centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
 enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
-constexpr int kFields = 16;
-
-bool finite(const float* p, int n) {
-  float zero = 0;
-  for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
-  return zero == 0.0f;
-}
 
 // A splat's footprint on the image: where its disk is strong enough to count, and the circle of its low-pass.
 struct SurfelBounds {
@@ -132,7 +126,7 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   for (int k = 0; k < 4; ++k) record.L[k] = kRootExponentScale * s.L[k];
   if (f.edge_on) record.L[0] = record.L[3] = kNever;
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
-  if (!finite(&record.x, 16) || !finite(scale, 2)) return false;
+  if (!all_finite(&record.x, 16) || !all_finite(scale, 2)) return false;
   bounds = surfel_bounds(in, f, s, scale, opacity);
   if (bounds.radius > 0 || bounds.clipped) record.signed_depth = -s.depth;
   const PixelBox box = bounds.box();
@@ -386,14 +380,14 @@ inline void walk_vector(const Batch& batch, int v, const PixelGradients::Fields&
   behind_them = behind;
 }
 
-// sums: [kFields] of the sub-tile's pixels, lane by lane.
+// sums: [kPairFields] of the sub-tile's pixels, lane by lane.
 template <bool Plain>
 inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g,
-                   float low_pass, vfloat sums[kFields]) {
+                   float low_pass, vfloat sums[kPairFields]) {
   const SurfelRecord& s = *batch.splat[e];
   const vfloat dx = pixels.x + (pixels.x0 - s.x);
   vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
-  for (int k = 0; k < kFields; ++k) sums[k] = vfloat{};
+  for (int k = 0; k < kPairFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
     const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = batch.r[e][n];
     // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
@@ -423,7 +417,7 @@ inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pi
   }
 }
 
-// pairs: [tile's entries, kFields] gets each pair's sums added.
+// pairs: [tile's entries, kPairFields] gets each pair's sums added.
 template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
                       const SubTileLists& sub, int s, const Pixels& pixels, float* pairs) {
@@ -438,12 +432,12 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
     const int n = pass_splats(in, state, sub, list + e, count - e, pixels, lights, batch);
     for (int v = 0; v < kVectors; ++v) walk_vector<Distortion>(batch, v, g, unit, behind[v], steps);
     for (int i = 0; i < n; ++i) {
-      vfloat sums[kFields];
+      vfloat sums[kPairFields];
       if (batch.splat[i]->plain())
         gather<true>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       else
         gather<false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
-      add_sums<kFields>(sums, pairs + size_t(list[e + i]) * kFields);
+      add_sums<kPairFields>(sums, pairs + size_t(list[e + i]) * kPairFields);
     }
     if (!any_open<kVectors>(lights)) break;
   }
@@ -451,19 +445,13 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
 
 template <bool Distortion>
 void blend_backward(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const SurfelImages& v_out) {
-  state.pair_gradients.resize(size_t(state.lists.pairs()) * kFields);
-  for_tiles(state.lists, state.records.data(), [&](int tile, const SubTileLists& sub, int x0, int y0) {
-    static thread_local std::vector<float> pairs;
-    const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
-    pairs.assign(size_t(n) * kFields, 0.0f);
+  const auto walk = [&](const SubTileLists& sub, int x0, int y0, float* pairs) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const PixelGradients g(in, state, out, v_out, x, y);
-      backward_subtile<Distortion>(in, state, g.f, sub, s, Pixels(x, y), pairs.data());
+      backward_subtile<Distortion>(in, state, g.f, sub, s, Pixels(x, y), pairs);
     });
-    for (int64_t e = 0; e < n; ++e)
-      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kFields], &pairs[size_t(e) * kFields],
-                  sizeof(float) * kFields);
-  });
+  };
+  walk_tiles(state.lists, state.records.data(), state.pair_gradients, walk);
 }
 
 // From the pairs' sums to the gradients of splat i, whose record is s.
@@ -494,12 +482,10 @@ void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, co
 
 void reduce_pairs(const SurfelInputs& in, const SurfelState& state, const SurfelGradients& v) {
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    const float* pairs = state.pair_gradients.data() + size_t(state.lists.chunk_slots[begin / kSplatChunk]) * kFields;
+    float total[kPairFields];
     for (int64_t i = begin; i < end; ++i) {
       if (state.depths[i] < 0) continue;
-      float total[kFields] = {};
-      for (uint32_t slot = state.lists.spans[i].begin; slot < state.lists.spans[i].end; ++slot)
-        for (int k = 0; k < kFields; ++k) total[k] += pairs[size_t(slot) * kFields + k];
+      sum_pairs(state.lists, state.pair_gradients, i, total);
       splat_backward(in, i, state.records[i], total, v);
     }
   });

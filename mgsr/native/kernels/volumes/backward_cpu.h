@@ -5,8 +5,7 @@
 // scalar however many channels there are. Sums over a tile's pixels go to the pair's own slot.
 #pragma once
 
-#include <cstring>
-
+#include "kernels/common/pairs.h"
 #include "kernels/volumes/blending_cpu.h"
 
 namespace mgsr {
@@ -16,7 +15,6 @@ namespace {
 // Gradient of one (splat, tile) pair. The moments are of the exponent's gradient over the pixels' offsets from the
 // centre; kOpacity and kReflOpacity are times the opacity.
 enum PairField { kDx, kDy, kDxx, kDxy, kDyy, kOpacity, kColor, kDepth = kColor + 3, kReflOpacity, kWeight, kReflColor };
-constexpr int kFields = 16;  // one cache line, the last one unused
 
 // The gradient images at a sub-tile's pixels, made ready for the walk.
 template <bool Dual, bool Depth>
@@ -117,7 +115,7 @@ struct Moments {
   }
 
   // The moments with the middle at (dx, dy).
-  void write(vfloat dx, vfloat dy, vfloat fields[kFields]) const {
+  void write(vfloat dx, vfloat dy, vfloat fields[kPairFields]) const {
     const vfloat from_x = fma(dx, one, x), from_y = fma(dy, one, y);
     fields[kDx] = from_x, fields[kDy] = from_y;
     fields[kDxx] = fma(dx, x + from_x, xx), fields[kDyy] = fma(dy, y + from_y, yy);
@@ -136,8 +134,8 @@ inline void add_products(const vfloat shares[kWidth], const float (*v_images)[16
 }
 
 template <bool Dual, bool Depth>
-inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfloat dx, vfloat dy, vfloat fields[kFields]) {
-  for (int k = 0; k < kFields; ++k) fields[k] = vfloat{};
+inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfloat dx, vfloat dy, vfloat fields[kPairFields]) {
+  for (int k = 0; k < kPairFields; ++k) fields[k] = vfloat{};
   Moments moments;
   vfloat a[kWidth], b[kWidth];
   for (int pixel = 0; pixel < 16; pixel += kWidth) {
@@ -157,12 +155,12 @@ inline void gather(const Steps& steps, const PixelGradients<Dual, Depth>& g, vfl
   moments.write(dx, dy, fields);
 }
 
-// pairs: [tile's entries, kFields] gets the sums of a batch's splats added.
-inline void add_to_pairs(vfloat fields[kFields], const uint32_t* list, int n, float* pairs) {
-  for (int k = 0; k < kFields; k += kWidth) {
+// pairs: [tile's entries, kPairFields] gets the sums of a batch's splats added.
+inline void add_to_pairs(vfloat fields[kPairFields], const uint32_t* list, int n, float* pairs) {
+  for (int k = 0; k < kPairFields; k += kWidth) {
     transpose(fields + k);
     for (int e = 0; e < n; ++e) {
-      float* pair = pairs + size_t(list[e]) * kFields + k;
+      float* pair = pairs + size_t(list[e]) * kPairFields + k;
       store(pair, load(pair) + fields[k + e]);
     }
   }
@@ -171,7 +169,7 @@ inline void add_to_pairs(vfloat fields[kFields], const uint32_t* list, int n, fl
 template <bool Dual, bool Depth>
 void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
                       const Pixels& pixels, float* pairs) {
-  vfloat lights[chains(Dual)], behind[chains(Dual)], fields[kFields];
+  vfloat lights[chains(Dual)], behind[chains(Dual)], fields[kPairFields];
   for (vfloat& light : lights) light = splat(1.0f);
   for (int v = 0; v < kVectors; ++v) {
     behind[v] = load(g.behind + v * kWidth);
@@ -195,20 +193,14 @@ void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth
 
 template <bool Dual, bool Depth>
 void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out) {
-  state.pair_gradients.resize(size_t(state.lists.pairs()) * kFields);
-  for_tiles(state.lists, state.records.data(), [&](int tile, const SubTileLists& sub, int x0, int y0) {
-    static thread_local std::vector<float> pairs;
-    const int64_t first = state.lists.begin[tile], n = state.lists.begin[tile + 1] - first;
-    pairs.assign(size_t(n) * kFields, 0.0f);
+  const auto walk = [&](const SubTileLists& sub, int x0, int y0, float* pairs) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       const PixelGradients<Dual, Depth> g(in, state, out, v_out, pixels);
-      backward_subtile<Dual, Depth>(state, g, sub, s, pixels, pairs.data());
+      backward_subtile<Dual, Depth>(state, g, sub, s, pixels, pairs);
     });
-    for (int64_t e = 0; e < n; ++e)
-      std::memcpy(&state.pair_gradients[size_t(state.lists.entries[first + e].slot) * kFields], &pairs[size_t(e) * kFields],
-                  sizeof(float) * kFields);
-  });
+  };
+  walk_tiles(state.lists, state.records.data(), state.pair_gradients, walk);
 }
 
 }  // namespace

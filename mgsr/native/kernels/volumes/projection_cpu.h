@@ -18,12 +18,6 @@ namespace {
 
 constexpr double kLog2E = 1.4426950408889634;
 
-bool finite(const float* p, int n) {
-  float zero = 0;
-  for (int i = 0; i < n; ++i) zero += p[i] * 0.0f;
-  return zero == 0.0f;
-}
-
 // The geometry of a few splats, as the maths wants it.
 template <class L>
 struct Geometry {
@@ -48,8 +42,8 @@ struct Opacities {
 };
 
 bool finite_colors(const VolumeInputs& in, int64_t i) {
-  if (!finite(in.colors + 3 * i, 3)) return false;
-  return !in.refl_colors || (finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1));
+  if (!all_finite(in.colors + 3 * i, 3)) return false;
+  return !in.refl_colors || (all_finite(in.refl_colors + 3 * i, 3) && all_finite(in.weights + i, 1));
 }
 
 // Splats on the image. In float64: a splat counts for a pixel or not by a threshold, and an error of 1e-5 in the exponent,
@@ -134,7 +128,7 @@ void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
 
 // The gradients of projected splats, from the moments of their exponents' gradients.
 ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const int64_t splats[Floats::kCount],
-                                              const Floats total[kFields]) {
+                                              const Floats total[kPairFields]) {
   Floats root[3];
   for (int k = 0; k < 3; ++k) root[k] = each_lane<Floats>([&](int lane) { return state.records[splats[lane]].root[k]; });
   // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
@@ -156,7 +150,7 @@ ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const in
 }
 
 // The gradients that need no projection; returns that of the compensation, 0 where there is none.
-float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, const float total[kFields],
+float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, const float total[kPairFields],
                      const VolumeGradients& v) {
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
   const float o = in.opacities[i], o_r = in.refl_opacities ? in.refl_opacities[i] : 0.0f;
@@ -173,14 +167,14 @@ float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, c
 }
 
 // From the sums over the pairs of `count` splats (the other lanes repeat one of them) to their gradients.
-// sums: [lanes, kFields], used up.
+// sums: [lanes, kPairFields], used up.
 void splats_backward(const VolumeInputs& in, const VolumeState& state, const int64_t splats[Floats::kCount], int count,
-                     float sums[Floats::kCount][kFields], const VolumeGradients& v) {
+                     float sums[Floats::kCount][kPairFields], const VolumeGradients& v) {
   float v_compensation[Floats::kCount] = {};
   for (int lane = 0; lane < count; ++lane)
     v_compensation[lane] = light_backward(in, state.records[splats[lane]], splats[lane], sums[lane], v);
-  Floats total[kFields];
-  for (int k = 0; k < kFields; k += kWidth) {
+  Floats total[kPairFields];
+  for (int k = 0; k < kPairFields; k += kWidth) {
     vfloat rows[kWidth];
     for (int lane = 0; lane < kWidth; ++lane) rows[lane] = load(sums[lane] + k);
     transpose(rows);
@@ -201,19 +195,15 @@ void splats_backward(const VolumeInputs& in, const VolumeState& state, const int
   }
 }
 
-// Adds each splat's pairs, in the order of their slots.
+// From the pairs' gradients to those of the splats.
 void reduce_pairs(const VolumeInputs& in, const VolumeState& state, const VolumeGradients& v) {
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
-    const float* pairs = state.pair_gradients.data() + size_t(state.lists.chunk_slots[begin / kSplatChunk]) * kFields;
     int64_t splats[Floats::kCount];
-    alignas(64) float sums[Floats::kCount][kFields] = {};
+    alignas(64) float sums[Floats::kCount][kPairFields] = {};
     int count = 0;
     for (int64_t i = begin; i < end; ++i) {
       if (state.depths[i] >= 0) {
-        const TileLists::Span span = state.lists.spans[i];
-        std::fill_n(sums[count], kFields, 0.0f);
-        for (uint32_t slot = span.begin; slot < span.end; ++slot)
-          for (int k = 0; k < kFields; ++k) sums[count][k] += pairs[size_t(slot) * kFields + k];
+        sum_pairs(state.lists, state.pair_gradients, i, sums[count]);
         splats[count++] = i;
       }
       if (count == Floats::kCount || (count > 0 && i + 1 == end)) {

@@ -24,10 +24,12 @@ inline vfloat pass(vfloat alpha, vfloat& light) {
   return keep(passes, alpha);
 }
 
-// Passes Count splats through Chains vectors of pixels, which do not wait for one another. alpha: becomes what they blend
-// with; T: gets the light before each splat, to be used only times an alpha.
+// Passes the first n of Count splats through Chains vectors of pixels, which do not wait for one another. alpha: becomes
+// what they blend with, 0 from n on; T: gets the light before each splat, to be used only times an alpha.
 template <int Count, int Chains>
-inline void pass_batch(vfloat lights[Chains], vfloat alpha[Count][Chains], vfloat T[Count][Chains]) {
+inline void pass_batch(int n, vfloat lights[Chains], vfloat alpha[Count][Chains], vfloat T[Count][Chains]) {
+  for (int e = n; e < Count; ++e)
+    for (int c = 0; c < Chains; ++c) alpha[e][c] = vfloat{};
   // Unrolled by order: a compiler that sees the copies as loops makes them a memcpy and leaves the light in memory.
   vfloat light[Chains];
 #pragma GCC unroll 16

@@ -52,6 +52,12 @@ class SubTileLists {
   int counts_[kSubTiles] = {};
 };
 
+// Asks for the records of the entries list[begin..end) to be brought near.
+template <class Record>
+inline void prefetch_records(const Record* records, const SubTileLists& sub, const uint32_t* list, int begin, int end) {
+  for (int e = begin; e < end; ++e) __builtin_prefetch(records + sub.splat(list[e]));
+}
+
 // Calls work(tile, sub-tile lists, x0, y0 of the tile) for every tile, on all threads.
 template <class Record, class Work>
 void for_tiles(const TileLists& lists, const Record* records, const Work& work) {

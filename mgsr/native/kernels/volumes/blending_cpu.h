@@ -1,6 +1,7 @@
 // Blending the 3D branch's splats, front to back.
 #pragma once
 
+#include <algorithm>
 #include <cstring>
 
 #include "kernels/common/blending.h"
@@ -50,8 +51,8 @@ inline void meet(const VolumeRecord& r, const Pixels& pixels, int e, Batch<Dual>
 template <bool Dual>
 inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
                        vfloat lights[chains(Dual)], Batch<Dual>& batch) {
-  const int n = count < kBatch ? count : kBatch, ahead = count < 2 * kBatch ? count : 2 * kBatch;
-  for (int e = kBatch; e < ahead; ++e) __builtin_prefetch(&state.records[sub.splat(list[e])]);
+  const int n = std::min(count, kBatch);
+  prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
   for (int e = 0; e < kBatch; ++e) meet<Dual>(state.records[sub.splat(list[e < n ? e : 0])], pixels, e, batch);
   constexpr int kAtOnce = 4 / kVectors > 0 ? 4 / kVectors : 1;
   for (int e = 0; e < kBatch; e += kAtOnce) {
@@ -65,9 +66,7 @@ inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const 
         if (Dual) batch.alpha[e + i][kVectors + v] = alpha_of(batch.splat[e + i]->refl_opacity, weight[i * kVectors + v]);
       }
   }
-  for (int e = n; e < kBatch; ++e)
-    for (int c = 0; c < chains(Dual); ++c) batch.alpha[e][c] = vfloat{};
-  pass_batch<kBatch, chains(Dual)>(lights, batch.alpha, batch.T);
+  pass_batch<kBatch, chains(Dual)>(n, lights, batch.alpha, batch.T);
   return n;
 }
 

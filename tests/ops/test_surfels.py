@@ -145,6 +145,24 @@ def test_image_sizes_around_the_tile(width, height):
     compare(random_splats(30, 2, seed=3, size=0.5), camera(width, height, off_center=False))
 
 
+@pytest.mark.parametrize("isa", _surfels.isas())
+def test_splats_across_many_tiles(isa):
+    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    splats = random_splats(40, 2, seed=12)
+    splats["scales"] *= torch.tensor([6.0, 1.0], dtype=torch.float64)
+    with variant(_surfels, isa):
+        compare(splats, camera(150, 90), STEEP)
+
+
+@pytest.mark.parametrize("isa", _surfels.isas())
+def test_more_splats_than_a_chunk(isa):
+    """Both the splats and their depth order are cut into chunks; a third of the splats is culled in between."""
+    splats = random_splats(2500, 2, seed=13, size=0.03)
+    splats["means"][::3, 2] -= 10
+    with variant(_surfels, isa):
+        compare(splats, camera())
+
+
 def test_one_splat_facing_the_camera():
     view = Camera(np.array([[50.0, 0, 16], [0, 50, 16], [0, 0, 1]]), np.eye(4), 32, 32)
     splats = {k: v[:1].clone() for k, v in random_splats(1, 2).items()}

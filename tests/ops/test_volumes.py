@@ -11,6 +11,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _volumes
 from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 from tests.ops.splat_scenes import camera, random_splats
+from tests.ops.variants import variant
 from tests.oracles import volumes as oracle
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
@@ -61,9 +62,8 @@ def assert_close(ours, theirs, tolerance):
 
 @pytest.fixture(params=_volumes.isas())
 def isa(request):
-    _volumes.set_isa(request.param)
-    yield request.param
-    _volumes.set_isa(_volumes.isas()[0])
+    with variant(_volumes, request.param):
+        yield request.param
 
 
 @pytest.mark.parametrize("dual", [False, True], ids=["single", "dual"])
@@ -86,6 +86,28 @@ def test_image_sizes_around_the_tile(width, height):
     assert_close(got[1], expected[1], TOLERANCE["gradients"])
 
 
+def test_splats_across_many_tiles(isa):
+    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    splats = dual_splats(40, seed=7)
+    splats["scales"] *= torch.tensor([8.0, 1.0, 2.0], dtype=torch.float64)
+    view = camera(150, 90)
+    expected = run(brute_force, splats, view, torch.float64, True)
+    got = run(native, splats, view, torch.float32, True)
+    assert_close(got[0], expected[0], TOLERANCE["images"])
+    assert_close(got[1], expected[1], TOLERANCE["gradients"])
+
+
+def test_more_splats_than_a_chunk(isa):
+    """Both the splats and their depth order are cut into chunks; a third of the splats is culled in between."""
+    splats = dual_splats(2500, seed=9)
+    splats["scales"] *= 0.2
+    splats["means"][::3, 2] -= 10
+    expected = run(brute_force, splats, camera(), torch.float64, True)
+    got = run(native, splats, camera(), torch.float32, True)
+    assert_close(got[0], expected[0], TOLERANCE["images"])
+    assert_close(got[1], expected[1], TOLERANCE["gradients"])
+
+
 def test_stacked_opaque_layers_stop_and_stay_finite():
     splats = random_splats(50, 3, seed=4, size=2.0)
     splats["opacities"][:] = 1.0
@@ -99,9 +121,8 @@ def test_same_bytes_for_any_thread_count():
     splats = {k: v.float() for k, v in dual_splats(3000).items()}
     results = []
     for threads in (1, 2, 3):
-        _volumes.set_threads(threads)
-        results.append(run(native, splats, camera(200, 150), torch.float32, True))
-    _volumes.set_threads(0)
+        with variant(_volumes, threads=threads):
+            results.append(run(native, splats, camera(200, 150), torch.float32, True))
     for images, gradients in results[1:]:
         assert all(torch.equal(images[k], results[0][0][k]) for k in images)
         assert all(torch.equal(gradients[k], results[0][1][k]) for k in gradients)

@@ -30,7 +30,7 @@ struct Batch {
   vint on_disk[kBatch][kVectors];      // where the disk, not the low-pass, gives the weight; not set for plain splats
 };
 
-// A splat's exponents; for now alpha is its logarithm. Plain splats need neither the low-pass nor the near plane looked at.
+// Leaves the logarithms of a splat's alphas in alpha. Plain splats need neither the low-pass nor the near plane looked at.
 template <bool Plain>
 inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float low_pass, int e, Batch& batch) {
   const float depth = Plain ? s.signed_depth : -s.signed_depth;
@@ -48,8 +48,11 @@ inline void meet(const SurfelRecord& s, const Pixels& pixels, float near, float 
       exponent = select(on_disk, exponent, blur), r = select(on_disk, inverse, splat(1.0f));
       batch.on_disk[e][v] = on_disk;
     }
-    batch.alpha[e][v] = s.log2_opacity - exponent;
-    batch.r[e][v] = r, batch.exponent[e][v] = exponent;
+    // Off the disk w can be 0, and what is made of it infinite: not even 0 times that may go into a sum.
+    const vfloat log2_alpha = s.log2_opacity - exponent;
+    const vint counts = log2_alpha >= kLog2MinAlpha;
+    batch.alpha[e][v] = log2_alpha;
+    batch.r[e][v] = keep(counts, r), batch.exponent[e][v] = keep(counts, exponent);
   }
 }
 

@@ -35,7 +35,7 @@ inline vfloat alpha_of(float opacity, vfloat weight) {
   return keep(raw >= kMinAlpha, min(raw, splat(kMaxAlpha)));
 }
 
-// The exponents of a splat's weights.
+// Leaves the exponents of a splat's weights in alpha.
 template <bool Dual>
 inline void meet(const VolumeRecord& r, const Pixels& pixels, int e, Batch<Dual>& batch) {
   const float x = float(pixels.x0 - r.x) - r.x_rest, y = float(pixels.y0 - r.y) - r.y_rest;
@@ -47,13 +47,9 @@ inline void meet(const VolumeRecord& r, const Pixels& pixels, int e, Batch<Dual>
   }
 }
 
-// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
+// From the exponents of the weights to the alphas.
 template <bool Dual>
-inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
-                       vfloat lights[chains(Dual)], Batch<Dual>& batch) {
-  const int n = std::min(count, kBatch);
-  prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
-  for (int e = 0; e < kBatch; ++e) meet<Dual>(state.records[sub.splat(list[e < n ? e : 0])], pixels, e, batch);
+inline void raise_alphas(Batch<Dual>& batch) {
   constexpr int kAtOnce = 4 / kVectors > 0 ? 4 / kVectors : 1;
   for (int e = 0; e < kBatch; e += kAtOnce) {
     vfloat weight[kAtOnce * kVectors];
@@ -66,6 +62,16 @@ inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const 
         if (Dual) batch.alpha[e + i][kVectors + v] = alpha_of(batch.splat[e + i]->refl_opacity, weight[i * kVectors + v]);
       }
   }
+}
+
+// Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
+template <bool Dual>
+inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
+                       vfloat lights[chains(Dual)], Batch<Dual>& batch) {
+  const int n = std::min(count, kBatch);
+  prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
+  for (int e = 0; e < kBatch; ++e) meet<Dual>(state.records[sub.splat(list[e < n ? e : 0])], pixels, e, batch);
+  raise_alphas(batch);
   pass_batch<kBatch, chains(Dual)>(n, lights, batch.alpha, batch.T);
   return n;
 }

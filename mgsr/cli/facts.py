@@ -18,10 +18,10 @@ from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.data.starting_points import StartingPoints
 from mgsr.mesh.surface import SurfaceMesh, topology
 from mgsr.native.runtime import isas
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
+from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")

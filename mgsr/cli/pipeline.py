@@ -19,11 +19,11 @@ from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
 from mgsr.config import Config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.data.starting_points import StartingPoints, starting_points
 from mgsr.errors import Cancelled
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.report.data import ReportData
+from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import train
 

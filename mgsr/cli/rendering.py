@@ -13,16 +13,17 @@ from mgsr.cli.models import Models
 from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, View
+from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.export.renders import straight_color
 from mgsr.mesh.cameras import surface_cameras
-from mgsr.mesh.views import Silhouette, SurfaceView
+from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
 
-# A mask's pixel counts as object from here on (of 255).
-OBJECT_ALPHA = 128
+# Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
+MASK_SIDE = 800
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
     """The training photographs' masks; none where the scene has none."""
     if not scene.masked:
         return []
-    return [Silhouette(view.camera, view.alpha >= OBJECT_ALPHA) for view in scene.train if view.alpha is not None]
+    return silhouettes(scene.train, MASK_SIDE)
 
 
 def _render_view(models: Models, view: View, config: Config) -> ViewImages:

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from mgsr.data.camera import Camera
-from mgsr.data.images import reduce_area
-from mgsr.data.scene import View
+from mgsr.data.silhouettes import Silhouette
 
 # A part of space is judged only if this share of the views looks at it: what lies outside nearly all images is
 # carved by nobody and would stay as a false block.
@@ -18,14 +16,6 @@ MIN_SEEN = 0.25
 
 # The field between voxel centres changes a little faster than distance (perspective, skewed pixels).
 SLACK = 1.2
-
-
-@dataclass(frozen=True)
-class Silhouette:
-    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera."""
-
-    camera: Camera
-    distance: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -46,11 +36,6 @@ class Hull:
         """The field at points [P,3], trilinear; far negative outside the grid."""
         place = ((points - self.origin) / self.voxel).T
         return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
-
-
-def silhouettes(views: Sequence[View], max_side: int = 400) -> list[Silhouette]:
-    """The masks of the views, reduced to a size at which a grid of 128 voxels has about two pixels a voxel."""
-    return [_silhouette(view, max_side) for view in views if view.alpha is not None]
 
 
 def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128) -> Hull:
@@ -98,25 +83,3 @@ def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np
 def _children(parents: np.ndarray) -> np.ndarray:
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     return (parents[:, None] * 2 + corners).reshape(-1, 3)
-
-
-def _silhouette(view: View, max_side: int) -> Silhouette:
-    assert view.alpha is not None, "only views with masks have a silhouette"
-    camera, alpha = view.camera, view.alpha.astype(np.float32)
-    shrink = max_side / max(camera.width, camera.height)
-    if shrink < 1:
-        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        alpha = reduce_area(alpha[..., None], camera.width, camera.height)[..., 0]
-    return Silhouette(camera, _signed_distance(alpha / 255))
-
-
-def _signed_distance(alpha: np.ndarray) -> np.ndarray:
-    """Pixels to the outline at alpha 0.5, positive inside; on the outline's own pixels alpha tells the fraction."""
-    inside = alpha >= 0.5
-    if inside.all() or not inside.any():
-        return np.full(alpha.shape, 1e3 if inside.all() else -1e3, dtype=np.float32)
-    within = ndimage.distance_transform_edt(inside) - 0.5
-    beyond = ndimage.distance_transform_edt(~inside) - 0.5
-    distance = np.where(inside, within, -beyond)
-    soft = (alpha > 0.02) & (alpha < 0.98) & (np.abs(distance) < 1)
-    return np.where(soft, alpha - 0.5, distance).astype(np.float32)

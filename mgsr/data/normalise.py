@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from mgsr.data.camera import Camera
-from mgsr.data.hull import carve, silhouettes
+from mgsr.data.hull import carve
 from mgsr.data.scene import PointCloud, Similarity, View
+from mgsr.data.silhouettes import silhouettes
 from mgsr.errors import SceneError
 
 # Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.

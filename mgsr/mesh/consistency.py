@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, minimum_filter
+from scipy.ndimage import minimum_filter
 
+from mgsr.data.silhouettes import Silhouette
 from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
-from mgsr.mesh.views import Silhouette, SurfaceView, nearest, project, sample
+from mgsr.mesh.views import SurfaceView, nearest, project, sample
 
 REACH = 2.0  # noise of the depth must find its mean, but not a neighbouring surface
 
@@ -116,7 +117,7 @@ class Hull:
 
     def __init__(self, silhouettes: Sequence[Silhouette]) -> None:
         self._cameras = [silhouette.camera for silhouette in silhouettes]
-        self._outside = [_pixels_outside(silhouette.inside) for silhouette in silhouettes]
+        self._outside = [np.maximum(-silhouette.distance, 0) for silhouette in silhouettes]
 
     def excess(self, points: np.ndarray, margin: float) -> np.ndarray:
         """How far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette that has
@@ -127,10 +128,3 @@ class Hull:
             over = np.maximum(nearest(outside, pixels) - margin, 0) * depths / camera.K[0, 0]
             worst[index] = np.maximum(worst[index], over)
         return worst
-
-
-def _pixels_outside(inside: np.ndarray) -> np.ndarray:
-    """The distance [H,W] from each pixel's centre to the nearest one inside; 0 inside."""
-    if not inside.any():
-        return np.full(inside.shape, float(max(inside.shape)), np.float32)
-    return distance_transform_edt(~inside).astype(np.float32)

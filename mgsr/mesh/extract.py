@@ -7,16 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.config import Extractor, MeshConfig
+from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.outlines import fit_outlines
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.surface import SurfaceMesh, vertex_normals
 from mgsr.mesh.tsdf import tsdf_surface
-from mgsr.mesh.views import Silhouette, SurfaceView
+from mgsr.mesh.views import SurfaceView
 
 
 def extract_mesh(
@@ -24,7 +26,8 @@ def extract_mesh(
 ) -> SurfaceMesh:
     """The surface that the views show, in their frame.
 
-    silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them.
+    silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
+    its outlines fall on theirs.
     threads: cores to use; None is all of them.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -35,7 +38,7 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    return _finish(vertices, faces, views, config, size, hull, threads)
+    return _finish(vertices, faces, views, config, size, hull, silhouettes, threads)
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -85,6 +88,7 @@ def _finish(
     config: MeshConfig,
     size: float,
     hull: Hull | None,
+    silhouettes: Sequence[Silhouette],
     threads: int | None,
 ) -> SurfaceMesh:
     """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
@@ -99,6 +103,8 @@ def _finish(
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
+    if silhouettes and config.outline_smoothing is not None:
+        vertices = fit_outlines(vertices, faces, silhouettes, config.outline_smoothing)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:

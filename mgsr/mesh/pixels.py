@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.views import SurfaceView
-from mgsr.metrics.raycast import pixel_rays
 
 
 @dataclass(frozen=True)

@@ -43,14 +43,6 @@ class SurfaceView:
         return valid if self.mask is None else valid & self.mask
 
 
-@dataclass(frozen=True)
-class Silhouette:
-    """The object's mask in one photograph: inside [H,W] bool."""
-
-    camera: Camera
-    inside: np.ndarray
-
-
 def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Bilinear values of image [H,W,...] at pixel coordinates [P,2] (centres at +0.5), held at the border."""
     height, width = image.shape[:2]

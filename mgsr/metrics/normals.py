@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.metrics.raycast import RayCaster, RayHits
+from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.metrics.truth import TrueSurface
 
 

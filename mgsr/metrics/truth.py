@@ -11,7 +11,7 @@ import trimesh
 
 from mgsr.data.camera import Camera
 from mgsr.errors import SceneError
-from mgsr.metrics.raycast import RayCaster
+from mgsr.geometry.raycast import RayCaster
 
 POINTS = 100_000
 DENSE = 1_000_000

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.metrics.raycast import pixel_rays
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.open3d_library import load_open3d
 from mgsr.report.pictures import Picture, SurfacePictures, color_picture, ramp
 

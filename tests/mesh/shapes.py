@@ -8,8 +8,9 @@ import numpy as np
 import trimesh
 
 from mgsr.data.camera import Camera
-from mgsr.mesh.views import Silhouette, SurfaceView
-from mgsr.metrics.raycast import RayCaster, pixel_rays
+from mgsr.data.silhouettes import Silhouette, signed_distance
+from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.mesh.views import SurfaceView
 
 
 def looking_at_origin(center: np.ndarray, side: int = 96, focal: float = 1.3) -> Camera:
@@ -52,7 +53,7 @@ def views_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[SurfaceVi
 
 def silhouettes_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[Silhouette]:
     caster = RayCaster(mesh.vertices, mesh.faces)
-    return [Silhouette(camera, caster.cast(camera).mask) for camera in cameras]
+    return [Silhouette(camera, signed_distance(caster.cast(camera).mask.astype(np.float32))) for camera in cameras]
 
 
 def ball(radius: float = 0.7) -> trimesh.Trimesh:

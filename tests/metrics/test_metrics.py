@@ -11,9 +11,9 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from mgsr.data.camera import Camera
 from mgsr.errors import MeshError, SceneError
+from mgsr.geometry.raycast import RayCaster
 from mgsr.metrics.image import image_metrics, on_white, psnr, psnr_after_gain, ssim
 from mgsr.metrics.normals import normal_metrics
-from mgsr.metrics.raycast import RayCaster
 from mgsr.metrics.surface import surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth, sample_surface
 from tests.metrics.scenes import blender_cameras

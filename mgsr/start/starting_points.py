@@ -8,12 +8,17 @@ from enum import StrEnum
 
 import numpy as np
 
-from mgsr.data.hull import Hull, Silhouette, carve, signed_field, silhouettes
+from mgsr.data.hull import Hull, carve, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
-from mgsr.data.view_colors import seen_colors
+from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.errors import SceneError
+from mgsr.start.photo_carving import carve_by_color
+from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
+
+# Masks are reduced to this side: a grid of RESOLUTION voxels then has about two pixels a voxel.
+MASK_SIDE = 400
 
 # With fewer points than this of its own, a masked scene does better with its hull.
 MIN_POINTS = 500
@@ -45,10 +50,11 @@ def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
     """Points to start from. The same seed gives the same points.
 
     At most `count` of the capture's own points (COLMAP), in a masked scene only those inside all masks; else `count`
-    points on the visual hull of the masks, spread evenly; else `count` points in the unit ball.
+    points on the visual hull of the masks, carved deeper where the photographs agree on it, spread evenly; else
+    `count` points in the unit ball.
     """
     generator = np.random.default_rng(seed)
-    outlines = silhouettes(scene.train) if scene.masked else []
+    outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
     own = _own_points(scene.points, outlines, count, generator) if scene.points is not None else None
     if own is not None:
         return own
@@ -89,10 +95,13 @@ def _own_points(
 def _hull_points(
     views: Sequence[View], outlines: Sequence[Silhouette], count: int, generator: np.random.Generator
 ) -> StartingPoints:
-    vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, RESOLUTION))
+    side = max(max(outline.distance.shape) for outline in outlines)
+    resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
+    vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
+    vertices = carve_by_color(vertices, faces, views)
     positions, normals = _sample(vertices, faces, count, generator)
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
-    colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / RESOLUTION)
+    colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 

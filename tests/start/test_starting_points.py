@@ -10,10 +10,11 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from mgsr.config import DataConfig, Masks
-from mgsr.data.hull import carve, signed_field, silhouettes
+from mgsr.data.hull import carve, signed_field
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud
-from mgsr.data.starting_points import StartSource, hull_surface, starting_points
+from mgsr.data.silhouettes import silhouettes
+from mgsr.start.starting_points import StartSource, hull_surface, starting_points
 from tests.data.captures import BallCapture
 
 
@@ -82,7 +83,7 @@ def test_with_few_own_points_the_hull_is_better(ball_scene):
 
 
 def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene):
-    outlines = silhouettes(ball_scene.train)
+    outlines = silhouettes(ball_scene.train, 400)
     fine = carve(outlines, np.zeros(3), 1.05, 64)
     corner = fine.origin + np.stack(np.meshgrid(*[np.arange(64)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
     values, judged = signed_field(outlines, corner)
@@ -101,7 +102,7 @@ HULLS = {"spot_soft": 2.75, "teapot_hdr": 3.02}
 def test_hull_against_ground_truth(shared_data, name):
     root = shared_data / "scenes" / name
     scene = load_scene(root, DataConfig())
-    surface = hull_surface(carve(silhouettes(scene.train), np.zeros(3), 1.05, 128))
+    surface = hull_surface(carve(silhouettes(scene.train, 400), np.zeros(3), 1.05, 128))
     truth = trimesh.load(root / "mesh_gt.ply")
     ours = trimesh.Trimesh(scene.user_from_scene.to_user(surface[0]), surface[1], process=False)
     assert ours.volume > 0, "faces point outwards"

@@ -28,6 +28,21 @@ class RayHits:
         return self.face != NO_FACE
 
 
+@dataclass(frozen=True)
+class PixelHits:
+    """First hits of one camera's rays [...]: depth float32 camera z, 0 where nothing is hit; face uint32, NO_FACE
+    where nothing is hit; barycentric [...,3] float32, the shares of the face's corners."""
+
+    depth: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+
+    @property
+    def mask(self) -> np.ndarray:
+        """[...] bool, where something is hit."""
+        return self.face != NO_FACE
+
+
 class RayCaster:
     """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting."""
 
@@ -49,6 +64,17 @@ class RayCaster:
         away = (normal * directions).sum(-1) > 0
         normal = np.where(away[..., None], -normal, normal)
         return RayHits(np.where(hit, depth, 0), np.where(hit[..., None], normal, 0), face)
+
+    def cast_pixels(self, camera: Camera, pixels: np.ndarray) -> PixelHits:
+        """What `camera` sees at pixel coordinates [...,2] (centres at +0.5), inside its image or not."""
+        local = np.ones((*pixels.shape[:-1], 3))
+        local[..., :2] = (pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+        directions = local @ camera.cam_from_world[:3, :3]
+        rays = np.concatenate([np.broadcast_to(camera.center, directions.shape), directions], axis=-1)
+        hits = self._scene.cast_rays(load_open3d().core.Tensor(rays.astype(np.float32)))
+        depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
+        shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
+        return PixelHits(np.where(face != NO_FACE, depth, 0), face, shares)
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float) -> np.ndarray:
         """Which of the points [P,3] lie inside the camera's image with nothing between; [P] bool.

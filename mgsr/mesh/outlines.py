@@ -1,0 +1,121 @@
+"""The mesh registered to the photographs' outlines: where it ends in an image, it ends where the mask ends.
+
+A splat fades out, so the outline of a rendered surface is only known to a good part of a pixel, and training leaves
+it a little inside. A mask's alpha is the covered share of each pixel and tells its outline to about a twentieth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.data.camera import Camera
+from mgsr.data.silhouettes import Silhouette
+from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
+from mgsr.geometry.raycast import RayCaster
+from mgsr.mesh.surface import vertex_normals
+
+SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
+STEP = 0.25  # pixels between two rays
+FACING = 0.5  # least cosine between a vertex normal and the outline's direction
+STAY = 0.02  # a vertex that no outline touches follows its surroundings, but not for ever
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A mask's outline: points [P,2] in pixels, and at each the unit direction [P,2] that leads out of the mask."""
+
+    camera: Camera
+    points: np.ndarray
+    outwards: np.ndarray
+
+
+def find_outline(silhouette: Silhouette) -> Outline:
+    """The outline of a mask; its parts at the image's border, where the image cuts the object off, are left out."""
+    distance = silhouette.distance
+    slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
+    near = np.abs(distance) < 0.5
+    near[[0, 1, -2, -1]] = False
+    near[:, [0, 1, -2, -1]] = False
+    rows, columns = np.nonzero(near)
+    slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
+    steep = np.linalg.norm(slopes, axis=1)
+    clear = steep > 0.5  # elsewhere two outlines meet: a thin part, a corner
+    inwards = slopes[clear] / steep[clear, None]
+    centers = np.stack([columns[clear], rows[clear]], axis=1) + 0.5
+    return Outline(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)
+
+
+def fit_outlines(
+    vertices: np.ndarray, faces: np.ndarray, silhouettes: Sequence[Silhouette], smoothing: float, rounds: int = 2
+) -> np.ndarray:
+    """The vertices [V,3] moved along their normals so that the mesh's outlines fall on the silhouettes'.
+
+    smoothing: over about how many pixels of the silhouettes a correction spreads.
+    """
+    outlines = [find_outline(silhouette) for silhouette in silhouettes]
+    laplacian = umbrella(faces, len(vertices))
+    for _ in range(rounds):
+        normals = vertex_normals(vertices, faces)
+        sums, weights, pixel = _gather(vertices, faces, normals, outlines)
+        held = np.minimum(weights, 1)
+        wanted = sums / np.maximum(weights, 1e-9) * held / (held + STAY)
+        reach = smoothing * pixel / edge_length(vertices, faces)
+        moves = smooth_displacements(laplacian, wanted, held + STAY, reach)
+        limit = SEARCH * pixel
+        vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
+    return vertices
+
+
+def _gather(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, outlines: Sequence[Outline]
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Per vertex the weighted sum of the wanted displacements and the sum of the weights [V]; a pixel's size."""
+    caster = RayCaster(vertices, faces)
+    sums, weights, pixels = np.zeros(len(vertices)), np.zeros(len(vertices)), []
+    for outline in outlines:
+        rims = _rims(caster, outline)
+        corners = faces[rims.faces]
+        facing = ((normals[corners] * rims.shares[..., None]).sum(1) * rims.outwards).sum(1)
+        good = facing > FACING
+        shares, corners = rims.shares[good], corners[good]
+        wanted = (rims.gaps * facing)[good, None] * shares
+        np.add.at(sums, corners, wanted)
+        np.add.at(weights, corners, shares)
+        pixels.append(rims.pixel)
+    return sums, weights, float(np.median(pixels)) if pixels else 0.0
+
+
+@dataclass(frozen=True)
+class _Rims:
+    """Where the mesh ends beside [Q] outline points: the face, the point's barycentric shares [Q,3] on it, the world
+    direction out of the mask [Q,3] and the distance [Q] from there to the outline, positive outwards, in the scene's
+    unit. pixel: a pixel's mean size there."""
+
+    faces: np.ndarray
+    shares: np.ndarray
+    outwards: np.ndarray
+    gaps: np.ndarray
+    pixel: float
+
+
+def _rims(caster: RayCaster, outline: Outline) -> _Rims:
+    """The last point of the mesh on the way out across the outline, where it lies within reach."""
+    camera, steps = outline.camera, np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
+    pixels = outline.points[:, None] + steps[:, None] * outline.outwards[:, None]
+    hits = caster.cast_pixels(camera, pixels)
+    last = len(steps) - 1 - hits.mask[:, ::-1].argmax(axis=1)
+    found = np.flatnonzero(hits.mask.any(axis=1) & (last < len(steps) - 1))
+    last = last[found]
+    sizes = hits.depth[found, last] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    outwards = outline.outwards[found] @ camera.cam_from_world[:2, :3]
+    return _Rims(
+        hits.face[found, last].astype(np.int64),
+        hits.barycentric[found, last],
+        outwards,
+        -(steps[last] + STEP / 2) * sizes,
+        float(sizes.mean()) if len(sizes) else 0.0,
+    )

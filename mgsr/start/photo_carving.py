@@ -1,0 +1,213 @@
+"""Concavities that no silhouette shows: the hull is carved further, to where the photographs agree on the colour.
+
+Around each vertex a small patch is looked at in the views that see it, once for each depth along the normal; at the
+true depth the views show the same pattern (Furukawa and Ponce 2010 measure it alike). Only what matte paint does
+counts: colours are made linear and white is projected out of them, so that highlights of white lamps, which seem to
+lie behind a surface, vanish (the dichromatic model, Shafer 1985), and of each patch the mean and the slope are
+taken off, so that a flash's falloff and smooth shading vanish too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from scipy import sparse
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import reduce_area
+from mgsr.data.scene import View
+from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, umbrella
+from mgsr.geometry.raycast import RayCaster
+
+MAX_SIDE = 400  # images are reduced to this side
+OFFSETS = np.arange(-8.0, 1.5)  # pixels along the outward normal
+NEAR = 1.1  # offsets up to this are "the surface is where the hull is"
+PATCH_SIDE, PATCH_STEP = 5, 1.6  # samples a side of a patch, and the pixels between them
+VIEWS = 10  # the most frontal views of a vertex that are compared; at least 3
+MIN_COS = 0.25  # of the angle between a vertex normal and the direction to a view that is compared
+POOL = 4.0  # pixels over which neighbouring patches are averaged
+GAIN = 0.03  # correlation by which a deeper place must beat the hull's; without a concavity noise rarely reaches it
+STAY = 0.2  # how much the rest of the surface holds against being pulled along
+SPREAD = 1.2  # edges over which a displacement spreads
+SOLID = 0.9  # pixels with less alpha mix object and background
+MIN_NOISE = 1e-3  # linear light: rounding to 8 bits
+
+
+def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
+    """The vertices [V,3] of a hull, those moved inwards that the photographs show deeper.
+
+    A surface without colour pattern stays as it is.
+    """
+    looks = [_look(view) for view in views]
+    noise = max(float(np.median([look.noise for look in looks])), MIN_NOISE)
+    laplacian = umbrella(faces, len(vertices))
+    normals = mean_normals(_vertex_normals(vertices, faces), laplacian, rounds=3)
+    pixel = _pixel_size(vertices, looks)
+    chosen = _frontal_views(RayCaster(vertices, faces), vertices, normals, looks, gap=pixel)
+    agreement = _agreement(vertices, normals, looks, chosen, pixel, noise)
+    wanted, sure = _deeper(_pooled(agreement, laplacian, POOL * pixel / edge_length(vertices, faces)))
+    moves = smooth_displacements(
+        laplacian, np.where(sure, wanted * pixel, 0), np.where(sure, 1, STAY), SPREAD
+    )
+    return vertices + np.clip(moves, OFFSETS[0] * pixel, 0)[:, None] * normals
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A view as it is compared: image [3,h,w], two colour channels without white, in linear light, and where the pixel
+    is solid object (0 or 1); noise: their noise."""
+
+    camera: Camera
+    image: Tensor
+    noise: float
+
+
+def _look(view: View) -> _Look:
+    camera, image, alpha = view.camera, view.image, view.alpha
+    solid = np.full(image.shape[:2], 255, np.uint8) if alpha is None else alpha
+    shrink = MAX_SIDE / max(camera.width, camera.height)
+    if shrink < 1:
+        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        image = reduce_area(image.astype(np.float32), camera.width, camera.height)
+        solid = reduce_area(solid.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
+    red, green, blue = np.moveaxis(_linear(image.astype(np.float32) / 255), -1, 0)
+    channels = np.stack([(red - green) / 2**0.5, (red + green - 2 * blue) / 6**0.5])
+    inside = solid > SOLID * 255
+    packed = np.concatenate([channels, inside[None]]).astype(np.float32)
+    return _Look(camera, torch.from_numpy(packed), _noise(channels, inside))
+
+
+def _linear(srgb: np.ndarray) -> np.ndarray:
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def _noise(channels: np.ndarray, inside: np.ndarray) -> float:
+    """The standard deviation of the pixels' noise, over both channels, from the median second difference."""
+    middle = channels[:, 1:-1, 1:-1]
+    around = channels[:, :-2, 1:-1] + channels[:, 2:, 1:-1] + channels[:, 1:-1, :-2] + channels[:, 1:-1, 2:]
+    rough = np.abs(4 * middle - around)[:, inside[1:-1, 1:-1]]
+    if rough.shape[1] == 0:
+        return 0.0
+    deviations = np.median(rough, axis=1) / 0.6745 / 20**0.5  # 20: the second difference's sum of squares
+    return float(np.linalg.norm(deviations))
+
+
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    crosses, corners = np.repeat(np.cross(b - a, c - a), 3, axis=0), faces.ravel()
+    sums = np.stack([np.bincount(corners, crosses[:, axis], len(vertices)) for axis in range(3)], axis=1)
+    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+
+
+def _pixel_size(vertices: np.ndarray, looks: Sequence[_Look]) -> float:
+    """A pixel's size at the object's middle, the median over the views."""
+    middle = vertices.mean(axis=0)
+    return float(np.median([np.linalg.norm(look.camera.center - middle) / look.camera.K[0, 0] for look in looks]))
+
+
+def _frontal_views(
+    caster: RayCaster, vertices: np.ndarray, normals: np.ndarray, looks: Sequence[_Look], gap: float
+) -> np.ndarray:
+    """Which views [L,V] bool are compared at each vertex."""
+    cosines = np.full((len(looks), len(vertices)), -1.0)
+    for row, look in zip(cosines, looks, strict=True):
+        towards = look.camera.center - vertices
+        facing = (towards * normals).sum(1) / np.linalg.norm(towards, axis=1)
+        index = np.flatnonzero(facing > MIN_COS)
+        index = index[caster.sees(look.camera, vertices[index] + normals[index] * gap, gap)]
+        row[index] = facing[index]
+    if len(looks) > VIEWS:
+        cosines[cosines < np.sort(cosines, axis=0)[-VIEWS]] = -1
+    return cosines > 0
+
+
+def _agreement(
+    vertices: np.ndarray, normals: np.ndarray, looks: Sequence[_Look], chosen: np.ndarray, pixel: float, noise: float
+) -> np.ndarray:
+    """The mean correlation [V,D] of the patches in the chosen views, for each of the OFFSETS; 0 with under 3 views.
+
+    A patch counts by its contrast against the noise, so that flat patches correlate with nothing.
+    """
+    count, depths = len(vertices), len(OFFSETS)
+    grid, slopes = _patch_grid()
+    patches = torch.from_numpy(_tangent_points(normals, grid * pixel)).float()  # [V,P,3]
+    along = torch.from_numpy(normals[:, None] * (OFFSETS * pixel)[:, None]).float()  # [V,D,3]
+    centers = torch.from_numpy(vertices).float()
+    sums = torch.zeros(count, depths, 2 * len(grid))
+    squares, seen = torch.zeros(count, depths), torch.zeros(count)
+    for look, at in zip(looks, torch.from_numpy(chosen), strict=True):
+        index = at.nonzero()[:, 0]
+        points = (centers[index, None] + along[index])[:, :, None] + patches[index, None]
+        features = _normalised(_sample(look, points), slopes, noise)
+        sums[index] += features
+        squares[index] += features.square().sum(-1)
+        seen[index] += 1
+    pairs = (seen * (seen - 1)).clamp(min=1)[:, None]
+    return torch.where(seen[:, None] >= 3, (sums.square().sum(-1) - squares) / pairs, 0.0).numpy()
+
+
+def _patch_grid() -> tuple[np.ndarray, Tensor]:
+    """A patch's points [P,2] in pixels, and the two directions of slope [P,2] over them, orthonormal."""
+    steps = (np.arange(PATCH_SIDE) - (PATCH_SIDE - 1) / 2) * PATCH_STEP
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    return grid, torch.from_numpy(grid / np.linalg.norm(grid, axis=0)).float()
+
+
+def _tangent_points(normals: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """The patches' points [V,P,3] relative to their centres, in the tangent planes."""
+    axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    across = np.cross(axis, normals)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    along = np.cross(normals, across)
+    return grid[:, :1] * across[:, None] + grid[:, 1:] * along[:, None]
+
+
+def _sample(look: _Look, points: Tensor) -> Tensor:
+    """The image's values [3,Q,D,P] at world points [Q,D,P,3]."""
+    camera = look.camera
+    pose = torch.from_numpy(camera.cam_from_world).float()
+    local = points @ pose[:3, :3].T + pose[:3, 3]
+    focal = torch.tensor([camera.K[0, 0], camera.K[1, 1]], dtype=torch.float32)
+    center = torch.tensor([camera.K[0, 2], camera.K[1, 2]], dtype=torch.float32)
+    size = torch.tensor([camera.width, camera.height], dtype=torch.float32)
+    places = (local[..., :2] / local[..., 2:].clamp(min=1e-6) * focal + center) / size * 2 - 1
+    flat = places.reshape(1, 1, -1, 2)
+    values = functional.grid_sample(look.image[None], flat, padding_mode="border", align_corners=False)
+    return values.reshape(3, *points.shape[:-1])
+
+
+def _normalised(values: Tensor, slopes: Tensor, noise: float) -> Tensor:
+    """Patches [Q,D,2P] without mean and slope, as long as their contrast is above the noise, at most 1."""
+    channels, solid = values[:2], (values[2:] > SOLID).float()
+    mean = (channels * solid).sum(-1, keepdim=True) / solid.sum(-1, keepdim=True).clamp(min=1)
+    left = (channels - mean) * solid
+    left = left - (left @ slopes) @ slopes.T
+    points = slopes.shape[0]
+    variance = left.square().sum((0, 3)) / points
+    scaled = left / (points * (variance + noise**2)).sqrt()[None, ..., None]
+    return scaled.permute(1, 2, 0, 3).flatten(2)
+
+
+def _pooled(agreement: np.ndarray, laplacian: sparse.csr_matrix, edges: float) -> np.ndarray:
+    """The agreement [V,D] averaged over the surface around, like a Gaussian of `edges` edges (by diffusion)."""
+    for _ in range(round(4 * edges**2)):  # a step spreads by half an edge along each of the two axes
+        agreement = agreement + 0.5 * (laplacian @ agreement)
+    return agreement
+
+
+def _deeper(agreement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The offset [V] in pixels of the best place behind the hull, and where it beats the hull's own [V] bool."""
+    behind = OFFSETS < -NEAR
+    best = np.where(behind, agreement, -np.inf).argmax(axis=1)
+    index = np.arange(len(agreement))
+    own = agreement[:, np.abs(OFFSETS) <= NEAR].max(axis=1)
+    sure = agreement[index, best] - own > GAIN
+    before, after = agreement[index, np.maximum(best - 1, 0)], agreement[index, best + 1]
+    bend = np.maximum(2 * agreement[index, best] - before - after, 1e-6)
+    step = np.where(best > 0, np.clip((after - before) / (2 * bend), -0.5, 0.5), 0)  # a parabola's top
+    return OFFSETS[best] + step, sure

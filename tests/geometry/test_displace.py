@@ -1,0 +1,39 @@
+"""Displacements against a dense solver and against what can be said by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
+from tests.mesh.shapes import ball
+
+MESH = ball(0.7)
+
+
+def test_umbrella_is_the_mean_of_the_neighbours_less_the_vertex() -> None:
+    values = np.random.default_rng(0).normal(size=len(MESH.vertices))
+    expected = [values[neighbours].mean() - values[i] for i, neighbours in enumerate(MESH.vertex_neighbors)]
+    np.testing.assert_allclose(umbrella(MESH.faces, len(MESH.vertices)) @ values, expected, atol=1e-12)
+
+
+def test_a_vertex_without_faces_has_an_empty_row() -> None:
+    laplacian = umbrella(np.array([[0, 1, 2]]), 4)
+    assert laplacian[3].nnz == 0 or not laplacian[3].toarray().any()
+
+
+def test_edge_length_of_an_equal_sided_triangle() -> None:
+    corners = 2.0 * np.array([[0, 0, 0], [1, 0, 0], [0.5, 3**0.5 / 2, 0]])
+    assert edge_length(corners, np.array([[0, 1, 2]])) == pytest.approx(2.0)
+
+
+def test_displacements_are_the_minimum_that_a_dense_solver_finds() -> None:
+    mesh = ball(0.7).submesh([np.arange(600)], append=True)
+    count = len(mesh.vertices)
+    generator = np.random.default_rng(1)
+    wanted, weights = generator.normal(size=count), generator.random(count) + 0.05
+    laplacian = umbrella(mesh.faces, count)
+    dense = laplacian.toarray()
+    expected = np.linalg.solve(np.diag(weights) + 1.5**4 * dense.T @ dense, weights * wanted)
+    found = smooth_displacements(laplacian, wanted, weights, reach=1.5)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())

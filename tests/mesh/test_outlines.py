@@ -1,0 +1,54 @@
+"""Registration to outlines, against a ball whose silhouettes are known exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.data.silhouettes import Silhouette, signed_distance
+from mgsr.geometry.raycast import RayCaster
+from mgsr.mesh.outlines import find_outline, fit_outlines
+from tests.mesh.shapes import ball, cameras_around
+
+RADIUS = 0.7
+FINE = 8
+
+
+def covered(radius: float, count: int = 48) -> list[Silhouette]:
+    """Silhouettes of the ball from the share of each pixel that it covers."""
+    mesh = ball(radius)
+    caster, found = RayCaster(mesh.vertices, mesh.faces), []
+    for camera in cameras_around(count):
+        fine = caster.cast(camera.resized(camera.width * FINE, camera.height * FINE)).mask
+        share = fine.reshape(camera.height, FINE, camera.width, FINE).mean((1, 3))
+        found.append(Silhouette(camera, signed_distance(share)))
+    return found
+
+
+def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
+    outline = find_outline(covered(RADIUS, 3)[1])
+    camera = outline.camera
+    flat = (outline.points - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    local = np.column_stack([flat, np.ones(len(flat))])
+    rays = local @ camera.cam_from_world[:3, :3]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    passing = np.linalg.norm(np.cross(rays, camera.center), axis=1)  # from the ball's centre, the origin
+    pixel = 3.0 / camera.K[0, 0]
+    assert np.abs(passing - RADIUS).max() < 0.25 * pixel
+    assert np.abs(passing - RADIUS).mean() < 0.08 * pixel
+
+
+@pytest.mark.parametrize("off", [-0.02, 0.02])
+def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
+    mesh = ball(RADIUS + off)
+    fitted = fit_outlines(mesh.vertices, mesh.faces, covered(RADIUS), smoothing=2.0)
+    error = np.linalg.norm(fitted, axis=1) - RADIUS
+    # A pixel is 0.024; some vertices are touched by no outline and follow the others.
+    assert abs(error.mean()) < 0.001
+    assert np.abs(error).mean() < 0.002
+
+
+def test_what_no_outline_reaches_stays() -> None:
+    mesh = ball(RADIUS - 0.3)  # far more than the search reaches
+    fitted = fit_outlines(mesh.vertices, mesh.faces, covered(RADIUS), smoothing=2.0)
+    np.testing.assert_array_equal(fitted, mesh.vertices)

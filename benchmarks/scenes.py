@@ -38,7 +38,18 @@ class Run:
         command += ["--preset", self.preset, "--method", self.method]
         for setting in self.settings:
             command += ["--set", setting]
+        self.out.mkdir(parents=True, exist_ok=True)
+        self._commit_file.write_text(commit())
         subprocess.run(command, check=True)
+
+    @property
+    def commit(self) -> str:
+        """The commit that the run was made at."""
+        return self._commit_file.read_text()
+
+    @property
+    def _commit_file(self) -> Path:
+        return self.out / "commit.txt"
 
     def evaluate(self, evaluator: Path) -> dict[str, float]:
         """The reference evaluator's figures, kept beside the run."""
@@ -51,8 +62,16 @@ class Run:
 
 
 COLUMNS = (
-    "scene preset method seconds PSNR PSNR-object SSIM Chamfer F NC normal-error split-gain surfels volumes faces MiB"
+    "scene preset method seconds PSNR PSNR-object SSIM Chamfer F NC normal-error split-gain surfels volumes faces MiB "
+    "commit"
 )
+
+
+def commit() -> str:
+    """The working tree's commit, with a plus if files of it were changed since."""
+    head = ["git", "rev-parse", "--short", "HEAD"], ["git", "status", "--porcelain", "--untracked-files=no"]
+    name, changes = (subprocess.run(command, capture_output=True, text=True).stdout.strip() for command in head)
+    return name + ("+" if changes else "")
 
 
 def row(run: Run, evaluator: Path) -> list[str]:
@@ -67,16 +86,15 @@ def row(run: Run, evaluator: Path) -> list[str]:
     cells += [f"{100 * figures['normal_consistency']:.2f}", f"{figures['normal_mae_deg']:.2f}"]
     cells += [f"{figures['split_gain']:.2f}" if "split_gain" in figures else "-"]
     cells += [str(counts.get("surfels", 0)), str(counts.get("volumes", 0)), str(report["mesh"]["faces"])]
-    return [*cells, f"{report['peak_memory_mib']:.0f}"]
+    return [*cells, f"{report['peak_memory_mib']:.0f}", run.commit]
 
 
 def table(rows: list[list[str]]) -> str:
     """Markdown, with what it was made by."""
     head = COLUMNS.split()
     lines = ["| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *rows)]
-    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     machine = f"{platform.processor() or platform.machine()}, Python {platform.python_version()}"
-    made_by = f"`python {' '.join(sys.argv)}` at {commit}, {machine}"
+    made_by = f"`python {' '.join(sys.argv)}`, {machine}"
     return "\n".join([made_by, "", *lines, ""])
 
 

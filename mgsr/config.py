@@ -64,6 +64,7 @@ class MeshConfig:
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
     outline_smoothing: float | None = 2.0  # pixels over which a correction of the outlines spreads; none is off
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
+    smoothing: float | None = 2.0  # edges of Poisson's surface; what is finer is smoothed away; none is off
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
     voxel: float = 2.0  # footprints in a voxel of the TSDF
@@ -204,7 +205,7 @@ class VolumeConfig:
     split: bool = True  # off: no reflected half (3DGS)
     sh_degree: int = 2  # of the transmitted colour; low, so that it can't hold highlights (a flash needs 2 in sRGB)
     reflected_sh_degree: int = 3
-    max_start: int = 8_000  # splats; more starting points are thinned to this, by the seed
+    max_start: int = 10_000  # splats; more starting points are thinned to this, by the seed
     start_opacity: float = 0.5
     start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
     start_weight: float = 0.1  # beta; must lie inside (0, 1)
@@ -214,7 +215,7 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=14_000))
+    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000))
 
 
 @dataclass(frozen=True)
@@ -222,7 +223,7 @@ class WarmupConfig:
     """Each branch alone (supplement, Algorithm 1)."""
 
     surfel_iterations: int = 800  # at most
-    volume_iterations: int = 1500  # at most
+    volume_iterations: int = 2000  # at most
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
     epoch_span: int = 5  # epochs that are averaged and compared with as many before them
@@ -238,7 +239,7 @@ class WarmupConfig:
 class MutualConfig:
     """Both branches teach each other (supplement, Algorithm 2)."""
 
-    iterations: int = 1800
+    iterations: int = 3200
     iterations_factor: float = 1.0  # times `iterations`; Models G to J
     surfel_weight: float = 0.5  # of L_2D in the total
     volume_weight: float = 0.5  # of L_3D in the total

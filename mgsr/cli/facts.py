@@ -18,7 +18,8 @@ from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.mesh.surface import SurfaceMesh, topology
+from mgsr.geometry.triangles import topology
+from mgsr.mesh.surface import SurfaceMesh
 from mgsr.native.runtime import isas
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
 from mgsr.start.starting_points import StartingPoints

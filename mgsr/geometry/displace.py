@@ -1,10 +1,12 @@
-"""Vertices moved along their normals to where data wants them, and smoothly in between."""
+"""Vertices moved to where data wants them, and smoothly in between; and vertices smoothed."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
+
+from mgsr.geometry.triangles import vertex_normals
 
 
 def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
@@ -40,8 +42,22 @@ def smooth_displacements(
     wanted, weights [V]: where each vertex should go and how much that matters, which must be more than nothing.
     reach: over about how many edges a displacement of weight 1 spreads.
     """
+    return _solve(laplacian, weights, weights * wanted, reach)
+
+
+def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
+    """The vertices [V,3] moved along their normals until what is finer than about `reach` edges is gone; the coarser
+    shape does not shrink (a thin plate). For closed surfaces: a rim would be drawn in."""
+    laplacian = umbrella(faces, len(vertices))
+    normals = vertex_normals(vertices, faces).astype(np.float64)
+    bumps = ((laplacian @ vertices) * normals).sum(1)
+    moves = _solve(laplacian, np.ones(len(vertices)), -(reach**4) * (laplacian.T @ bumps), reach)
+    return vertices + moves[:, None] * normals
+
+
+def _solve(laplacian: sparse.csr_matrix, weights: np.ndarray, pull: np.ndarray, reach: float) -> np.ndarray:
+    """x [V] with (weights + reach^4 laplacian^T laplacian) x = pull."""
     matrix = (sparse.diags(weights) + reach**4 * (laplacian.T @ laplacian)).tocsr()
     diagonal = matrix.diagonal()
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
-    displacements, _ = cg(matrix, weights * wanted, rtol=1e-4, maxiter=500, M=jacobi)
-    return displacements
+    return cg(matrix, pull, rtol=1e-4, maxiter=500, M=jacobi)[0]

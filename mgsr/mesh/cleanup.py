@@ -9,8 +9,8 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
 from mgsr.mesh.consistency import Hull
-from mgsr.mesh.surface import boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
 
 Triangles = tuple[np.ndarray, np.ndarray]  # vertices [V,3], faces [F,3]
 

@@ -9,6 +9,8 @@ import numpy as np
 from mgsr.config import Extractor, MeshConfig
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
+from mgsr.geometry.displace import smooth_vertices
+from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
@@ -16,7 +18,7 @@ from mgsr.mesh.outlines import fit_outlines
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
-from mgsr.mesh.surface import SurfaceMesh, vertex_normals
+from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
 
@@ -58,6 +60,8 @@ def _by_poisson(
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
     vertices, faces = poisson_surface(points, config.poisson_depth)
+    if config.smoothing is not None:
+        vertices = smooth_vertices(vertices, faces, config.smoothing)
     if config.close_holes:
         return vertices, faces
     return trim_unsupported(vertices, faces, points, config.trim * cell)

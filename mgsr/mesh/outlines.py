@@ -16,7 +16,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
 from mgsr.geometry.raycast import RayCaster
-from mgsr.mesh.surface import vertex_normals
+from mgsr.geometry.triangles import vertex_normals
 
 SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
 STEP = 0.25  # pixels between two rays

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.geometry.triangles import keep_faces
 from mgsr.mesh.points import OrientedPoints
-from mgsr.mesh.surface import keep_faces
 from mgsr.open3d_library import load_open3d
 
 MARGIN = 1.1  # the octree's cube against the points' box

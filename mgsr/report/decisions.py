@@ -16,7 +16,10 @@ STOPS = {
 }
 STARTS = {
     "capture": ("of the capture's own", "they came with the cameras"),
-    "hull": ("on the visual hull", "the masks bound the object, and the capture brought too few points of it"),
+    "hull": (
+        "on the visual hull, carved where the photographs agree on a deeper place",
+        "the masks bound the object, and the capture brought too few points of it",
+    ),
     "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
 }
 METHODS = {

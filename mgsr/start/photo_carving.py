@@ -23,6 +23,7 @@ from mgsr.data.images import reduce_area
 from mgsr.data.scene import View
 from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, umbrella
 from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import vertex_normals
 
 MAX_SIDE = 400  # images are reduced to this side
 OFFSETS = np.arange(-8.0, 1.5)  # pixels along the outward normal
@@ -46,7 +47,7 @@ def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View
     looks = [_look(view) for view in views]
     noise = max(float(np.median([look.noise for look in looks])), MIN_NOISE)
     laplacian = umbrella(faces, len(vertices))
-    normals = mean_normals(_vertex_normals(vertices, faces), laplacian, rounds=3)
+    normals = mean_normals(vertex_normals(vertices, faces), laplacian, rounds=3)
     pixel = _pixel_size(vertices, looks)
     chosen = _frontal_views(RayCaster(vertices, faces), vertices, normals, looks, gap=pixel)
     agreement = _agreement(vertices, normals, looks, chosen, pixel, noise)
@@ -95,13 +96,6 @@ def _noise(channels: np.ndarray, inside: np.ndarray) -> float:
         return 0.0
     deviations = np.median(rough, axis=1) / 0.6745 / 20**0.5  # 20: the second difference's sum of squares
     return float(np.linalg.norm(deviations))
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    crosses, corners = np.repeat(np.cross(b - a, c - a), 3, axis=0), faces.ravel()
-    sums = np.stack([np.bincount(corners, crosses[:, axis], len(vertices)) for axis in range(3)], axis=1)
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
 
 
 def _pixel_size(vertices: np.ndarray, looks: Sequence[_Look]) -> float:

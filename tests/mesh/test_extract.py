@@ -10,8 +10,9 @@ import trimesh
 
 from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
+from mgsr.geometry.triangles import topology
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import SurfaceMesh, topology
+from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
 

@@ -13,7 +13,7 @@ def test_every_stage_says_why_it_ended() -> None:
     told = {each.what: each for each in tell_decisions(sample_report())}
     assert "stopped falling" in told["End of stage “2D alone”"].why
     assert "all planned" in told["End of stage “both”"].why
-    assert told["Starting points"].choice == "9,000 on the visual hull"
+    assert told["Starting points"].choice.startswith("9,000 on the visual hull, carved")
     assert told["Masks"].choice == "used" and told["Holes"].choice == "left open"
 
 

@@ -1,0 +1,72 @@
+"""What can be asked of a triangle mesh, given as vertices [V,3] and faces [F,3]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Counts of a mesh: connected components, edges with one face only, and the loops that these form (holes)."""
+
+    vertices: int
+    faces: int
+    components: int
+    boundary_edges: int
+    holes: int
+
+
+def face_crosses(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Facet normals [F,3], as long as twice the facet's area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals [V,3] float32, the area-weighted mean of the faces around; 0 for a vertex without a face."""
+    crosses = face_crosses(vertices, faces)
+    corners = faces.ravel()
+    sums = np.stack(
+        [np.bincount(corners, np.repeat(crosses[:, axis], 3), len(vertices)) for axis in range(3)], axis=1
+    )
+    return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
+
+
+def face_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.ndarray]:
+    """How many connected pieces the faces form, and each face's piece [F]; faces are joined by shared vertices."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(edges), bool), edges.T), (vertex_count, vertex_count))
+    _, labels = connected_components(graph, directed=False)
+    used, pieces = np.unique(labels[faces[:, 0]], return_inverse=True)
+    return len(used), pieces
+
+
+def boundary_loops(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edges [E,2] that belong to one face only, in that face's direction, and the loop of each [E]; loops that touch
+    in a vertex count as one."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    _, index, counts = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    rim = edges[index[counts == 1]]
+    if len(rim) == 0:
+        return rim, np.zeros(0, np.int64)
+    graph = coo_matrix((np.ones(len(rim), bool), rim.T), (rim.max() + 1,) * 2)
+    _, labels = connected_components(graph, directed=False)
+    return rim, np.unique(labels[rim[:, 0]], return_inverse=True)[1]
+
+
+def topology(vertices: np.ndarray, faces: np.ndarray) -> Topology:
+    """Count the mesh's pieces and holes (`boundary_loops`)."""
+    rim, loops = boundary_loops(faces)
+    pieces = face_components(faces, len(vertices))[0] if len(faces) else 0
+    return Topology(len(vertices), len(faces), pieces, len(rim), len(np.unique(loops)))
+
+
+def keep_faces(vertices: np.ndarray, faces: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh of the faces where keep [F] is True, without the vertices that no face uses any more."""
+    faces = faces[keep]
+    used, inverse = np.unique(faces, return_inverse=True)
+    return vertices[used], inverse.reshape(-1, 3)

@@ -68,9 +68,9 @@ COLUMNS = (
 
 
 def commit() -> str:
-    """The working tree's commit, with a plus if files of it were changed since."""
-    head = ["git", "rev-parse", "--short", "HEAD"], ["git", "status", "--porcelain", "--untracked-files=no"]
-    name, changes = (subprocess.run(command, capture_output=True, text=True).stdout.strip() for command in head)
+    """The working tree's commit, with a plus if the program was changed since."""
+    asked = ["git", "rev-parse", "--short", "HEAD"], ["git", "status", "--porcelain", "--", "mgsr", "worker"]
+    name, changes = (subprocess.run(command, capture_output=True, text=True).stdout.strip() for command in asked)
     return name + ("+" if changes else "")
 
 

@@ -259,6 +259,7 @@ class WatchConfig:
     preview_every: int | None = None  # iterations between previews; none is never
     check_every: int = 25  # iterations between checks for non-finite numbers
     checkpoint_every: int = 1000  # iterations between checkpoints, where a path is given
+    checkpoint_seconds: float | None = None  # and at most so long between two; none is any time
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled, TrainingError
 from mgsr.losses.objective import Terms
 from mgsr.training.branch import Branch
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
-from mgsr.training.evaluate import mean_psnr, render_color
+from mgsr.training.evaluate import mean_psnr
 from mgsr.training.plan import Plan
+from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
 from mgsr.training.stages import Stage, Step
 from mgsr.training.views import pick_background, plain_background
@@ -54,6 +53,7 @@ class Trainer:
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
         self._clock_start = time.perf_counter()
+        self._saved_at = 0.0
 
     @property
     def seconds(self) -> float:
@@ -74,6 +74,7 @@ class Trainer:
         """Write a checkpoint, if there is a path for it."""
         if self.checkpoint_path is not None:
             save_checkpoint(self.checkpoint_path, self.state())
+        self._saved_at = self.seconds
 
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the run depends on, as plain values and tensors."""
@@ -93,6 +94,7 @@ class Trainer:
         state = load_checkpoint(self.checkpoint_path, self.fingerprint)
         self.stage_index = state["stage_index"]
         self._clock_start = time.perf_counter() - state["seconds"]
+        self._saved_at = state["seconds"]
         for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
             stage.restore(saved)
         for branch in self.plan.branches:
@@ -170,8 +172,12 @@ class Trainer:
             self.curve.append(self._curve_row(stage))
         if self.progress is not None and (last or iteration % watch.report_every == 0):
             self.progress(self._report(stage, terms, last))
-        if iteration % watch.checkpoint_every == 0 and not last:
+        if (iteration % watch.checkpoint_every == 0 or self._checkpoint_overdue()) and not last:
             self.save()
+
+    def _checkpoint_overdue(self) -> bool:
+        longest = self.config.watch.checkpoint_seconds
+        return longest is not None and self.seconds - self._saved_at >= longest
 
     def _curve_row(self, stage: Stage) -> CurveRow:
         psnr = {branch.name: self._psnr(branch) for branch in self.plan.branches}
@@ -205,18 +211,8 @@ class Trainer:
             losses={name: float(term.detach()) for name, term in terms.items()},
             counts=self._counts(),
             psnr=self.curve[-1].psnr if self.curve else None,
-            previews=self._previews() if due else {},
+            previews=preview_pictures(self.plan, plain_background(self.config.background)) if due else {},
         )
 
     def _counts(self) -> dict[str, int]:
         return {branch.name: len(branch.model) for branch in self.plan.branches}
-
-    def _previews(self) -> dict[str, np.ndarray]:
-        view = (self.plan.curve_views or self.plan.stages[-1].views)[0]
-        background = plain_background(self.config.background)
-        images = {branch.name: render_color(branch.model, view, background) for branch in self.plan.branches}
-        return {name: _as_bytes(image) for name, image in images.items()}
-
-
-def _as_bytes(image: Tensor) -> np.ndarray:
-    return (image.clamp(0, 1) * 255).round().to(torch.uint8).numpy()

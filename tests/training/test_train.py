@@ -28,6 +28,11 @@ SHORT = [
     "curve_every=20",
     "check_every=5",
 ]
+PREVIEWS = {
+    "mgsr": {"render", "normals", "transmitted", "reflected"},
+    "2dgs": {"render", "normals"},
+    "3dgs": {"render"},
+}
 
 
 def short(method: str = "mgsr", *overrides: str) -> Config:
@@ -72,7 +77,7 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
     assert (result.surfels is None, result.volumes is None) == (method == "3dgs", method == "2dgs")
     assert all(np.isfinite(row.psnr) for row in result.curve)
     assert reports[-1].done == 1.0
-    assert reports[-1].previews
+    assert set(reports[-1].previews) == PREVIEWS[method]
     assert not any(tensor.requires_grad for tensor in tensors(result).values())
 
 
@@ -172,3 +177,10 @@ def test_too_little_to_start_from() -> None:
     points = ball_points(3)
     with pytest.raises(TrainingError, match="at least 4"):
         train(ball_scene(32), Points(points.positions, None, points.colors), short())
+
+
+def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
+    path, seen = tmp_path / "checkpoint", []
+    config = short("2dgs", "report_every=5", "checkpoint_seconds=0")
+    train(ball_scene(32), ball_points(), config, lambda report: seen.append(path.exists()), checkpoint_path=path)
+    assert seen[1]  # in the first stage, long before the first 1000 iterations

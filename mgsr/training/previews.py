@@ -1,0 +1,32 @@
+"""Pictures of a view while training goes on, for the person who waits."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mgsr.render.surfels import render_surfels
+from mgsr.render.volumes import render_volumes
+from mgsr.training.plan import Plan
+from mgsr.training.views import Color
+
+
+@torch.no_grad()
+def preview_pictures(plan: Plan, background: Color) -> dict[str, np.ndarray]:
+    """Pictures uint8 [H,W,3] of the first view that the curve looks at, or else the first to train on.
+
+    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey where
+    nothing is; transmitted and reflected: the halves of the light, where it is split.
+    """
+    view = (plan.curve_views or plan.stages[-1].views)[0]
+    images: dict[str, Tensor] = {}
+    if plan.surfels is not None:
+        flat = render_surfels(plan.surfels.model, view.camera, torch.tensor(background))
+        images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}
+    if plan.volumes is not None:
+        full = render_volumes(plan.volumes.model, view.camera, torch.tensor(background), depth=False)
+        images["render"] = full.color
+        if full.reflected is not None and full.weight is not None:
+            images |= {"transmitted": full.transmitted, "reflected": full.weight[..., None] * full.reflected}
+    return {name: (image.clamp(0, 1) * 255).round().to(torch.uint8).numpy() for name, image in images.items()}

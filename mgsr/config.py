@@ -64,9 +64,10 @@ class MeshConfig:
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
     outline_smoothing: float | None = 2.0  # pixels over which a correction of the outlines spreads; none is off
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
-    smoothing: float | None = 2.0  # edges of Poisson's surface; what is finer is smoothed away; none is off
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
+    flash_ratio: float | None = 0.8  # shading by a light on the camera refines the mesh if it leaves at most this share
+    # of what one colour for all views leaves; none is off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen

@@ -110,7 +110,7 @@ def train_only(
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
     """The surface in the user's frame. Raises MeshError, with the reason, where none comes out."""
-    mesh = extract_mesh(surface_views(models, scene, config), config.mesh, scene_silhouettes(scene))
+    mesh = extract_mesh(surface_views(models, scene, config), config.mesh, scene_silhouettes(scene), scene.train)
     return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,3 +49,8 @@ class Camera:
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return local[:, :2] / safe[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth
+
+
+def pixel_size(cameras: Sequence[Camera], place: np.ndarray) -> float:
+    """A pixel's size at a place [3] in the world, in the world's unit: the median over the cameras."""
+    return float(np.median([np.linalg.norm(camera.center - place) / camera.K[0, 0] for camera in cameras]))

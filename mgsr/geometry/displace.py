@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.triangles import boundary_loops, vertex_normals
 
 
 def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
@@ -42,22 +42,49 @@ def smooth_displacements(
     wanted, weights [V]: where each vertex should go and how much that matters, which must be more than nothing.
     reach: over about how many edges a displacement of weight 1 spreads.
     """
-    return _solve(laplacian, weights, weights * wanted, reach)
+    return _solve(_plate(laplacian, weights, reach), weights * wanted)
 
 
 def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
     """The vertices [V,3] moved along their normals until what is finer than about `reach` edges is gone; the coarser
-    shape does not shrink (a thin plate). For closed surfaces: a rim would be drawn in."""
+    shape does not shrink (a thin plate). The rims of open surfaces are free."""
     laplacian = umbrella(faces, len(vertices))
+    inner = np.ones(len(vertices))
+    inner[boundary_loops(faces)[0]] = 0
+    laplacian = (sparse.diags(inner) @ laplacian).tocsr()
     normals = vertex_normals(vertices, faces).astype(np.float64)
     bumps = ((laplacian @ vertices) * normals).sum(1)
-    moves = _solve(laplacian, np.ones(len(vertices)), -(reach**4) * (laplacian.T @ bumps), reach)
+    moves = _solve(_plate(laplacian, np.ones(len(vertices)), reach), -(reach**4) * (laplacian.T @ bumps))
     return vertices + moves[:, None] * normals
 
 
-def _solve(laplacian: sparse.csr_matrix, weights: np.ndarray, pull: np.ndarray, reach: float) -> np.ndarray:
-    """x [V] with (weights + reach^4 laplacian^T laplacian) x = pull."""
-    matrix = (sparse.diags(weights) + reach**4 * (laplacian.T @ laplacian)).tocsr()
+def bend_to_normals(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, wanted: np.ndarray, sure: np.ndarray, strength: float
+) -> np.ndarray:
+    """The displacements [V] along the vertex normals [V,3] after which the edges lie across the wanted normals [V,3].
+
+    They minimise sum x^2 + strength * sum over edges (component of the edge along its mean wanted normal)^2; edges
+    count where both ends are sure [V] bool.
+    """
+    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    sides = np.unique(np.sort(sides, axis=1), axis=0)
+    first, second = sides[sure[sides].all(axis=1)].T
+    across = wanted[first] + wanted[second]
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    row = np.arange(len(first))
+    shares = np.concatenate([-(normals[first] * across).sum(1), (normals[second] * across).sum(1)])
+    places = (np.concatenate([row, row]), np.concatenate([first, second]))
+    slopes = sparse.coo_matrix((shares, places), (len(first), len(vertices))).tocsr()
+    tilt = ((vertices[second] - vertices[first]) * across).sum(1)
+    matrix = (sparse.identity(len(vertices)) + strength * (slopes.T @ slopes)).tocsr()
+    return _solve(matrix, -strength * (slopes.T @ tilt))
+
+
+def _plate(laplacian: sparse.csr_matrix, weights: np.ndarray, reach: float) -> sparse.csr_matrix:
+    return (sparse.diags(weights) + reach**4 * (laplacian.T @ laplacian)).tocsr()
+
+
+def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
     diagonal = matrix.diagonal()
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
-    return cg(matrix, pull, rtol=1e-4, maxiter=500, M=jacobi)[0]
+    return cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.config import Extractor, MeshConfig
+from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
-from mgsr.geometry.displace import smooth_vertices
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.flash import refine_by_flash
 from mgsr.mesh.outlines import fit_outlines
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
@@ -24,12 +25,17 @@ from mgsr.mesh.views import SurfaceView
 
 
 def extract_mesh(
-    views: Sequence[SurfaceView], config: MeshConfig, silhouettes: Sequence[Silhouette] = (), threads: int | None = None
+    views: Sequence[SurfaceView],
+    config: MeshConfig,
+    silhouettes: Sequence[Silhouette] = (),
+    photographs: Sequence[View] = (),
+    threads: int | None = None,
 ) -> SurfaceMesh:
     """The surface that the views show, in their frame.
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
+    photographs: the training views; if a flash on the camera lit them, their shading refines the mesh.
     threads: cores to use; None is all of them.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -40,7 +46,7 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    return _finish(vertices, faces, views, config, size, hull, silhouettes, threads)
+    return _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads)
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -60,8 +66,6 @@ def _by_poisson(
     if len(points) < 4:
         raise MeshError(_all_dropped(config))
     vertices, faces = poisson_surface(points, config.poisson_depth)
-    if config.smoothing is not None:
-        vertices = smooth_vertices(vertices, faces, config.smoothing)
     if config.close_holes:
         return vertices, faces
     return trim_unsupported(vertices, faces, points, config.trim * cell)
@@ -93,6 +97,7 @@ def _finish(
     size: float,
     hull: Hull | None,
     silhouettes: Sequence[Silhouette],
+    photographs: Sequence[View],
     threads: int | None,
 ) -> SurfaceMesh:
     """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
@@ -109,6 +114,8 @@ def _finish(
     _require_faces(faces, "no camera sees any of the surface", config)
     if silhouettes and config.outline_smoothing is not None:
         vertices = fit_outlines(vertices, faces, silhouettes, config.outline_smoothing)
+    if photographs and config.flash_ratio is not None:
+        vertices = refine_by_flash(vertices, faces, photographs, config.flash_ratio, threads)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:

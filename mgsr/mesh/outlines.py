@@ -14,13 +14,14 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.silhouettes import Silhouette
-from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
+from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import vertex_normals
 
 SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
 STEP = 0.25  # pixels between two rays
 FACING = 0.5  # least cosine between a vertex normal and the outline's direction
+ROUGHNESS = 2.0  # edges; outlines found at single vertices leave it, and it is smoothed away
 STAY = 0.02  # a vertex that no outline touches follows its surroundings, but not for ever
 
 
@@ -67,7 +68,7 @@ def fit_outlines(
         moves = smooth_displacements(laplacian, wanted, held + STAY, reach)
         limit = SEARCH * pixel
         vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
-    return vertices
+    return smooth_vertices(vertices, faces, ROUGHNESS)
 
 
 def _gather(

@@ -18,7 +18,7 @@ import torch.nn.functional as functional
 from scipy import sparse
 from torch import Tensor
 
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.images import reduce_area
 from mgsr.data.scene import View
 from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, umbrella
@@ -48,7 +48,7 @@ def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View
     noise = max(float(np.median([look.noise for look in looks])), MIN_NOISE)
     laplacian = umbrella(faces, len(vertices))
     normals = mean_normals(vertex_normals(vertices, faces), laplacian, rounds=3)
-    pixel = _pixel_size(vertices, looks)
+    pixel = pixel_size([look.camera for look in looks], vertices.mean(axis=0))
     chosen = _frontal_views(RayCaster(vertices, faces), vertices, normals, looks, gap=pixel)
     agreement = _agreement(vertices, normals, looks, chosen, pixel, noise)
     wanted, sure = _deeper(_pooled(agreement, laplacian, POOL * pixel / edge_length(vertices, faces)))
@@ -96,12 +96,6 @@ def _noise(channels: np.ndarray, inside: np.ndarray) -> float:
         return 0.0
     deviations = np.median(rough, axis=1) / 0.6745 / 20**0.5  # 20: the second difference's sum of squares
     return float(np.linalg.norm(deviations))
-
-
-def _pixel_size(vertices: np.ndarray, looks: Sequence[_Look]) -> float:
-    """A pixel's size at the object's middle, the median over the views."""
-    middle = vertices.mean(axis=0)
-    return float(np.median([np.linalg.norm(look.camera.center - middle) / look.camera.K[0, 0] for look in looks]))
 
 
 def _frontal_views(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
+from mgsr.geometry.displace import bend_to_normals, edge_length, smooth_displacements, smooth_vertices, umbrella
 from tests.mesh.shapes import ball
 
 MESH = ball(0.7)
@@ -47,3 +47,18 @@ def test_smoothing_takes_the_noise_and_leaves_the_ball() -> None:
     radii = np.linalg.norm(smooth, axis=1)
     assert radii.mean() == pytest.approx(0.7, abs=2e-4)
     assert radii.std() < 0.4 * np.linalg.norm(rough, axis=1).std()
+
+
+def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
+    across, along = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, 41), np.linspace(0, 1, 41)))
+    grid = np.arange(41 * 41).reshape(41, 41)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    flat = np.stack([across, along, 0 * across], axis=1)
+    wave, slope = 0.02 * np.sin(4 * np.pi * across), 0.08 * np.pi * np.cos(4 * np.pi * across)
+    wanted = np.stack([-slope, 0 * slope, np.ones_like(slope)], axis=1) / np.sqrt(1 + slope**2)[:, None]
+    up = np.tile([0.0, 0.0, 1.0], (len(flat), 1))
+    sure = np.ones(len(flat), bool)
+    moves = bend_to_normals(flat, faces, up, wanted, sure, strength=1e4)
+    assert np.abs(moves - wave).max() < 0.002
+    assert not bend_to_normals(flat, faces, up, wanted, ~sure, strength=1e4).any()

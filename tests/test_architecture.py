@@ -24,11 +24,14 @@ LAYERS = (
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
     ("cli",),
+    ("service",),
     ("worker",),
+    ("program",),
 )
 # Parts of one row that may look at a neighbour, and why it is no cycle.
 NEIGHBOURS = {("errors", "checks"), ("errors", "config"), ("errors", "open3d_library")}
-OUTSIDE = {"redis", "rq", "fastapi", "uvicorn", "service", "worker"}
+OUTSIDE = {"redis", "rq", "obstore", "fastapi", "uvicorn", "httpx", "service", "worker", "program"}
+BESIDE = ("service", "worker", "program")
 
 
 def rank(part: str) -> int:
@@ -55,12 +58,15 @@ def imports(path: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("path", sources("mgsr") + sources("worker"), ids=lambda path: str(path.relative_to(ROOT)))
+ALL = [path for folder in ("mgsr", *BESIDE) for path in sources(folder)]
+
+
+@pytest.mark.parametrize("path", ALL, ids=lambda path: str(path.relative_to(ROOT)))
 def test_a_row_imports_only_rows_below_it(path: Path) -> None:
     own = part_of(path)
     for name in imports(path):
         names = name.split(".")
-        if names[0] not in ("mgsr", "worker") or name == "mgsr" or own == "__init__":
+        if names[0] not in ("mgsr", *BESIDE) or name == "mgsr" or own == "__init__":
             continue
         other = names[1] if names[0] == "mgsr" else names[0]
         if other == "__version__" or other == own or (other, own) in NEIGHBOURS:
@@ -71,6 +77,25 @@ def test_a_row_imports_only_rows_below_it(path: Path) -> None:
 @pytest.mark.parametrize("path", sources("mgsr"), ids=lambda path: str(path.relative_to(ROOT)))
 def test_the_library_knows_nothing_of_jobs(path: Path) -> None:
     assert not {name.split(".")[0] for name in imports(path)} & OUTSIDE
+
+
+@pytest.mark.parametrize("path", sources("service"), ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_service_knows_nothing_of_the_library(path: Path) -> None:
+    """It enqueues by dotted name, and starts the worker as a program."""
+    assert not {name.split(".")[0] for name in imports(path)} & {"mgsr", "torch", "numpy", "worker", "program"}
+
+
+@pytest.mark.parametrize("path", sources("service/contract"), ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_contract_knows_nothing_of_http(path: Path) -> None:
+    names = list(imports(path))
+    assert not {name.split(".")[0] for name in names} & {"fastapi", "starlette", "uvicorn", "httpx"}
+    assert all(name.startswith("service.contract.") for name in names if name.startswith("service"))
+
+
+@pytest.mark.parametrize("path", sources("worker"), ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_worker_shares_only_the_contract_with_the_service(path: Path) -> None:
+    used = {name for name in imports(path) if name.split(".")[0] == "service"}
+    assert all(name.startswith("service.contract") for name in used), used
 
 
 def test_every_part_has_its_row() -> None:

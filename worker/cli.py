@@ -1,18 +1,35 @@
-"""`mgsr-worker`: the same run as `mgsr run`, as the entry of unattended machines."""
+"""`mgsr-worker`: takes jobs of the service; `mgsr-worker run` makes one run on this machine, as `mgsr run` does."""
 
 from __future__ import annotations
+
+from typing import Annotated
 
 import typer
 
 from mgsr.cli.run import run
+from service.contract.errors import refusals
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 app.command()(run)
 
+GpusOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="all|0,1", help="One worker for each of these NVIDIA cards; jobs that ask for a card go there."
+    ),
+]
 
-@app.callback()
-def main() -> None:
-    """Reconstructs scenes. One command a job."""
+
+@app.callback(invoke_without_command=True)
+def main(context: typer.Context, gpus: GpusOption = None) -> None:
+    """Takes jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE until it is stopped; a job that runs then
+    writes a checkpoint and goes back. With `run`, makes one run here, and needs neither."""
+    if context.invoked_subcommand is not None:
+        return
+    with refusals():
+        from worker.start import start_workers
+
+        start_workers(gpus)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,1 @@
+"""The console program `mgsr`: the library's commands and the service's, which know nothing of each other."""

@@ -1,0 +1,11 @@
+"""`mgsr`, also as `python -m program`."""
+
+from __future__ import annotations
+
+from mgsr.cli.main import app
+from service.commands import add_commands
+
+add_commands(app)
+
+if __name__ == "__main__":
+    app(prog_name="mgsr")

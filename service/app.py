@@ -1,0 +1,100 @@
+"""Puts the service together."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+
+from fastapi import FastAPI
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import RedirectResponse
+from redis import RedisError
+from redis.asyncio import Redis as AsyncRedis
+
+from service.contract.errors import StoreError
+from service.contract.jobs import Jobs
+from service.contract.live import Live
+from service.contract.options import LIBRARY
+from service.contract.queue import JobQueue, connect
+from service.contract.recovery import PERIOD, Recovery
+from service.contract.settings import Settings
+from service.contract.store import Store
+from service.events import EventHub
+from service.guards import LocalGuard
+from service.keys import Keys
+from service.metrics import Metrics, MetricsMiddleware
+from service.openapi import describe
+from service.parts import Parts
+from service.problems import install
+from service.routes import artifacts, health, jobs, options
+from service.snapshots import Snapshots
+
+log = logging.getLogger("mgsr.service")
+
+# Seconds for which a request waits for a store that doesn't answer.
+STORE_PATIENCE = 4.0
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The service. Raises SetupError where no Redis server is named, StoreError where the store can't be opened."""
+    parts = _make_parts(settings)
+    app = FastAPI(
+        title="MGSR",
+        version=LIBRARY["version"],
+        description="Posed photographs in, surface mesh and clean renders out.",
+        lifespan=_lifespan,
+    )
+    app.state.parts = parts
+    install(app)
+    for routes in (jobs.router, artifacts.router, options.router, health.router):
+        app.include_router(routes)
+    app.add_api_route("/", lambda: RedirectResponse("docs", 307), include_in_schema=False)
+    app.add_middleware(MetricsMiddleware, metrics=parts.metrics)
+    hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
+    app.add_middleware(LocalGuard, keys_needed=lambda: parts.keys.needed_cached, hosts=hosts)
+    describe(app)
+    return app
+
+
+def _make_parts(settings: Settings) -> Parts:
+    url = settings.need_redis()
+    redis, store = connect(url), Store(settings.store_url, STORE_PATIENCE)
+    several = AsyncRedis.from_url(url, socket_timeout=5.0, socket_connect_timeout=2.0)
+    made, queue = Jobs(store), JobQueue(redis)
+    snapshots = Snapshots(made, queue, several)
+    return Parts(
+        settings=settings,
+        jobs=made,
+        keys=Keys(store),
+        live=Live(redis),
+        queue=queue,
+        redis=several,
+        snapshots=snapshots,
+        hub=EventHub(several, snapshots),
+        metrics=Metrics(made, queue),
+    )
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    parts: Parts = app.state.parts
+    recovering = asyncio.create_task(_recover(parts))
+    yield
+    recovering.cancel()
+    with suppress(asyncio.CancelledError):
+        await recovering
+    await parts.redis.aclose()
+
+
+async def _recover(parts: Parts) -> None:
+    """Look for lost jobs as the workers do: a service alone must notice a cancel of a job that no worker has."""
+    recovery = Recovery(parts.jobs, parts.live, parts.queue)
+    while True:
+        try:
+            await run_in_threadpool(parts.keys.needed)
+            await run_in_threadpool(recovery.look)
+        except (RedisError, StoreError) as error:
+            log.warning("recovery: trying again: %s", error)
+        await asyncio.sleep(PERIOD)

@@ -1,0 +1,61 @@
+"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own."""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+from typing import Annotated
+
+import typer
+
+from service.contract.errors import SetupError, refusals
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
+PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=0, max=65535)]
+
+
+@app.command()
+def main(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
+    """Serve the API, with the queue at MGSR_REDIS_URL and the store at MGSR_STORE."""
+    with refusals():
+        serve_api(host, port)
+
+
+def serve_api(host: str, port: int) -> None:
+    """Answer requests until SIGTERM or SIGINT. Raises SetupError where the settings can't work."""
+    import uvicorn
+
+    from service.app import create_app
+    from service.contract.settings import Settings
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(message)s")
+    app = create_app(Settings())
+    if not app.state.parts.keys.needed() and not is_loopback(host):
+        raise SetupError(
+            f"--host {host}: without keys the service listens to this machine alone (127.0.0.1); make one with "
+            "`mgsr keys create NAME` first"
+        )
+    uvicorn.run(
+        app,
+        host=host,
+        port=port,
+        log_level="warning",
+        access_log=False,
+        timeout_graceful_shutdown=3,
+        timeout_keep_alive=30,
+        server_header=False,
+    )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach an address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+if __name__ == "__main__":
+    app()

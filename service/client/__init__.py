@@ -1,0 +1,1 @@
+"""A client of the service: sends a capture, follows its job, fetches the results."""

@@ -1,0 +1,147 @@
+"""The service's addresses as calls. A server that is away for a while is asked again; nothing is sent twice for that,
+because each submit carries an idempotency key."""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import httpx
+
+CHUNK = 1 << 18
+TRIES = 8
+_AGAIN = {429, 502, 503, 504}
+
+Job = dict[str, Any]
+
+
+class ServiceRefusal(Exception):
+    """The service has answered with a problem. code: stable, for programs."""
+
+    def __init__(self, status: int, code: str, detail: str) -> None:
+        super().__init__(detail)
+        self.status, self.code = status, code
+
+
+class Client:
+    """One service. Use in `with`. Methods raise ServiceRefusal, and httpx.HTTPError where nobody answers for long."""
+
+    def __init__(self, server: str, key: str | None) -> None:
+        headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self._http = httpx.Client(base_url=server.rstrip("/"), headers=headers, timeout=60.0, follow_redirects=False)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    def submit(self, archive: Path, options: str, sent: Callable[[int], None]) -> Job:
+        """Send an archive with its options (JSON); the job. sent: told of each chunk's size."""
+        key = uuid.uuid4().hex
+        size = str(archive.stat().st_size)
+
+        def send() -> httpx.Response:
+            return self._http.post(
+                "/jobs",
+                params={"options": options},
+                headers={"Content-Type": "application/octet-stream", "Content-Length": size, "Idempotency-Key": key},
+                content=_chunks(archive, sent),
+            )
+
+        return _again(send).json()
+
+    def job(self, job: str) -> Job:
+        """How it stands."""
+        return _again(lambda: self._http.get(f"/jobs/{job}")).json()
+
+    def cancel(self, job: str) -> Job:
+        """Ask it to stop."""
+        return _again(lambda: self._http.delete(f"/jobs/{job}")).json()
+
+    def artifacts(self, job: str) -> list[dict[str, Any]]:
+        """The result files: name, size, sha256."""
+        return _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
+
+    def download(self, job: str, name: str, path: Path) -> None:
+        """Write a result file to `path`."""
+        answer = _again(lambda: self._http.get(f"/jobs/{job}/artifacts/{name}"))
+        if answer.status_code == 307:  # another host: the key is not for it
+            answer = _again(lambda: httpx.get(answer.headers["Location"], timeout=60.0))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(answer.content)
+
+    def follow(self, job: str) -> Iterator[Job]:
+        """The job's fields as they change, the whole job last. Goes on where it was if the connection ends."""
+        last, known = "", self.job(job)
+        yield known
+        while known["status"] in ("queued", "running"):
+            headers = {"Last-Event-ID": last} if last else {}
+            try:
+                with self._http.stream("GET", f"/jobs/{job}/events", headers=headers, timeout=40.0) as answer:
+                    _check(answer)
+                    for number, data in _events(answer.iter_lines()):
+                        last = number or last
+                        known |= data
+                        yield known
+            except httpx.HTTPError:
+                time.sleep(1.0)
+            known = self.job(job)
+        yield known
+
+
+def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
+    """Id and data of each event that changes what is shown."""
+    number = kind = data = ""
+    for line in lines:
+        field, _, value = line.partition(": ")
+        if field == "id":
+            number = value
+        elif field == "event":
+            kind = value
+        elif field == "data":
+            data = value
+        elif not line and data:
+            if kind in ("job", "progress"):
+                yield number, json.loads(data)
+            number = kind = data = ""
+
+
+def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
+    """The answer, asked for again while the server is away or busy."""
+    for attempt in range(TRIES):
+        try:
+            answer = send()
+        except httpx.TransportError:
+            if attempt == TRIES - 1:
+                raise
+        else:
+            if answer.status_code not in _AGAIN or attempt == TRIES - 1:
+                return _check(answer)
+        time.sleep(min(0.5 * 2**attempt, 8.0))
+    raise AssertionError("unreachable")
+
+
+def _check(answer: httpx.Response) -> httpx.Response:
+    if answer.status_code < 400:
+        return answer
+    answer.read()
+    try:
+        problem = answer.json()
+        raise ServiceRefusal(answer.status_code, problem["code"], problem["detail"])
+    except (ValueError, KeyError, TypeError):
+        raise ServiceRefusal(answer.status_code, "unknown", f"HTTP {answer.status_code}: {answer.text[:200]}") from None
+
+
+def _chunks(path: Path, sent: Callable[[int], None]) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        while chunk := file.read(CHUNK):
+            yield chunk
+            sent(len(chunk))

@@ -1,0 +1,106 @@
+"""`mgsr submit`: zips a scene, sends it, follows the job and fetches what came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+from service.client.api import Client, Job, ServiceRefusal
+from service.contract.errors import SetupError
+from service.contract.options import JobOptions
+
+FAILED = 1
+INTERRUPTED = 130
+
+
+def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions, out: Path | None) -> int:
+    """Send the scene; with `out` also wait for it and put its results there. The program's exit code.
+
+    Raises SetupError where the scene can't be sent or the service refuses it.
+    """
+    console = Console(highlight=False)
+    try:
+        with Client(server, key) as client, _archive(scene) as archive:
+            job = _send(client, archive, options, console)
+            console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
+            return 0 if out is None else _wait(client, job["id"], out, console)
+    except ServiceRefusal as refusal:
+        raise SetupError(f"{server} refuses: {refusal} ({refusal.code})") from refusal
+    except httpx.HTTPError as error:
+        raise SetupError(f"{server} doesn't answer: {error}; is `mgsr serve` running there?") from error
+    except KeyboardInterrupt:
+        console.print("the job goes on without this program; ask the service for it by its id")
+        return INTERRUPTED
+
+
+@contextmanager
+def _archive(scene: Path) -> Iterator[Path]:
+    """The scene as one file: itself, or a folder's files in a zip, hidden ones left out."""
+    if scene.is_file():
+        yield scene
+        return
+    if not scene.is_dir():
+        raise SetupError(f"{scene}: expected a folder or an archive of posed photographs; there is nothing")
+    with tempfile.NamedTemporaryFile(suffix=".zip") as made:
+        with zipfile.ZipFile(made, "w", zipfile.ZIP_STORED) as target:  # photographs are compressed already
+            for path in sorted(scene.rglob("*")):
+                name = path.relative_to(scene)
+                if path.is_file() and not any(part.startswith(".") for part in name.parts):
+                    target.write(path, name.as_posix())
+        made.flush()
+        yield Path(made.name)
+
+
+def _send(client: Client, archive: Path, options: JobOptions, console: Console) -> Job:
+    with Progress(TextColumn("sending"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
+        task = bar.add_task("sending", total=archive.stat().st_size)
+        return client.submit(archive, options.model_dump_json(), lambda count: bar.advance(task, count))
+
+
+def _wait(client: Client, job: str, out: Path, console: Console) -> int:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f}%"))
+    said = ""
+    with Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[detail]}"), console=console) as bar:
+        task = bar.add_task("queued", total=1.0, detail="")
+        for now in client.follow(job):
+            bar.update(task, description=_place(now), completed=now["progress"], detail=_detail(now))
+            if not console.is_terminal and (line := _place(now)) != said:
+                said = line
+                console.print(line)
+    return _fetch(client, now, out, console)
+
+
+def _place(job: Job) -> str:
+    if job["status"] != "running":
+        return str(job["status"])
+    return f"{job.get('step') or 'starting'} {job.get('stage') or ''}".strip()
+
+
+def _detail(job: Job) -> str:
+    left, psnr = job.get("eta_seconds"), job.get("psnr")
+    parts = [] if left is None else [f"about {left:.0f} s left"]
+    return ", ".join(parts if psnr is None else [*parts, f"{psnr:.1f} dB"])
+
+
+def _fetch(client: Client, job: Job, out: Path, console: Console) -> int:
+    if job["status"] != "succeeded":
+        error = job.get("error")
+        text = f"{error['message']} ({error['code']})" if error else "by request"
+        console.print(f"{job['status']}: {text}", soft_wrap=True)
+        return FAILED
+    for artifact in client.artifacts(job["id"]):
+        path = out / artifact["name"]
+        client.download(job["id"], artifact["name"], path)
+        with path.open("rb") as file:
+            if hashlib.file_digest(file, "sha256").hexdigest() != artifact["sha256"]:
+                raise SetupError(f"{path}: came damaged; fetch it again from the job's address")
+    console.print(f"mesh   {out / 'mesh.ply'}\nreport {out / 'report.html'}", soft_wrap=True)
+    return 0

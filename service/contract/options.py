@@ -1,0 +1,150 @@
+"""What a job may ask for. The library is not loaded for it: `library.json`, which `python -m worker.describe` writes
+and a test compares, says what its settings are. What only the library can judge, the worker refuses as `bad_option`."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+LIBRARY: dict[str, Any] = json.loads(Path(__file__).with_name("library.json").read_text(encoding="utf-8"))
+PRESETS: dict[str, dict[str, str]] = LIBRARY["presets"]
+METHODS: dict[str, dict[str, str]] = LIBRARY["methods"]
+SETTINGS: dict[str, dict[str, Any]] = LIBRARY["settings"]
+
+Preset = StrEnum("Preset", {name.upper(): name for name in PRESETS})  # type: ignore[misc]
+Method = StrEnum("Method", {"M_" + name.upper(): name for name in METHODS})  # type: ignore[misc]
+SettingValue = bool | int | float | str | None
+
+_KINDS: dict[str, tuple[type, ...]] = {"boolean": (bool,), "integer": (int,), "number": (int, float), "string": (str,)}
+_SWITCHES = {"on": True, "true": True, "off": False, "false": False}
+
+
+class Device(StrEnum):
+    """auto: what the worker that takes the job has; cuda: a worker with a card."""
+
+    AUTO = "auto"
+    CPU = "cpu"
+    CUDA = "cuda"
+
+
+class JobOptions(BaseModel):
+    """What to make of the capture."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "examples": [
+                {"preset": "draft"},
+                {"preset": "standard", "name": "vase", "settings": {"data.max_side": 800, "mesh.max_faces": 100000}},
+            ]
+        },
+    )
+
+    name: Annotated[str | None, Field(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")] = None
+    preset: Preset = Preset("standard")
+    method: Method = Method("mgsr")
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1)] = 0
+    device: Device = Device.AUTO
+    deadline_seconds: Annotated[
+        float | None, Field(gt=0, le=1e7, description="After so long in one attempt the job fails.")
+    ] = None
+    settings: Annotated[
+        dict[str, SettingValue],
+        Field(max_length=200, description="Single settings by their name in `GET /options`; null is none."),
+    ] = {}
+
+    @field_validator("settings")
+    @classmethod
+    def _known_settings(cls, settings: dict[str, SettingValue]) -> dict[str, SettingValue]:
+        return {find_setting(key): _checked(key, value) for key, value in settings.items()}
+
+    def overrides(self) -> list[str]:
+        """The settings as the library takes them."""
+        return [f"{key}={_as_text(value)}" for key, value in self.settings.items()]
+
+
+def find_setting(key: str) -> str:
+    """The full name of the setting that a full name, or its end (`max_side`, `data.max_side`), means.
+
+    Raises ValueError for one that is not there, naming what was meant perhaps, or that is ambiguous.
+    """
+    hits = [key] if key in SETTINGS else [path for path in SETTINGS if path.endswith("." + key)]
+    if len(hits) == 1:
+        return hits[0]
+    if hits:
+        raise ValueError(f"setting {key!r} is ambiguous: say one of {', '.join(hits)}")
+    last = {path.rpartition(".")[2]: path for path in SETTINGS}
+    near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
+    hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists them"
+    raise ValueError(f"setting {key[:100]!r} does not exist; {hint}")
+
+
+def parse_setting(text: str) -> tuple[str, SettingValue]:
+    """Full name and value of a command line's KEY=VALUE. Raises ValueError."""
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"{text}: expected KEY=VALUE, for example masks=off")
+    path = find_setting(key.strip())
+    return path, _checked(path, _parse(value.strip(), _alternatives(path)))
+
+
+def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
+    """The text as the first type that can read it; as it is where none can."""
+    for schema in schemas:
+        try:
+            match schema["type"]:
+                case "null" if text.lower() == "none":
+                    return None
+                case "boolean" if text.lower() in _SWITCHES:
+                    return _SWITCHES[text.lower()]
+                case "integer":
+                    return int(text)
+                case "number":
+                    return float(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _checked(key: str, value: SettingValue) -> SettingValue:
+    """The value, if it fits the setting; raises ValueError with what was expected."""
+    schemas = _alternatives(find_setting(key))
+    if any(_fits(value, schema) for schema in schemas):
+        return value
+    expected = " or ".join(_say(schema) for schema in schemas)
+    raise ValueError(f"{key}: expected {expected}, got {json.dumps(value)[:100]}")
+
+
+def _alternatives(path: str) -> list[dict[str, Any]]:
+    schema = SETTINGS[path]
+    found: list[dict[str, Any]] = schema.get("anyOf", [schema])
+    return found
+
+
+def _fits(value: SettingValue, schema: dict[str, Any]) -> bool:
+    if schema["type"] == "null" or value is None:
+        return schema["type"] == "null" and value is None
+    if isinstance(value, bool) and schema["type"] != "boolean":
+        return False
+    if not isinstance(value, _KINDS[schema["type"]]) or ("enum" in schema and value not in schema["enum"]):
+        return False
+    return "minimum" not in schema or schema["minimum"] <= value < float("inf")  # type: ignore[operator]
+
+
+def _say(schema: dict[str, Any]) -> str:
+    if "enum" in schema:
+        return "one of " + ", ".join(schema["enum"])
+    least = f" of at least {schema['minimum']}" if "minimum" in schema else ""
+    return {"null": "null", "boolean": "true or false"}.get(schema["type"], f"{schema['type']}{least}")
+
+
+def _as_text(value: SettingValue) -> str:
+    if value is None:
+        return "none"
+    return ("on" if value else "off") if isinstance(value, bool) else str(value)

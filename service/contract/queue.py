@@ -1,0 +1,72 @@
+"""The queue: RQ with its JSON serializer, ids alone as arguments. What is lost here, recovery.py puts back."""
+
+from __future__ import annotations
+
+import secrets
+
+from redis import Redis
+from redis.backoff import ExponentialBackoff
+from redis.retry import Retry
+from rq import Queue, Worker
+from rq.serializers import JSONSerializer
+
+from service.contract.options import Device, JobOptions
+
+CPU, GPU = "cpu", "gpu"
+QUEUES = (GPU, CPU)
+TASK = "worker.tasks.run_job"
+ANSWER_SECONDS = 5.0
+
+
+def connect(url: str) -> Redis:
+    """A client that gives up on a server that doesn't answer, instead of waiting for ever."""
+    retry = Retry(ExponentialBackoff(cap=0.5, base=0.05), 2)
+    return Redis.from_url(
+        url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=2.0, health_check_interval=15, retry=retry
+    )
+
+
+def queue_for(options: JobOptions) -> str:
+    """Jobs that ask for a card wait for a worker that has one; all others can go anywhere."""
+    return GPU if options.device is Device.CUDA else CPU
+
+
+class JobQueue:
+    """Rounds of jobs that wait for a worker. Raises redis.RedisError where the server doesn't answer."""
+
+    def __init__(self, redis: Redis) -> None:
+        self._redis = redis
+        self.queues = {name: open_queue(name, redis) for name in QUEUES}
+
+    def put(self, job: str, number: int, queue: str) -> None:
+        """Append a round. A round that stands in the queue twice is worked on once: leases see to that."""
+        self.queues[queue].enqueue_call(
+            TASK,
+            args=(job, number),
+            job_id=f"{job}-{number}-{secrets.token_hex(4)}",
+            timeout=-1,  # the worker watches the job's own deadline
+            result_ttl=0,
+            failure_ttl=0,
+        )
+
+    def waiting(self) -> dict[tuple[str, int], int]:
+        """Place in its queue, from 1, of each job and round that waits."""
+        places: dict[tuple[str, int], int] = {}
+        for queue in self.queues.values():
+            for place, entry in enumerate(queue.get_job_ids(), start=1):
+                job, number, _ = entry.split("-")
+                places.setdefault((job, int(number)), place)
+        return places
+
+    def lengths(self) -> dict[str, int]:
+        """How many rounds wait, by queue."""
+        return {name: queue.count for name, queue in self.queues.items()}
+
+    def workers(self) -> int:
+        """How many workers have said within the last minutes that they live."""
+        return Worker.count(connection=self._redis)
+
+
+def open_queue(name: str, redis: Redis) -> Queue:
+    """An RQ queue as service and workers use it."""
+    return Queue(name, connection=redis, serializer=JSONSerializer)

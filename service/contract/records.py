@@ -1,0 +1,92 @@
+"""The documents that make up a job. All but previews, log and checkpoint are written once and never changed."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.contract.options import JobOptions
+
+
+class JobStatus(StrEnum):
+    """Where a job is; the last three are final, until a retry."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+class Document(BaseModel):
+    """A JSON file in the store."""
+
+    model_config = ConfigDict(frozen=True)
+
+    def to_bytes(self) -> bytes:
+        """As it lies in the store."""
+        return self.model_dump_json(indent=1).encode()
+
+
+class JobRecord(Document):
+    """What was asked for: job.json."""
+
+    id: str
+    owner: str
+    created: datetime
+    options: JobOptions
+    archive: str  # key in the store
+    archive_bytes: int
+    payload_sha256: str  # of archive and options: what an idempotency key stands for
+
+
+class Failure(Document):
+    """Why a job failed. code: stable, for programs; message: for the person, with the cure."""
+
+    code: str = Field(examples=["bad_scene"])
+    message: str
+    retryable: bool = Field(description="Whether the same job may go better another time.")
+    peak_memory_bytes: int | None = None
+
+
+class Artifact(Document):
+    """One result file of an attempt."""
+
+    name: str = Field(examples=["mesh.ply"])
+    size: int
+    sha256: str
+    content_type: str
+
+
+class Outcome(Document):
+    """How one round of a job (a submit or a retry) ended; with status succeeded it is the manifest that publishes the
+    attempt's artifacts."""
+
+    status: JobStatus
+    attempt: int | None
+    finished: datetime
+    error: Failure | None = None
+    artifacts: list[Artifact] = []
+    metrics: dict[str, Any] = {}
+
+
+class AttemptStart(Document):
+    """That a worker took up a round."""
+
+    round: int
+    worker: str
+    started: datetime
+
+
+def now() -> datetime:
+    """The time, in UTC."""
+    return datetime.now(UTC)
+
+
+def new_id() -> str:
+    """A name that nobody can guess."""
+    return secrets.token_hex(16)

@@ -1,0 +1,79 @@
+"""The settings of service and worker, read from the environment: MGSR_STORE is `store`, and so on."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pydantic import ByteSize, Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from service.contract.errors import SetupError
+
+GIB = 1 << 30
+
+
+def default_home() -> Path:
+    """Where a person's own service keeps everything: by the XDG rule, ~/.local/share/mgsr."""
+    return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share") / "mgsr"
+
+
+def machine_memory() -> int:
+    """Bytes of memory that this process's machine, or its container, has."""
+    physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return physical
+    return min(physical, int(limit)) if limit.isdigit() else physical
+
+
+class Settings(BaseSettings):
+    """Sizes are bytes and may carry a unit (8GiB); times are seconds."""
+
+    model_config = SettingsConfigDict(env_prefix="MGSR_", frozen=True)
+
+    home: Path = Field(default_factory=default_home)
+    redis_url: str | None = None  # none: `mgsr serve` starts a server of its own
+    store: str | None = None  # a folder or s3://bucket/prefix; none is home/store
+    scratch: Path | None = None  # where workers unpack and train; none is home/scratch
+    allowed_hosts: str = ""  # host names, comma-separated, under which a service without keys may be addressed
+
+    max_upload: ByteSize = ByteSize(8 * GIB)
+    upload_idle: float = 30.0  # without a byte, after which an upload is given up
+    upload_grace: float = 30.0  # before the rate is looked at
+    upload_rate: ByteSize = ByteSize(1024)  # bytes a second on average that an upload must reach
+    min_free_disk: ByteSize = ByteSize(GIB)  # left free, at a submit and during a run
+    max_open_jobs: int = 1000  # queued and running, of all owners
+
+    max_members: int = 20_000  # files in an archive
+    max_unpacked: ByteSize = ByteSize(32 * GIB)
+    max_ratio: float = 200.0  # unpacked against packed bytes of an archive, from 64 MiB on
+    max_pixels: int = 120_000_000  # of one image
+
+    job_deadline: float = 12 * 3600.0  # for jobs that name none, and the most that one may name
+    job_memory: ByteSize = Field(default_factory=lambda: ByteSize(int(machine_memory() * 0.8)))
+    checkpoint_seconds: float = 20.0  # between two checkpoints
+    stop_grace: float = 20.0  # that a job has to write its checkpoint before it is killed
+    lease: float = 15.0  # after which a worker that says nothing counts as dead
+    max_attempts: int = 6  # that die, of one submit or retry, before the job counts as failed
+    publish_patience: float = 900.0  # that a worker tries to bring results to a store that doesn't answer
+
+    def need_redis(self) -> str:
+        """The queue server's address. Raises SetupError where none is set."""
+        if self.redis_url is None:
+            raise SetupError(
+                "MGSR_REDIS_URL is not set: give the address of the Redis server (redis://host:6379/0), or use "
+                "`mgsr serve`, which starts a server and a worker of its own"
+            )
+        return self.redis_url
+
+    @property
+    def store_url(self) -> str:
+        """The store's folder or address."""
+        return self.store or str(self.home / "store")
+
+    @property
+    def scratch_folder(self) -> Path:
+        """Where attempts have their files."""
+        return self.scratch or self.home / "scratch"

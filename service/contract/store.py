@@ -1,0 +1,156 @@
+"""The artifact store: a folder, or a bucket of an S3 service. Keys are paths with slashes."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import obstore
+from obstore.exceptions import AlreadyExistsError, BaseError
+from obstore.store import LocalStore, S3Store
+
+from service.contract.errors import StoreError
+
+PART = 5 << 20  # bytes; the smallest part that S3 takes, and what one upload holds in memory
+SIGNED_SECONDS = 900
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One object of a listing."""
+
+    key: str
+    size: int
+    modified: datetime
+
+
+class Store:
+    """Objects by key. Every method raises StoreError where the store fails; objects appear whole or not at all."""
+
+    def __init__(self, url: str, patience: float) -> None:
+        """url: a folder's path or s3://bucket/prefix, with the usual AWS_* variables. patience: seconds for which
+        requests that fail are tried again."""
+        self.folder: Path | None = None
+        self._backend: LocalStore | S3Store
+        if url.startswith("s3://"):
+            self._backend = _open_s3(url, patience)
+        else:
+            self.folder = Path(url).expanduser().absolute()
+            self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._backend = LocalStore(self.folder)
+
+    def read(self, key: str) -> bytes | None:
+        """The object, or None where there is none."""
+        with _failures(key):
+            try:
+                return bytes(obstore.get(self._backend, key).bytes())
+            except FileNotFoundError:
+                return None
+
+    def create(self, key: str, data: bytes) -> bool:
+        """Write an object that must not be there yet; whether it now holds this data by this call or one before it.
+
+        A request whose answer got lost is sent again and then finds its own object: that counts as created.
+        """
+        with _failures(key):
+            try:
+                obstore.put(self._backend, key, data, mode="create")
+                return True
+            except AlreadyExistsError:
+                return self.read(key) == data
+
+    def replace(self, key: str, data: bytes) -> None:
+        """Write an object, also over another."""
+        with _failures(key):
+            obstore.put(self._backend, key, data)
+
+    def delete(self, key: str) -> None:
+        """Remove an object, if it is there."""
+        with _failures(key):
+            try:
+                obstore.delete(self._backend, key)
+            except FileNotFoundError:
+                return
+
+    def delete_all(self, prefix: str) -> None:
+        """Remove every object under `prefix`; in a folder also what a killed process left half written there."""
+        for entry in list(self.entries(prefix)):
+            self.delete(entry.key)
+        if self.folder is not None:
+            shutil.rmtree(self.folder / prefix, ignore_errors=True)
+
+    def entries(self, prefix: str) -> Iterator[Entry]:
+        """Every object under the folder `prefix`, in no order."""
+        with _failures(prefix):
+            for batch in obstore.list(self._backend, prefix=prefix):
+                yield from (Entry(item["path"], item["size"], item["last_modified"]) for item in batch)
+
+    def names(self, prefix: str) -> list[str]:
+        """The keys under the folder `prefix`, without it."""
+        return [entry.key.removeprefix(prefix).lstrip("/") for entry in self.entries(prefix)]
+
+    def upload(self, key: str, path: Path) -> None:
+        """Write a file's content, in parts where it is large."""
+        with _failures(key):
+            obstore.put(self._backend, key, path, chunk_size=PART, max_concurrency=2)
+
+    def download(self, key: str, path: Path) -> None:
+        """Write an object to a file. Raises StoreError where there is none."""
+        with _failures(key), open(path, "wb") as file:
+            for chunk in obstore.get(self._backend, key).stream(min_chunk_size=PART):
+                file.write(chunk)
+
+    def writer(self, key: str) -> Any:
+        """An asynchronous writer of one object: `await write(bytes)` in an `async with`, which drops everything if it
+        ends by an exception."""
+        return obstore.open_writer_async(self._backend, key, buffer_size=PART, max_concurrency=1)
+
+    async def stream(self, key: str, start: int, end: int) -> AsyncIterator[bytes]:
+        """The bytes from `start` up to before `end`."""
+        with _failures(key):
+            found = await obstore.get_async(self._backend, key, options={"range": (start, end)})
+            async for chunk in found.stream(min_chunk_size=1 << 18):
+                yield bytes(chunk)
+
+    def signed_url(self, key: str) -> str | None:
+        """An address from which anyone can get the object for a while; None where the store is a folder."""
+        if not isinstance(self._backend, S3Store):
+            return None
+        with _failures(key):
+            return str(obstore.sign(self._backend, "GET", key, timedelta(seconds=SIGNED_SECONDS)))
+
+    def check(self) -> None:
+        """Raise StoreError unless the store answers."""
+        self.read("health")
+
+
+def _open_s3(url: str, patience: float) -> S3Store:
+    bucket, _, prefix = url.removeprefix("s3://").partition("/")
+    return S3Store(
+        bucket,
+        prefix=prefix or None,
+        client_options={"allow_http": True, "connect_timeout": timedelta(seconds=3), "timeout": timedelta(seconds=60)},
+        retry_config={
+            "max_retries": 1000,
+            "retry_timeout": timedelta(seconds=patience),
+            "backoff": {
+                "init_backoff": timedelta(milliseconds=100),
+                "max_backoff": timedelta(seconds=2),
+                "base": 2,
+            },
+        },
+    )
+
+
+@contextmanager
+def _failures(key: str) -> Iterator[None]:
+    try:
+        yield
+    except (BaseError, OSError) as error:
+        reason = str(error).split("\n", 1)[0]
+        raise StoreError(f"store: {key}: {reason}") from error

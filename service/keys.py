@@ -1,0 +1,89 @@
+"""Bearer keys. The store holds their SHA-256 alone; a key is shown once, when it is made."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from datetime import datetime
+
+from service.contract.records import Document, now
+from service.contract.store import Store
+
+CACHE_SECONDS = 5.0
+
+
+class Key(Document):
+    """What is kept of a key. id: the owner of the jobs that are made with it."""
+
+    id: str
+    name: str
+    created: datetime
+
+
+class Keys:
+    """The keys of one store, remembered for a few seconds."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._known: dict[str, tuple[float, Key | None]] = {}
+        self._any: tuple[float, bool] = (float("-inf"), False)
+
+    def create(self, name: str) -> tuple[str, Key]:
+        """A new key, and what is kept of it."""
+        token = "mgsr_" + secrets.token_urlsafe(32)
+        key = Key(id=secrets.token_hex(8), name=name, created=now())
+        self._store.create(_path(token), key.to_bytes())
+        return token, key
+
+    def all(self) -> list[Key]:
+        """Every key, the oldest first."""
+        found = [self._store.read(entry.key) for entry in self._store.entries("keys")]
+        return sorted(
+            (Key.model_validate_json(data) for data in found if data is not None), key=lambda key: key.created
+        )
+
+    def revoke(self, key_id: str) -> bool:
+        """Forget a key by its id; whether there was one."""
+        for entry in list(self._store.entries("keys")):
+            data = self._store.read(entry.key)
+            if data is not None and Key.model_validate_json(data).id == key_id:
+                self._store.delete(entry.key)
+                return True
+        return False
+
+    def find(self, token: str) -> Key | None:
+        """The key that a caller has shown, or None for one that is not known."""
+        path = _path(token)
+        read_at, key = self._known.get(path, (float("-inf"), None))
+        if time.monotonic() - read_at > CACHE_SECONDS:
+            data = self._store.read(path)
+            key = None if data is None else Key.model_validate_json(data)
+            if len(self._known) > 10_000:  # somebody is guessing
+                self._known.clear()
+            self._known[path] = (time.monotonic(), key)
+        return key
+
+    def cached(self, token: str) -> Key | None:
+        """Like `find`, but None where the store would have to be asked."""
+        read_at, key = self._known.get(_path(token), (float("-inf"), None))
+        return key if time.monotonic() - read_at <= CACHE_SECONDS else None
+
+    def needed(self) -> bool:
+        """Whether callers must show a key: since the first that was seen, so that a service does not become open when
+        its last key is revoked."""
+        read_at, found = self._any
+        if not found and time.monotonic() - read_at > CACHE_SECONDS:
+            found = next(iter(self._store.entries("keys")), None) is not None
+            self._any = (time.monotonic(), found)
+        return found
+
+    @property
+    def needed_cached(self) -> bool | None:
+        """Like `needed`, but None where the store would have to be asked."""
+        read_at, found = self._any
+        return found if found or time.monotonic() - read_at <= CACHE_SECONDS else None
+
+
+def _path(token: str) -> str:
+    return f"keys/{hashlib.sha256(token.encode()).hexdigest()}.json"

@@ -1,0 +1,85 @@
+"""Prometheus' figures: requests as they were answered, jobs and workers as they are when asked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+
+from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from redis import RedisError
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.contract.errors import StoreError
+from service.contract.jobs import Jobs
+from service.contract.queue import JobQueue
+
+
+class Metrics:
+    """The figures of one app."""
+
+    def __init__(self, jobs: Jobs, queue: JobQueue) -> None:
+        self._registry = CollectorRegistry()
+        self._registry.register(_JobCollector(jobs, queue))
+        self.requests = Counter(
+            "mgsr_http_requests", "Requests answered.", ["method", "route", "status"], registry=self._registry
+        )
+        self.seconds = Histogram(
+            "mgsr_http_seconds", "Time to the first byte of the answer.", ["route"], registry=self._registry
+        )
+
+    def render(self) -> tuple[bytes, str]:
+        """The figures as text, and its media type."""
+        return generate_latest(self._registry), CONTENT_TYPE_LATEST
+
+
+class MetricsMiddleware:
+    """Counts and times requests by their route."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app, self._metrics = app, metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        begun = time.perf_counter()
+
+        async def noting(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                route = getattr(scope.get("route"), "path", "none")
+                self._metrics.requests.labels(scope["method"], route, message["status"]).inc()
+                self._metrics.seconds.labels(route).observe(time.perf_counter() - begun)
+            await send(message)
+
+        await self._app(scope, receive, noting)
+
+
+class _JobCollector:
+    """Asks the queue and the store whenever it is asked; what doesn't answer is left out."""
+
+    def __init__(self, jobs: Jobs, queue: JobQueue) -> None:
+        self._jobs, self._queue = jobs, queue
+
+    def collect(self) -> Iterable[Metric]:
+        """The gauges of now."""
+        try:
+            workers, waiting = self._queue.workers(), self._queue.lengths()
+        except RedisError:
+            yield GaugeMetricFamily("mgsr_queue_up", "Whether the queue's server answers.", value=0)
+        else:
+            yield GaugeMetricFamily("mgsr_queue_up", "Whether the queue's server answers.", value=1)
+            yield GaugeMetricFamily("mgsr_workers", "Workers that listen.", value=workers)
+            lengths = GaugeMetricFamily("mgsr_jobs_queued", "Jobs that wait, by queue.", labels=["queue"])
+            for name, length in waiting.items():
+                lengths.add_metric([name], length)
+            yield lengths
+        try:
+            opened = sum(1 for _ in self._jobs.open_rounds())
+        except StoreError:
+            yield GaugeMetricFamily("mgsr_store_up", "Whether the store answers.", value=0)
+        else:
+            yield GaugeMetricFamily("mgsr_store_up", "Whether the store answers.", value=1)
+            yield GaugeMetricFamily("mgsr_jobs_open", "Jobs queued or running.", value=opened)

@@ -1,0 +1,79 @@
+"""What the routes work with, made once for an app; and who asks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+from fastapi import Depends, Request
+from fastapi.concurrency import run_in_threadpool
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from redis.asyncio import Redis as AsyncRedis
+
+from service.contract.jobs import Jobs
+from service.contract.live import Live
+from service.contract.queue import JobQueue
+from service.contract.settings import Settings
+from service.events import EventHub
+from service.keys import Keys
+from service.metrics import Metrics
+from service.problems import Problem
+from service.snapshots import Snapshot, Snapshots
+
+# Who owns the jobs of a service without keys.
+LOCAL = "local"
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The app's own; `redis` is the asynchronous client."""
+
+    settings: Settings
+    jobs: Jobs
+    keys: Keys
+    live: Live
+    queue: JobQueue
+    redis: AsyncRedis
+    snapshots: Snapshots
+    hub: EventHub
+    metrics: Metrics
+
+
+def _parts(request: Request) -> Parts:
+    return cast(Parts, request.app.state.parts)
+
+
+PartsDep = Annotated[Parts, Depends(_parts)]
+_bearer = HTTPBearer(auto_error=False, description="A key made by `mgsr keys create`; none where there are no keys.")
+
+
+async def _owner(parts: PartsDep, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]) -> str:
+    needed = parts.keys.needed_cached
+    if needed is None:
+        needed = await run_in_threadpool(parts.keys.needed)
+    if not needed:
+        return LOCAL
+    token = credentials.credentials if credentials is not None else ""
+    key = parts.keys.cached(token) or await run_in_threadpool(parts.keys.find, token)
+    if key is None:
+        raise Problem(
+            401,
+            "key_unknown",
+            "expected the header `Authorization: Bearer KEY` with a key made by `mgsr keys create`",
+            {"WWW-Authenticate": "Bearer"},
+        )
+    return key.id
+
+
+OwnerDep = Annotated[str, Depends(_owner)]
+
+
+async def _own_job(job_id: str, owner: OwnerDep, parts: PartsDep) -> Snapshot:
+    snapshot = await parts.snapshots.get(job_id)
+    # Another owner's job is answered like none at all: its id is nobody else's business.
+    if snapshot is None or snapshot.owner != owner:
+        raise Problem(404, "job_unknown", f"there is no job {job_id[:64]!r} of yours; GET /jobs lists them")
+    return snapshot
+
+
+SnapshotDep = Annotated[Snapshot, Depends(_own_job)]

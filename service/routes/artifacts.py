@@ -1,0 +1,193 @@
+"""/jobs/{id}/...: what came of a job."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import RedirectResponse, StreamingResponse
+from pydantic import BaseModel
+
+from service.contract.jobs import attempt_path
+from service.contract.records import Artifact, JobStatus
+from service.parts import Parts, PartsDep, SnapshotDep
+from service.problems import Problem, answers
+from service.ranges import parse_range
+from service.snapshots import Snapshot
+
+router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
+
+# Names that stand for the first of these files that is there.
+ALIASES = {"splats.ply": ("splats_3d.ply", "splats_2d.ply")}
+SINGLE = ("mesh.ply", "mesh.glb", "splats.ply", "splats_2d.ply", "splats_3d.ply", "report.html", "report.json")
+
+
+class ArtifactList(BaseModel):
+    """The result files of a job that has succeeded."""
+
+    artifacts: list[Artifact]
+
+
+_FILE: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "The file.",
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    },
+    206: {"description": "The part of it that Range asked for."},
+    304: {"description": "Unchanged since the ETag that you gave."},
+    307: {"description": "The file lies at this address, for a quarter of an hour."},
+    **answers(404, 416, 422),
+}
+RangeHeader = Annotated[str | None, Header(alias="Range", max_length=200)]
+IfNoneMatch = Annotated[str | None, Header(max_length=1000)]
+IfRange = Annotated[str | None, Header(max_length=200)]
+
+
+@router.get("/artifacts", responses=answers(404, 422))
+async def list_artifacts(snapshot: SnapshotDep) -> ArtifactList:
+    """Every result file with its size and SHA-256; each lies at /jobs/{job_id}/artifacts/{name}."""
+    return ArtifactList(artifacts=_published(snapshot))
+
+
+@router.get("/artifacts/{name:path}", response_class=Response, responses=_FILE)
+async def get_artifact(
+    snapshot: SnapshotDep,
+    parts: PartsDep,
+    name: Annotated[str, Path(max_length=500)],
+    wanted: RangeHeader = None,
+    if_none_match: IfNoneMatch = None,
+    if_range: IfRange = None,
+) -> Response:
+    """A result file by its name in the list."""
+    return await _send(parts, snapshot, name, wanted, if_none_match, if_range)
+
+
+@router.get("/renders/{name:path}", response_class=Response, responses=_FILE)
+async def get_render(
+    snapshot: SnapshotDep,
+    parts: PartsDep,
+    name: Annotated[str, Path(max_length=500, examples=["test/0001.png"])],
+    wanted: RangeHeader = None,
+    if_none_match: IfNoneMatch = None,
+    if_range: IfRange = None,
+) -> Response:
+    """A picture of a test view."""
+    return await _send(parts, snapshot, f"renders/{name}", wanted, if_none_match, if_range)
+
+
+@router.get(
+    "/log.txt",
+    response_class=Response,
+    responses={200: {"description": "The log.", "content": {"text/plain": {}}}, **answers(404, 422)},
+)
+async def get_log(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """The log of the last attempt, also while it runs."""
+    data = await _from_last_attempt(parts, snapshot, "log.txt")
+    return Response(data, media_type="text/plain; charset=utf-8", headers={"Cache-Control": "no-cache"})
+
+
+@router.get(
+    "/previews/{name}.webp",
+    response_class=Response,
+    responses={200: {"description": "A picture.", "content": {"image/webp": {}}}, **answers(404, 422)},
+)
+async def get_preview(
+    snapshot: SnapshotDep, parts: PartsDep, name: Annotated[str, Path(pattern="^[a-z_]{1,40}$", examples=["render"])]
+) -> Response:
+    """How a view looks now: `render`, `normals`, `transmitted` or `reflected`, refreshed during training."""
+    data = await _from_last_attempt(parts, snapshot, f"previews/{name}.webp")
+    return Response(data, media_type="image/webp", headers={"Cache-Control": "no-cache"})
+
+
+def _add_single(file: str) -> None:
+    """A route of its own for a file that people ask for by name."""
+
+    async def get_file(
+        snapshot: SnapshotDep,
+        parts: PartsDep,
+        wanted: RangeHeader = None,
+        if_none_match: IfNoneMatch = None,
+        if_range: IfRange = None,
+    ) -> Response:
+        return await _send(parts, snapshot, file, wanted, if_none_match, if_range)
+
+    operation = "get_" + file.replace(".", "_")
+    router.add_api_route(
+        f"/{file}",
+        get_file,
+        response_class=Response,
+        responses=_FILE,
+        operation_id=operation,
+        name=operation,
+        description=f"The result file {file}.",
+    )
+
+
+for _file in SINGLE:
+    _add_single(_file)
+
+
+async def _send(
+    parts: Parts,
+    snapshot: Snapshot,
+    name: str,
+    wanted: str | None,
+    if_none_match: str | None,
+    if_range: str | None,
+) -> Response:
+    artifact = _find(snapshot, name)
+    assert snapshot.outcome is not None and snapshot.outcome.attempt is not None
+    key = attempt_path(snapshot.state.record.id, snapshot.outcome.attempt, artifact.name)
+    etag = f'"{artifact.sha256}"'
+    headers = {"ETag": etag, "Accept-Ranges": "bytes", "Cache-Control": "private, no-cache"}
+    if if_none_match is not None and (etag in if_none_match or if_none_match.strip() == "*"):
+        return Response(status_code=304, headers=headers)
+    address = await run_in_threadpool(parts.jobs.store.signed_url, key)
+    if address is not None:
+        return RedirectResponse(address, 307)
+    span = None if if_range is not None and if_range != etag else parse_range(wanted, artifact.size)
+    start, end = span or (0, artifact.size)
+    headers["Content-Length"] = str(end - start)
+    if span is not None:
+        headers["Content-Range"] = f"bytes {start}-{end - 1}/{artifact.size}"
+    body = parts.jobs.store.stream(key, start, end) if end > start else _nothing()
+    return StreamingResponse(body, 200 if span is None else 206, headers, artifact.content_type)
+
+
+def _published(snapshot: Snapshot) -> list[Artifact]:
+    outcome = snapshot.outcome
+    if outcome is None or outcome.status is not JobStatus.SUCCEEDED:
+        raise Problem(
+            404, "no_results", f"job {snapshot.view.id} is {snapshot.view.status}; results come when it succeeded"
+        )
+    return outcome.artifacts
+
+
+def _find(snapshot: Snapshot, name: str) -> Artifact:
+    held = {artifact.name: artifact for artifact in _published(snapshot)}
+    for candidate in ALIASES.get(name, (name,)):
+        if candidate in held:
+            return held[candidate]
+    raise Problem(404, "artifact_unknown", f"the job has no file {name!r}; GET .../artifacts lists what it has")
+
+
+async def _from_last_attempt(parts: Parts, snapshot: Snapshot, name: str) -> bytes:
+    job = snapshot.state.record.id
+
+    def read() -> bytes | None:
+        for attempt in sorted(parts.jobs.attempts(job), reverse=True):
+            if (data := parts.jobs.store.read(attempt_path(job, attempt, name))) is not None:
+                return data
+        return None
+
+    data = await run_in_threadpool(read)
+    if data is None:
+        raise Problem(404, "not_yet", f"{name} is not there yet; job {job} is {snapshot.view.status}")
+    return data
+
+
+async def _nothing() -> AsyncIterator[bytes]:
+    return
+    yield b""

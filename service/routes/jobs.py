@@ -1,0 +1,283 @@
+"""/jobs: submit, list, look, cancel, retry, follow."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import JSONResponse, StreamingResponse
+from pydantic import ValidationError
+from redis import RedisError
+
+from service.contract.jobs import upload_path
+from service.contract.options import JobOptions
+from service.contract.queue import queue_for
+from service.contract.records import JobRecord, JobStatus, new_id, now
+from service.events import EVENT_ID
+from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
+from service.problems import Problem, answers
+from service.snapshots import Snapshot
+from service.uploads import RAW_TYPES, Received, receive, too_large
+from service.views import JobList, JobView
+
+router = APIRouter(prefix="/jobs", tags=["jobs"])
+
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_OPTIONS_EXAMPLE = '{"preset": "draft", "name": "vase"}'
+_SUBMIT_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["archive"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "archive": {"type": "string", "format": "binary", "description": "zip, tar or tar.gz"},
+                        "options": {
+                            "type": "string",
+                            "contentMediaType": "application/json",
+                            "description": "JobOptions as JSON text",
+                            "example": _OPTIONS_EXAMPLE,
+                        },
+                    },
+                },
+            },
+            **{kind: _BINARY for kind in sorted(RAW_TYPES)},
+        },
+    }
+}
+_LOCATION = {"Location": {"description": "The job's address.", "schema": {"type": "string"}}}
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        description="The same key with the same archive and options gives the same job; with others, 422.",
+    ),
+]
+OptionsQuery = Annotated[
+    str | None,
+    Query(max_length=65536, description="JobOptions as JSON text, where the body is the archive itself."),
+]
+
+
+@router.post(
+    "",
+    status_code=202,
+    response_model=JobView,
+    openapi_extra=_SUBMIT_BODY,
+    responses={202: {"description": "The job, queued.", "headers": _LOCATION}, **answers(408, 413, 415, 422, 429, 507)},
+)
+async def submit(
+    request: Request,
+    owner: OwnerDep,
+    parts: PartsDep,
+    idempotency_key: IdempotencyKey = None,
+    options: OptionsQuery = None,
+) -> Response:
+    """Submit a capture: an archive (zip, tar, tar.gz) of posed photographs, and what to make of it."""
+    asked = _options(options)
+    await _room_for(request, parts)
+    job = _job_id(owner, idempotency_key)
+    archive = upload_path(job, new_id())
+    received = await receive(request, parts.jobs.store, archive, parts.settings)
+    try:
+        if received.options is not None:
+            if options is not None:
+                raise Problem(422, "bad_options", "options came twice: in the query and in the body")
+            asked = _options(received.options)
+        record = _record(job, owner, asked, archive, received)
+        kept = await run_in_threadpool(parts.jobs.create, record)
+    except Exception:
+        await run_in_threadpool(parts.jobs.store.delete, archive)
+        raise
+    if kept.archive != archive:
+        await run_in_threadpool(parts.jobs.store.delete, archive)
+        if kept.payload_sha256 != record.payload_sha256:
+            raise Problem(
+                422,
+                "idempotency_conflict",
+                f"this Idempotency-Key belongs to job {kept.id}, which has another archive or other options",
+            )
+        return await _answer(parts, job, 202, {"Idempotency-Replayed": "true"})
+    await _enqueue(parts, record, 0)
+    return await _answer(parts, job, 202, {})
+
+
+@router.get("", responses=answers(422))
+async def list_jobs(
+    owner: OwnerDep,
+    parts: PartsDep,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    before: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="The `next` of the page before.")] = None,
+) -> JobList:
+    """Your jobs, the newest first, without their curves."""
+    ids = await run_in_threadpool(parts.jobs.owned, owner)
+    first = ids.index(before) + 1 if before in ids else 0
+    page = ids[first : first + limit]
+    found = [await parts.snapshots.get(job) for job in page]
+    more = page[-1] if page and first + limit < len(ids) else None
+    views = [snapshot.view.model_copy(update={"curve": []}) for snapshot in found if snapshot is not None]
+    return JobList(jobs=views, next=more)
+
+
+@router.get(
+    "/{job_id}",
+    response_model=JobView,
+    responses={304: {"description": "Unchanged since the ETag that you gave."}, **answers(404, 422)},
+)
+async def get_job(
+    snapshot: SnapshotDep, if_none_match: Annotated[str | None, Header(max_length=1000)] = None
+) -> Response:
+    """A job: where it stands, how long it may take, what went wrong."""
+    headers = {"ETag": snapshot.etag, "Cache-Control": "no-cache"}
+    if if_none_match is not None and snapshot.etag in if_none_match:
+        return Response(status_code=304, headers=headers)
+    return Response(snapshot.body, media_type="application/json", headers=headers)
+
+
+@router.delete(
+    "/{job_id}",
+    response_model=JobView,
+    status_code=202,
+    responses={200: {"model": JobView, "description": "Cancelled."}, **answers(404, 409, 422)},
+)
+async def cancel(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Cancel a job. One that runs is stopped within seconds, keeps its checkpoint, and can be retried."""
+    job, number = snapshot.state.record.id, snapshot.state.round
+    state = await run_in_threadpool(parts.jobs.state, job)
+    assert state is not None
+    if state.outcome is None:
+        await run_in_threadpool(_cancel, parts, job, state.round)
+    elif state.outcome.status is not JobStatus.CANCELLED:
+        raise Problem(409, "job_ended", f"job {job} has {state.outcome.status} already")
+    parts.snapshots.forget(job)
+    now_known = await parts.snapshots.read(job)
+    ended = now_known is not None and now_known.final and number == now_known.state.round
+    return await _answer(parts, job, 200 if ended else 202, {})
+
+
+@router.post(
+    "/{job_id}/retry",
+    response_model=JobView,
+    status_code=202,
+    responses={202: {"description": "The job, queued again.", "headers": _LOCATION}, **answers(404, 409, 422)},
+)
+async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
+    """Take up a job that failed or was cancelled, from its last checkpoint."""
+    job = snapshot.state.record.id
+    state = await run_in_threadpool(parts.jobs.state, job)
+    assert state is not None
+    outcome = state.outcome
+    if outcome is None or outcome.status is JobStatus.SUCCEEDED:
+        raise Problem(
+            409, "not_retryable", f"job {job} has not failed and was not cancelled; there is nothing to retry"
+        )
+    if outcome.error is not None and not outcome.error.retryable:
+        raise Problem(
+            409, "not_retryable", f"job {job} would fail again ({outcome.error.code}); mend the capture, submit it anew"
+        )
+    await run_in_threadpool(parts.jobs.ask_retry, job, state.round + 1)
+    await _enqueue(parts, state.record, state.round + 1)
+    return await _answer(parts, job, 202, {})
+
+
+@router.get(
+    "/{job_id}/events",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "`job`: the whole job, first and last; `progress`: fields that changed; `status`: it ended.",
+            "content": {"text/event-stream": {"schema": {"type": "string"}}},
+        },
+        **answers(404, 422),
+    },
+)
+async def events(
+    snapshot: SnapshotDep,
+    parts: PartsDep,
+    last_event_id: Annotated[str | None, Header(max_length=50, pattern=EVENT_ID.pattern + "$")] = None,
+) -> StreamingResponse:
+    """Follow a job by server-sent events until it ends. Last-Event-ID brings what was missed."""
+    return StreamingResponse(
+        parts.hub.follow(snapshot, last_event_id),
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-cache", "X-Accel-Buffering": "no"},
+    )
+
+
+def _options(text: str | None) -> JobOptions:
+    try:
+        return JobOptions.model_validate_json(text) if text else JobOptions()
+    except ValidationError as error:
+        found = [f"{'.'.join(str(part) for part in item['loc'])}: {item['msg']}" for item in error.errors()]
+        raise Problem(422, "bad_options", "; ".join(found)[:4000]) from error
+
+
+async def _room_for(request: Request, parts: Parts) -> None:
+    """Raise Problem where the upload is too large, the disk too full or the queue too long."""
+    settings, folder = parts.settings, parts.jobs.store.folder
+    text = request.headers.get("content-length", "0")
+    length = int(text) if text.isascii() and text.isdigit() else 0
+    if length > settings.max_upload + (1 << 20):  # the multipart frame around it
+        raise too_large(settings.max_upload)
+    if folder is not None and shutil.disk_usage(folder).free < length + settings.min_free_disk:
+        raise Problem(507, "disk_full", "the service's disk has no room for this upload; remove old jobs or add space")
+    opened = await run_in_threadpool(lambda: sum(1 for _ in parts.jobs.open_rounds()))
+    if opened >= settings.max_open_jobs:
+        raise Problem(
+            429, "queue_full", f"{opened} jobs are queued or running, the limit; try again later", {"Retry-After": "60"}
+        )
+
+
+def _job_id(owner: str, idempotency_key: str | None) -> str:
+    """A new id; for a key, always the same one, so that the store's create-only write decides between two submits."""
+    if idempotency_key is None:
+        return new_id()
+    return hashlib.sha256(f"{owner}\0{idempotency_key}".encode()).hexdigest()[:32]
+
+
+def _record(job: str, owner: str, options: JobOptions, archive: str, received: Received) -> JobRecord:
+    payload = hashlib.sha256(f"{received.sha256}\0{options.model_dump_json()}".encode()).hexdigest()
+    return JobRecord(
+        id=job,
+        owner=owner,
+        created=now(),
+        options=options,
+        archive=archive,
+        archive_bytes=received.size,
+        payload_sha256=payload,
+    )
+
+
+async def _enqueue(parts: Parts, record: JobRecord, number: int) -> None:
+    try:
+        await run_in_threadpool(parts.queue.put, record.id, number, queue_for(record.options))
+    except RedisError:
+        return  # the job is in the store: recovery queues it once the server is back
+
+
+def _cancel(parts: Parts, job: str, number: int) -> None:
+    """In the store for good, in Redis for speed; at once where no worker has it."""
+    parts.jobs.ask_cancel(job, number)
+    try:
+        parts.live.ask_cancel(job, number)
+        if not parts.live.leased(job):
+            parts.jobs.cancel_now(job, number)
+            parts.live.publish(job, "status", {"status": JobStatus.CANCELLED, "round": number})
+    except RedisError:
+        return  # recovery ends it once the server is back
+
+
+async def _answer(parts: Parts, job: str, status: int, headers: dict[str, str]) -> Response:
+    parts.snapshots.forget(job)
+    snapshot: Snapshot | None = await parts.snapshots.read(job)
+    assert snapshot is not None
+    body = snapshot.view.model_dump(mode="json")
+    return JSONResponse(body, status, {"Location": f"/jobs/{job}", **headers})

@@ -1,0 +1,29 @@
+"""/options: what a job may ask for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel, Field
+
+from service.contract.options import METHODS, PRESETS, SETTINGS, JobOptions
+from service.parts import OwnerDep
+from service.problems import answers
+
+router = APIRouter(tags=["options"])
+
+
+class OptionsView(BaseModel):
+    """Everything that the options of a job can be."""
+
+    options: dict[str, Any] = Field(description="JSON schema of JobOptions.")
+    presets: dict[str, dict[str, str]] = Field(description="What each preset changes.")
+    methods: dict[str, dict[str, str]] = Field(description="What each method changes.")
+    settings: dict[str, dict[str, Any]] = Field(description="JSON schema of each single setting.")
+
+
+@router.get("/options", responses=answers())
+async def get_options(owner: OwnerDep) -> OptionsView:
+    """The options' schema, the presets, and every single setting with its default."""
+    return OptionsView(options=JobOptions.model_json_schema(), presets=PRESETS, methods=METHODS, settings=SETTINGS)

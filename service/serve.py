@@ -1,0 +1,175 @@
+"""`mgsr serve`: queue server, worker and API as children of one process, which starts again whichever of them dies."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from redis import Redis, RedisError
+
+from service.contract.errors import SetupError
+from service.contract.settings import Settings
+from service.contract.valkey import prepare_server
+
+READY_SECONDS = 30.0
+RESTART_PAUSE = 0.5
+# So many deaths of one child within a minute mean that it can't live.
+MOST_DEATHS = 10
+LOOK = 0.2
+
+
+@dataclass
+class Child:
+    """One program. patience: seconds that it has to end when asked to."""
+
+    name: str
+    command: list[str]
+    environment: dict[str, str]
+    patience: float
+    process: subprocess.Popen[bytes] | None = None
+    deaths: list[float] = field(default_factory=list)
+
+    def start(self) -> None:
+        """Start it, tied to this process, in a session of its own: a terminal's Ctrl-C reaches this process alone."""
+        tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
+        self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
+
+    def revive(self) -> None:
+        """Start it again if it has died. Raises SetupError where it keeps dying."""
+        if self.process is None or self.process.poll() is None:
+            return
+        now = time.monotonic()
+        self.deaths = [death for death in self.deaths if now - death < 60] + [now]
+        if len(self.deaths) >= MOST_DEATHS:
+            raise SetupError(f"the {self.name} ends again and again, with {self.process.returncode}; see above for why")
+        print(f"the {self.name} ended with {self.process.returncode}; starting it again", file=sys.stderr)
+        time.sleep(RESTART_PAUSE)
+        self.start()
+
+    def stop(self, at_once: bool) -> None:
+        """Ask it to end, and see to it."""
+        if self.process is None or self.process.poll() is not None:
+            return
+        if not at_once:
+            self.process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(self.patience)
+        self.process.kill()
+        self.process.wait()
+
+
+class _Stop(Exception):
+    """A signal asks for the end."""
+
+
+def serve(settings: Settings, host: str, port: int) -> None:
+    """Serve until SIGINT or SIGTERM. Raises SetupError where it can't start or go on."""
+    _check_port(host, port)
+    with _alone(settings.home):
+        children = _children(settings, host, port)
+        signal.signal(signal.SIGTERM, _ask_to_stop)
+        signal.signal(signal.SIGINT, _ask_to_stop)
+        at_once = False
+        try:
+            _run(children, f"http://{host}:{port}")
+        except _Stop:
+            print("stopping; a job that runs writes a checkpoint and goes on at the next start", file=sys.stderr)
+        finally:
+            for child in reversed(children):
+                try:
+                    child.stop(at_once)
+                except _Stop:
+                    at_once = True
+                    child.stop(at_once)
+
+
+def _children(settings: Settings, host: str, port: int) -> list[Child]:
+    """In the order of their start; the end goes the other way."""
+    children: list[Child] = []
+    url = settings.redis_url
+    if url is None:
+        server = prepare_server(settings.home)
+        url = server.url
+        children.append(Child("queue server", server.command, {}, 10.0))
+    environment = {"MGSR_REDIS_URL": url, "MGSR_HOME": str(settings.home)}
+    worker = [sys.executable, "-m", "worker.cli"]
+    api = [sys.executable, "-m", "service.cli", "--host", host, "--port", str(port)]
+    children.append(Child("worker", worker, environment, settings.stop_grace + 10.0))
+    children.append(Child("API", api, environment, 10.0))
+    return children
+
+
+def _run(children: list[Child], address: str) -> None:
+    for child in children:
+        child.start()
+        if child.name == "queue server":
+            _wait_for_queue(children)
+    _wait_for_api(children, address)
+    print(f"MGSR listens at {address} (documentation: {address}/docs); Ctrl-C stops everything", flush=True)
+    while True:
+        for child in children:
+            child.revive()
+        time.sleep(LOOK)
+
+
+def _wait_for_queue(children: list[Child]) -> None:
+    """Until the queue server, the first child, answers."""
+    redis = Redis.from_url(children[1].environment["MGSR_REDIS_URL"], socket_timeout=1.0)
+    for _ in _tries(children[0]):
+        with suppress(RedisError):
+            redis.ping()
+            return
+
+
+def _wait_for_api(children: list[Child], address: str) -> None:
+    host, _, port = address.removeprefix("http://").rpartition(":")
+    for _ in _tries(children[-1]):
+        with suppress(OSError), socket.create_connection((host, int(port)), 1.0):
+            return
+
+
+def _tries(child: Child) -> Iterator[None]:
+    ends = time.monotonic() + READY_SECONDS
+    while time.monotonic() < ends:
+        assert child.process is not None
+        if child.process.poll() is not None:
+            raise SetupError(f"the {child.name} did not start; see above for why")
+        yield
+        time.sleep(0.05)
+    raise SetupError(f"the {child.name} did not answer within {READY_SECONDS:g} s")
+
+
+def _check_port(host: str, port: int) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise SetupError(f"can't listen at {host}, port {port}: {error.strerror}; choose another --port") from error
+
+
+@contextmanager
+def _alone(home: Path) -> Iterator[None]:
+    """Hold the folder of this service; the kernel lets go of it however this process ends."""
+    home.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with (home / "serve.lock").open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise SetupError(f"`mgsr serve` runs on {home} already; stop it, or set MGSR_HOME") from error
+        yield
+
+
+def _ask_to_stop(number: int, frame: FrameType | None) -> None:
+    raise _Stop

@@ -1,0 +1,140 @@
+"""Jobs as they are now, read once for all who ask at the same time: three hundred clients that poll a job cost one look
+at the store and Redis in each half second."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import re
+import time
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fastapi.concurrency import run_in_threadpool
+from redis import RedisError
+from redis.asyncio import Redis as AsyncRedis
+
+from service.contract.jobs import Jobs, JobState
+from service.contract.live import cancel_key, lease_key, progress_key
+from service.contract.queue import JobQueue
+from service.contract.records import Outcome
+from service.views import JobView, job_view
+
+FRESH_SECONDS = 0.4
+# A job that has ended changes only by a retry; one made through another service shows so late.
+FRESH_FINAL_SECONDS = 2.0
+KEPT = 5000
+_ID = re.compile(r"[0-9a-f]{32}")
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A job at a moment. body: the view as JSON; final: whether it has ended."""
+
+    owner: str
+    state: JobState
+    view: JobView
+    body: bytes
+    etag: str
+    read_at: float
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """How its last round ended."""
+        return self.state.outcome
+
+    @property
+    def final(self) -> bool:
+        """Whether it has ended."""
+        return self.state.outcome is not None
+
+
+class Snapshots:
+    """The jobs that were asked for lately."""
+
+    def __init__(self, jobs: Jobs, queue: JobQueue, redis: AsyncRedis) -> None:
+        self._jobs, self._queue, self._redis = jobs, queue, redis
+        self._kept: dict[str, Snapshot] = {}
+        self._reading: dict[str, asyncio.Task[Snapshot | None]] = {}
+        self._changed: dict[str, float] = {}
+        self._waiting: tuple[float, dict[tuple[str, int], int]] = (float("-inf"), {})
+
+    async def get(self, job: str) -> Snapshot | None:
+        """The job, at most half a second old; None for an unknown id."""
+        if not _ID.fullmatch(job):
+            return None
+        kept = self._kept.get(job)
+        if kept is not None:
+            age = time.monotonic() - kept.read_at
+            if age < (FRESH_FINAL_SECONDS if kept.final else FRESH_SECONDS):
+                return kept
+        return await self.read(job)
+
+    async def read(self, job: str) -> Snapshot | None:
+        """The job as it is now. Calls at the same time share one reading."""
+        task = self._reading.get(job)
+        if task is None:
+            task = asyncio.create_task(self._read(job))
+            self._reading[job] = task
+            task.add_done_callback(partial(self._read_done, job))
+        return await asyncio.shield(task)
+
+    def _read_done(self, job: str, task: asyncio.Task[Snapshot | None]) -> None:
+        if self._reading.get(job) is task:
+            del self._reading[job]
+
+    def forget(self, job: str) -> None:
+        """Read the job anew next time: this service has just changed it."""
+        self._kept.pop(job, None)
+        self._reading.pop(job, None)
+        self._changed[job] = time.monotonic()
+        while len(self._changed) > KEPT:
+            self._changed.pop(next(iter(self._changed)))
+
+    async def _read(self, job: str) -> Snapshot | None:
+        begun = time.monotonic()
+        state = await run_in_threadpool(self._jobs.state, job)
+        if state is None:
+            return None
+        view = await self._view(state)
+        body = view.model_dump_json().encode()
+        etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+        snapshot = Snapshot(state.record.owner, state, view, body, etag, begun)
+        if self._changed.get(job, 0.0) <= begun:  # what was read before a change is not kept
+            self._kept[job] = snapshot
+        while len(self._kept) > KEPT:
+            self._kept.pop(next(iter(self._kept)))
+        return snapshot
+
+    async def _view(self, state: JobState) -> JobView:
+        job = state.record.id
+        try:
+            leased, progress, cancelling = await self._redis.mget(
+                lease_key(job), progress_key(job), cancel_key(job, state.round)
+            )
+            if cancelling is not None and state.outcome is None:
+                state = JobState(state.record, state.round, None, True)
+            place = None
+            if state.outcome is None and leased is None:
+                place = (await self._waiting_places()).get((job, state.round))
+            return job_view(state, leased is not None, json.loads(progress or "{}"), place)
+        except RedisError:
+            return await self._view_without_redis(state)
+
+    async def _view_without_redis(self, state: JobState) -> JobView:
+        """From what was known before, or else from whether a worker has ever taken the round up."""
+        before = self._kept.get(state.record.id)
+        known: dict[str, Any] = {}
+        if before is not None and before.state.round == state.round:
+            known = before.view.model_dump(exclude_none=True) | {"text": before.view.message}
+        started = await run_in_threadpool(self._jobs.attempts, state.record.id)
+        return job_view(state, any(start.round == state.round for start in started.values()), known, None)
+
+    async def _waiting_places(self) -> dict[tuple[str, int], int]:
+        read_at, places = self._waiting
+        if time.monotonic() - read_at > FRESH_SECONDS:
+            places = await run_in_threadpool(self._queue.waiting)
+            self._waiting = (time.monotonic(), places)
+        return places

@@ -1,0 +1,218 @@
+"""Receives an archive into the store as it comes, holding a few megabytes of it at most."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from python_multipart.exceptions import MultipartParseError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.requests import Request
+
+from service.contract.settings import Settings
+from service.contract.store import Store
+from service.problems import Problem
+
+OPTIONS_BYTES = 256 << 10
+RAW_TYPES = {
+    "application/zip",
+    "application/x-zip-compressed",
+    "application/x-tar",
+    "application/gzip",
+    "application/x-gzip",
+    "application/octet-stream",
+}
+_HEAD = 512  # bytes, enough to tell what kind of archive it is
+
+
+@dataclass(frozen=True)
+class Received:
+    """What came. options: the text of the multipart field, None where there was none."""
+
+    size: int
+    sha256: str
+    options: str | None
+
+
+async def receive(request: Request, store: Store, key: str, settings: Settings) -> Received:
+    """Store the request's archive under `key`; on any trouble, nothing is left there.
+
+    Raises Problem: 408 too slow, 413 too large, 415 unknown type, 400 cut or malformed, 422 no archive.
+    """
+    sink = _Sink(settings.max_upload)
+    kind, parameters = parse_options_header(request.headers.get("content-type", ""))
+    chunks = _timed(request.stream(), settings)
+    async with store.writer(key) as writer:
+        if kind == b"multipart/form-data":
+            options = await _multipart(chunks, parameters.get(b"boundary"), sink, writer)
+        elif kind.decode("latin-1") in RAW_TYPES:
+            options = None
+            async for chunk in chunks:
+                sink.take(chunk)
+                await sink.flush(writer)
+        else:
+            raise Problem(
+                415,
+                "content_type_unsupported",
+                f"expected multipart/form-data with a field `archive`, or one of {', '.join(sorted(RAW_TYPES))}; "
+                f"got {kind.decode('latin-1', 'replace')[:100]!r}",
+            )
+        sink.check_kind()
+        await sink.flush(writer)
+    return Received(sink.size, sink.digest.hexdigest(), options)
+
+
+class _Sink:
+    """Counts, hashes and holds the archive's bytes until they are written."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.size, self.digest = limit, 0, hashlib.sha256()
+        self._held: list[bytes] = []
+        self._head = b""
+
+    def take(self, chunk: bytes) -> None:
+        self.size += len(chunk)
+        if self.size > self.limit:
+            raise too_large(self.limit)
+        if len(self._head) < _HEAD:
+            self._head += chunk[: _HEAD - len(self._head)]
+            if len(self._head) >= _HEAD:
+                self.check_kind()
+        self.digest.update(chunk)
+        self._held.append(chunk)
+
+    async def flush(self, writer: Any) -> None:
+        held, self._held = self._held, []
+        for chunk in held:
+            await writer.write(chunk)
+
+    def check_kind(self) -> None:
+        """Raise Problem for what is no archive, by its first bytes; the worker looks closer."""
+        head = self._head
+        if not head:
+            raise Problem(422, "archive_missing", "the archive is empty; expected a zip, tar or tar.gz file")
+        if not (head.startswith((b"PK", b"\x1f\x8b")) or head[257:262] == b"ustar"):
+            raise Problem(
+                422, "archive_unsupported", "expected a zip, tar or tar.gz file; this begins like none of them"
+            )
+
+
+def too_large(limit: int) -> Problem:
+    """The refusal of too many bytes."""
+    return Problem(413, "archive_too_large", f"at most {limit} bytes are taken; use smaller or fewer images")
+
+
+async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
+    """The body's chunks. Raises Problem when none comes for long, or they trickle."""
+    begun, count = time.monotonic(), 0
+    while True:
+        try:
+            chunk = await asyncio.wait_for(anext(stream), settings.upload_idle)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise _too_slow(f"nothing came for {settings.upload_idle:g} s") from None
+        count += len(chunk)
+        spent = time.monotonic() - begun
+        if spent > settings.upload_grace and count < spent * settings.upload_rate:
+            raise _too_slow(f"{count / spent:.0f} bytes a second came; at least {settings.upload_rate} are expected")
+        yield chunk
+
+
+def _too_slow(what: str) -> Problem:
+    return Problem(408, "upload_too_slow", f"the upload was given up: {what}; try again", {"Connection": "close"})
+
+
+async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink: _Sink, writer: Any) -> str | None:
+    """Pass the field `archive` to the sink; the field `options`."""
+    if not boundary:
+        raise Problem(400, "multipart_malformed", "the header Content-Type names no boundary")
+    fields = _Fields(sink)
+    try:
+        parser = MultipartParser(boundary, fields.callbacks())  # type: ignore[arg-type]
+        async for chunk in chunks:
+            parser.write(chunk)
+            await sink.flush(writer)
+        parser.finalize()
+    except MultipartParseError as error:
+        raise Problem(400, "multipart_malformed", f"the multipart body can't be read: {error}") from error
+    if not fields.ended:
+        raise Problem(400, "multipart_malformed", "the multipart body ends before its last boundary")
+    if not fields.archive_seen:
+        raise Problem(422, "archive_missing", "expected a multipart field `archive` with a zip, tar or tar.gz file")
+    return None if fields.options is None else _text(fields.options)
+
+
+class _Fields:
+    """Sorts a multipart body by its field names."""
+
+    def __init__(self, sink: _Sink) -> None:
+        self._sink = sink
+        self._headers: dict[bytes, bytes] = {}
+        self._name = self._value = b""
+        self._field = b""
+        self.options: bytes | None = None
+        self.archive_seen = self.ended = False
+
+    def callbacks(self) -> dict[str, Callable[..., None]]:
+        """As the parser wants them."""
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": self._header_name,
+            "on_header_value": self._header_value,
+            "on_header_end": self._header_end,
+            "on_headers_finished": self._headers_end,
+            "on_part_data": self._data,
+            "on_end": self._end,
+        }
+
+    def _begin(self) -> None:
+        self._headers = {}
+
+    def _header_name(self, data: bytes, start: int, end: int) -> None:
+        self._name += data[start:end]
+
+    def _header_value(self, data: bytes, start: int, end: int) -> None:
+        self._value += data[start:end]
+
+    def _header_end(self) -> None:
+        self._headers[self._name.lower()] = self._value
+        self._name = self._value = b""
+
+    def _headers_end(self) -> None:
+        _, parameters = parse_options_header(self._headers.get(b"content-disposition", b""))
+        self._field = parameters.get(b"name", b"")
+        if (self._field == b"archive" and self.archive_seen) or (
+            self._field == b"options" and self.options is not None
+        ):
+            raise Problem(400, "multipart_malformed", f"the field {self._field.decode()!r} comes twice")
+        if self._field == b"archive":
+            self.archive_seen = True
+        elif self._field == b"options":
+            self.options = b""
+        else:
+            raise Problem(
+                422, "field_unknown", f"expected the fields `archive` and `options`, got {self._field[:100]!r}"
+            )
+
+    def _data(self, data: bytes, start: int, end: int) -> None:
+        if self._field == b"archive":
+            self._sink.take(data[start:end])
+        else:
+            self.options = (self.options or b"") + data[start:end]
+            if len(self.options) > OPTIONS_BYTES:
+                raise Problem(413, "options_too_large", f"the field `options` has more than {OPTIONS_BYTES} bytes")
+
+    def _end(self) -> None:
+        self.ended = True
+
+
+def _text(data: bytes) -> str:
+    with suppress(UnicodeDecodeError):
+        return data.decode()
+    raise Problem(422, "bad_options", "the field `options` is not UTF-8 text")

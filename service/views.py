@@ -1,0 +1,121 @@
+"""A job as the service shows it."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
+
+from service.contract.jobs import JobState
+from service.contract.options import JobOptions
+from service.contract.records import Failure, JobStatus
+
+_EXAMPLE: JsonDict = {
+    "id": "5f0c7a1e9b3d4c2f8a6e1d0b7c9f3a52",
+    "name": "vase",
+    "status": "running",
+    "created": "2026-01-05T10:00:00Z",
+    "finished": None,
+    "cancelling": False,
+    "step": "train",
+    "message": None,
+    "stage": "mutual",
+    "iteration": 1200,
+    "total": 3200,
+    "progress": 0.61,
+    "eta_seconds": 94.0,
+    "losses": {"l1": 0.02, "ssim": 0.05},
+    "psnr": 29.4,
+    "splats": {"surfels": 12000, "volumes": 9000},
+    "curve": [{"seconds": 20.0, "stage": "warmup_surfels", "iteration": 250, "loss": 0.12, "psnr": 24.1}],
+    "queue_position": None,
+    "attempt": 1,
+    "round": 0,
+    "memory_bytes": 1500000000,
+    "error": None,
+    "metrics": {},
+    "options": {"preset": "standard"},
+}
+
+
+class CurvePoint(BaseModel):
+    """A row of the training curve. loss: the sum of the terms of the last iteration; psnr: dB on held-back views."""
+
+    seconds: float
+    stage: str
+    iteration: int
+    loss: float | None
+    psnr: float | None
+
+
+class JobView(BaseModel):
+    """A job and how it goes."""
+
+    model_config = ConfigDict(json_schema_extra={"example": _EXAMPLE})
+
+    id: str
+    name: str | None
+    status: JobStatus
+    created: datetime
+    finished: datetime | None = None
+    cancelling: bool = Field(False, description="A cancel was asked for and has not happened yet.")
+    step: str | None = Field(None, description="fetch, unpack, load, start, train, export, render, mesh, ... publish")
+    message: str | None = Field(None, description="The step in words.")
+    stage: str | None = Field(None, description="The stage of training.")
+    iteration: int | None = None
+    total: int | None = Field(None, description="Planned iterations of this stage.")
+    progress: float = Field(0.0, ge=0, le=1)
+    eta_seconds: float | None = Field(None, description="Estimated time left.")
+    losses: dict[str, float | None] = Field({}, description="The last iteration's loss terms, times their weights.")
+    psnr: float | None = Field(None, description="dB on held-back views.")
+    splats: dict[str, int] = {}
+    curve: list[CurvePoint] = []
+    queue_position: int | None = Field(None, description="From 1; of a queued job.")
+    attempt: int | None = None
+    round: int = Field(0, description="How often it was retried by request.")
+    memory_bytes: int | None = Field(None, description="The most that the job process had so far.")
+    error: Failure | None = None
+    metrics: dict[str, Any] = Field({}, description="The headline figures of report.json, once it succeeded.")
+    options: JobOptions
+
+
+class JobList(BaseModel):
+    """A page of jobs, the newest first. next: give it as `before` to get the page after this one."""
+
+    jobs: list[JobView]
+    next: str | None = None
+
+
+# Fields that are taken over from a worker's progress.
+_PROGRESS = (
+    *("step", "stage", "iteration", "total", "progress", "eta_seconds", "losses", "psnr", "splats", "curve"),
+    *("attempt", "memory_bytes"),
+)
+
+
+def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_position: int | None) -> JobView:
+    """The job from what the store, and Redis if it answers, say of it."""
+    record, outcome = state.record, state.outcome
+    fields: dict[str, Any] = {}
+    if progress.get("round") == state.round:
+        fields = {name: progress[name] for name in _PROGRESS if name in progress}
+        fields["message"] = progress.get("text")
+    if outcome is not None:
+        fields |= {"status": outcome.status, "finished": outcome.finished, "error": outcome.error, "eta_seconds": None}
+        fields |= {"metrics": outcome.metrics, "attempt": outcome.attempt or fields.get("attempt")}
+        if outcome.status is JobStatus.SUCCEEDED:
+            fields |= {"progress": 1.0, "step": "done", "message": None}
+    else:
+        fields["status"] = JobStatus.RUNNING if running else JobStatus.QUEUED
+        fields["queue_position"] = None if running else queue_position
+    return JobView(
+        id=record.id,
+        name=record.options.name,
+        created=record.created,
+        cancelling=state.cancelling,
+        round=state.round,
+        options=record.options,
+        **fields,
+    )

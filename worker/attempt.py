@@ -1,0 +1,319 @@
+"""One attempt at a job: fetch, run, watch, publish."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from redis import RedisError
+
+from service.contract.errors import StoreError
+from service.contract.jobs import Jobs, attempt_path
+from service.contract.live import Live
+from service.contract.records import Failure, JobRecord, JobStatus, Outcome, now
+from service.contract.settings import Settings
+from worker.carrier import Carrier
+from worker.job import JobResult, JobSpec
+from worker.lease import LeaseKeeper
+from worker.process import Exit, JobProcess
+from worker.publish import headline, upload_results
+from worker.scratch import scratch_folder
+from worker.watch import Reason, Watch
+
+TICK = 0.1
+BEAT_PERIOD = 10.0
+KILLED = -9
+
+# Failures after which the same archive and options fail again.
+FINAL_CODES = {
+    "bad_scene",
+    "bad_option",
+    "archive_unsupported",
+    "archive_damaged",
+    "archive_unsafe_member",
+    "archive_too_many_members",
+    "archive_too_large",
+    "archive_ratio",
+    "image_too_large",
+}
+
+
+class Interrupted(Exception):
+    """The attempt stops without an outcome; `lost` if its process was ended by a stranger."""
+
+    def __init__(self, lost: bool) -> None:
+        super().__init__("interrupted")
+        self.lost = lost
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What an attempt needs of its worker. patient: jobs in a store that waits for one that doesn't answer; jobs: in
+    one that gives up soon. stopping: whether the worker is to end. beat: says that it lives."""
+
+    settings: Settings
+    patient: Jobs
+    jobs: Jobs
+    live: Live
+    stopping: Callable[[], bool]
+    beat: Callable[[], None]
+
+
+class Attempt:
+    """An attempt that has its number and its lease."""
+
+    def __init__(self, around: Surroundings, record: JobRecord, number: int, attempt: int, lease: LeaseKeeper) -> None:
+        self._around, self._record, self._number, self._attempt = around, record, number, attempt
+        self._lease = lease
+        self._last_beat = 0.0
+        self._known: dict[str, Any] = {}
+        self._earlier_curve: list[dict[str, Any]] = []
+
+    def run(self) -> Outcome:
+        """How the round ends by this attempt. Raises Interrupted where it does not, StoreError where the store stays
+        away."""
+        settings = self._around.settings
+        with scratch_folder(settings.scratch_folder, f"{self._record.id}.{self._attempt}") as scratch:
+            deadline = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
+            self._scratch = scratch
+            self._carrier = Carrier(self._around.jobs, self._record.id, self._number, self._attempt, scratch)
+            self._watch = Watch(
+                self._around.live,
+                self._record.id,
+                self._number,
+                deadline,
+                scratch,
+                settings.min_free_disk,
+                settings.job_memory,
+                self._reason_outside,
+            )
+            self._load_earlier_curve()
+            self._progress(step="fetch", text="fetching the archive", progress=0.0)
+            return self._while_watching(self._fetch) or self._run_process() or self._publish()
+
+    def _reason_outside(self) -> Reason | None:
+        self._beat()
+        if self._lease.lost:
+            return Reason.LEASE_LOST
+        if self._carrier.cancel_seen:
+            return Reason.CANCELLED
+        return Reason.SHUTDOWN if self._around.stopping() else None
+
+    def _beat(self) -> None:
+        if time.monotonic() - self._last_beat > BEAT_PERIOD:
+            self._last_beat = time.monotonic()
+            try:
+                self._around.beat()
+            except RedisError:
+                return  # the next beat may reach it
+
+    def _while_watching(self, work: Callable[[], None]) -> Outcome | None:
+        """Do something slow in a thread that is left alone as soon as there is a reason to stop; how the round then
+        ends."""
+        trouble: list[BaseException] = []
+
+        def guarded() -> None:
+            try:
+                work()
+            except Exception as error:
+                trouble.append(error)
+
+        thread = threading.Thread(target=guarded, daemon=True, name="transfer")
+        thread.start()
+        while thread.is_alive():
+            if (reason := self._watch.look()) is not None:
+                return self._stopped(reason, peak=None)
+            thread.join(TICK)
+        if trouble:
+            raise trouble[0]
+        return None
+
+    def _fetch(self) -> None:
+        """The archive, and the newest checkpoint that any attempt has left."""
+        store, job = self._around.patient.store, self._record.id
+        (self._scratch / "out").mkdir()
+        store.download(self._record.archive, self._scratch / "archive")
+        held = {entry.key for entry in store.entries(f"jobs/{job}/attempts") if entry.key.endswith("/checkpoint")}
+        for earlier in range(self._attempt - 1, 0, -1):
+            if (key := attempt_path(job, earlier, "checkpoint")) in held:
+                store.download(key, self._scratch / "out" / "checkpoint")
+                return
+
+    def _run_process(self) -> Outcome | None:
+        """Run the job process to its end; how the round ends if not by its results."""
+        killed_before = _kernel_kills()
+        process = JobProcess(self._write_spec(), self._scratch)
+        self._carrier.start()
+        try:
+            ended = self._follow(process)
+        finally:
+            process.close()
+            self._carrier.stop()
+        reason, result = self._watch.reason, self._result()
+        if result is not None and result.status == "succeeded" and reason in (None, Reason.SHUTDOWN):
+            return None
+        if reason is not None:
+            return self._stopped(reason, ended.peak_memory)
+        if result is not None and result.status == "stopped":  # by somebody else's signal
+            self._keep_checkpoint()
+            raise Interrupted(lost=True)
+        if result is None:
+            return self._died(ended, out_of_memory=_kernel_kills() > killed_before)
+        return self._failed(result.code, result.message, ended.peak_memory)
+
+    def _follow(self, process: JobProcess) -> Exit:
+        """Pass its events on until it ends, or is ended."""
+        asked: float | None = None
+        while (ended := process.poll()) is None:
+            self._pass_on(process)
+            reason = self._watch.look(process.memory)
+            if reason in (Reason.MEMORY, Reason.LEASE_LOST, Reason.DISK_FULL):
+                return process.kill()
+            if reason is not None and asked is None:
+                asked = time.monotonic()
+                process.ask_to_stop()
+            if asked is not None and time.monotonic() - asked > self._around.settings.stop_grace:
+                return process.kill()
+            time.sleep(TICK)
+        self._pass_on(process)
+        return ended
+
+    def _pass_on(self, process: JobProcess) -> None:
+        for event in process.events():
+            event.pop("event")
+            self._progress(**event, memory_bytes=process.peak_memory)
+
+    def _progress(self, **change: Any) -> None:
+        """Tell who listens; if Redis is away, the next time will do."""
+        change |= {"status": JobStatus.RUNNING}
+        self._known |= change | {"round": self._number, "attempt": self._attempt}
+        whole = self._known | {"curve": joined(self._earlier_curve, self._known.get("curve", []))}
+        try:
+            self._around.live.keep_progress(self._record.id, whole, change)
+        except RedisError:
+            return
+
+    def _load_earlier_curve(self) -> None:
+        """Where this attempt goes on from another's checkpoint, their curves are one."""
+        try:
+            self._earlier_curve = self._around.live.progress(self._record.id).get("curve", [])
+        except RedisError:
+            return
+
+    def _write_spec(self) -> Path:
+        settings, scratch = self._around.settings, self._scratch
+        spec = JobSpec(
+            options=self._record.options,
+            archive=scratch / "archive",
+            scene=scratch / "scene",
+            out=scratch / "out",
+            previews=scratch / "previews",
+            result=scratch / "result.json",
+            resume=(scratch / "out" / "checkpoint").exists(),
+            checkpoint_seconds=settings.checkpoint_seconds,
+            max_members=settings.max_members,
+            max_unpacked=settings.max_unpacked,
+            max_ratio=settings.max_ratio,
+            max_pixels=settings.max_pixels,
+        )
+        path = scratch / "spec.json"
+        path.write_text(spec.model_dump_json())
+        return path
+
+    def _result(self) -> JobResult | None:
+        path = self._scratch / "result.json"
+        return JobResult.model_validate_json(path.read_text()) if path.exists() else None
+
+    def _publish(self) -> Outcome:
+        """Bring the results to the store, however long that is away."""
+        published: list[Outcome] = []
+
+        def work() -> None:
+            out = self._scratch / "out"
+            artifacts = upload_results(self._around.patient.store, self._record.id, self._attempt, out)
+            metrics = headline(out)
+            published.append(
+                Outcome(
+                    status=JobStatus.SUCCEEDED,
+                    attempt=self._attempt,
+                    finished=now(),
+                    artifacts=artifacts,
+                    metrics=metrics,
+                )
+            )
+
+        self._progress(step="publish", text="storing the results", progress=0.99)
+        return self._while_watching(work) or published[0]
+
+    def _stopped(self, reason: Reason, peak: int | None) -> Outcome:
+        """How a round ends that was stopped from outside; its last checkpoint is kept for a retry."""
+        if reason is Reason.LEASE_LOST:
+            raise Interrupted(lost=False)
+        self._keep_checkpoint()
+        if reason is Reason.SHUTDOWN:
+            raise Interrupted(lost=False)
+        if reason is Reason.CANCELLED:
+            return Outcome(status=JobStatus.CANCELLED, attempt=self._attempt, finished=now())
+        return self._failed(reason.value, self._say(reason, peak), peak)
+
+    def _say(self, reason: Reason, peak: int | None) -> str:
+        settings = self._around.settings
+        if reason is Reason.MEMORY:
+            return (
+                f"the job used {(peak or 0) / 2**20:.0f} MiB of memory; the worker's limit is "
+                f"{settings.job_memory / 2**20:.0f} MiB. Use smaller images (data.max_side), or a larger worker"
+            )
+        if reason is Reason.DISK_FULL:
+            free = shutil.disk_usage(self._scratch).free
+            least = settings.min_free_disk
+            return f"the worker's disk has {free / 2**20:.0f} MiB left; {least / 2**20:.0f} MiB must stay free"
+        limit = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
+        return f"the job ran for longer than its deadline of {limit:g} s; retry it to go on from its checkpoint"
+
+    def _died(self, ended: Exit, out_of_memory: bool) -> Outcome:
+        """How a round ends whose process ended without a word."""
+        if ended.code == KILLED and out_of_memory:
+            text = f"the kernel ended the job for lack of memory; it had {ended.peak_memory / 2**20:.0f} MiB"
+            return self._failed("out_of_memory", text, ended.peak_memory)
+        if ended.code == KILLED:
+            self._keep_checkpoint()
+            raise Interrupted(lost=True)
+        text = f"the job process ended with {ended.code}: {self._last_words()}"
+        return self._failed("crashed", text, ended.peak_memory)
+
+    def _last_words(self) -> str:
+        console = self._scratch / "console.txt"
+        return console.read_text(errors="replace")[-500:].strip() or "it said nothing"
+
+    def _failed(self, code: str, message: str, peak: int | None) -> Outcome:
+        self._keep_checkpoint()
+        failure = Failure(code=code, message=message, retryable=code not in FINAL_CODES, peak_memory_bytes=peak)
+        return Outcome(status=JobStatus.FAILED, attempt=self._attempt, finished=now(), error=failure)
+
+    def _keep_checkpoint(self) -> None:
+        """Bring checkpoint and log to the store, without waiting for one that is away."""
+        for send in (self._carrier.send_checkpoint, self._carrier.send_log):
+            try:
+                send()
+            except (StoreError, OSError):
+                continue  # a retry then begins from an older one
+
+
+def joined(earlier: list[dict[str, Any]], curve: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Two curves as one: of the earlier only what lies before the other begins, in seconds of training."""
+    begins = curve[0]["seconds"] if curve else float("inf")
+    return [row for row in earlier if row["seconds"] < begins] + curve
+
+
+def _kernel_kills() -> int:
+    """How many processes the kernel has killed for lack of memory since it started."""
+    try:
+        with open("/proc/vmstat") as file:
+            return next((int(line.split()[1]) for line in file if line.startswith("oom_kill ")), 0)
+    except OSError:
+        return 0

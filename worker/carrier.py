@@ -1,0 +1,95 @@
+"""Carries what a running job makes to the store while it runs: checkpoint, previews, log."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from service.contract.errors import StoreError
+from service.contract.jobs import Jobs, attempt_path
+
+PERIOD = 1.0  # seconds between two looks
+LOG_PERIOD = 5.0
+CANCEL_PERIOD = 5.0
+
+
+class Carrier:
+    """A thread that uploads each file when it has changed. What the store refuses is tried again at the next look."""
+
+    def __init__(self, jobs: Jobs, job: str, number: int, attempt: int, scratch: Path) -> None:
+        self._jobs, self._job, self._number, self._attempt = jobs, job, number, attempt
+        self._scratch = scratch
+        self._sent: dict[Path, tuple[int, int]] = {}
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._carry, daemon=True, name="carrier")
+        self._since_log = self._since_cancel = 0.0
+        self.cancel_seen = False  # in the store, should Redis have lost it
+
+    def start(self) -> None:
+        """Begin to carry."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Carry no more; an upload that is under way is waited for."""
+        self._done.set()
+        self._thread.join()
+
+    def send_checkpoint(self) -> None:
+        """Upload the checkpoint if it has changed. Raises StoreError."""
+        source = self._scratch / "out" / "checkpoint"
+        if not self._changed(source):
+            return
+        # A second name for the file: the job replaces the first while this one is read.
+        linked = self._scratch / "checkpoint.sending"
+        linked.unlink(missing_ok=True)
+        os.link(source, linked)
+        self._send(linked, "checkpoint", source)
+
+    def send_log(self) -> None:
+        """Upload the log if it has changed. Raises StoreError."""
+        source = self._scratch / "out" / "log.txt"
+        if self._changed(source):
+            self._send(source, "log.txt", source)
+
+    def _carry(self) -> None:
+        while not self._done.wait(PERIOD):
+            self._since_log += PERIOD
+            self._since_cancel += PERIOD
+            for step in (self.send_checkpoint, self._send_previews, self._log_if_due, self._look_for_cancel):
+                self._try(step)
+
+    def _try(self, step: Callable[[], None]) -> None:
+        try:
+            step()
+        except (StoreError, OSError):
+            return  # the next look tries again
+
+    def _send_previews(self) -> None:
+        for path in (self._scratch / "previews").glob("*.webp"):
+            if self._changed(path):
+                self._send(path, f"previews/{path.name}", path)
+
+    def _log_if_due(self) -> None:
+        if self._since_log >= LOG_PERIOD:
+            self._since_log = 0.0
+            self.send_log()
+
+    def _look_for_cancel(self) -> None:
+        if self._since_cancel >= CANCEL_PERIOD:
+            self._since_cancel = 0.0
+            self.cancel_seen = self.cancel_seen or self._jobs.cancel_asked(self._job, self._number)
+
+    def _changed(self, path: Path) -> bool:
+        return path.exists() and self._sent.get(path) != _version(path)
+
+    def _send(self, path: Path, name: str, source: Path) -> None:
+        version = _version(path)
+        self._jobs.store.upload(attempt_path(self._job, self._attempt, name), path)
+        self._sent[source] = version
+
+
+def _version(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns

@@ -1,0 +1,141 @@
+"""The job process: unpacks and reconstructs one scene. It knows neither Redis nor the store, and has no secrets: what
+strangers send is read here only. It is told what to do by a file, and tells by lines of JSON and a result file.
+
+python -m worker.job, with MGSR_JOB naming the spec and MGSR_JOB_PARENT the worker's process id.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import sys
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from service.contract.lifeline import die_with_parent
+from service.contract.options import JobOptions
+
+# The pipe to the worker.
+EVENTS_FD = 3
+
+
+class JobSpec(BaseModel):
+    """What the worker asks for; all files lie in the attempt's scratch folder."""
+
+    options: JobOptions
+    archive: Path
+    scene: Path
+    out: Path
+    previews: Path
+    result: Path
+    resume: bool
+    checkpoint_seconds: float
+    max_members: int
+    max_unpacked: int
+    max_ratio: float
+    max_pixels: int
+
+
+class JobResult(BaseModel):
+    """How the process ended. status: succeeded, stopped (on request), or failed with a code and a message."""
+
+    status: str
+    code: str = ""
+    message: str = ""
+
+
+def main() -> None:
+    """Run the job that the environment names."""
+    die_with_parent(int(os.environ["MGSR_JOB_PARENT"]))
+    _first_to_go()
+    spec = JobSpec.model_validate_json(Path(os.environ["MGSR_JOB"]).read_text())
+    result = _run(spec)
+    partial = spec.result.with_suffix(".partial")
+    partial.write_text(result.model_dump_json())
+    os.replace(partial, spec.result)
+
+
+def _run(spec: JobSpec) -> JobResult:
+    from mgsr.errors import Cancelled, MgsrError
+
+    try:
+        _reconstruct(spec)
+    except Cancelled as stop:
+        return JobResult(status="stopped", message=str(stop))
+    except KeyboardInterrupt:
+        return JobResult(status="stopped", message="stopped at once")
+    except MgsrError as error:
+        return JobResult(status="failed", code=error.code, message=_without_folders(str(error), spec))
+    except MemoryError:
+        return JobResult(status="failed", code="out_of_memory", message="the job ran out of memory")
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return JobResult(status="failed", code="disk_full", message=f"no space left on the worker's disk: {error}")
+        return _unexpected(error)
+    except Exception as error:
+        return _unexpected(error)
+    return JobResult(status="succeeded")
+
+
+def _reconstruct(spec: JobSpec) -> None:
+    from mgsr.cli.signals import stop_on_signals
+    from mgsr.config import make_config
+    from worker.unpack import Limits, check_images, unpack_archive
+
+    with stop_on_signals() as stop:
+        emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
+        limits = Limits(spec.max_members, spec.max_unpacked, spec.max_ratio, spec.max_pixels)
+        unpack_archive(spec.archive, spec.scene, limits)
+        check_images(spec.scene, limits)
+        options = spec.options
+        watch = ["watch.report_every=5", "watch.preview_every=200"]
+        always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}"]
+        config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
+
+        from mgsr.cli.console import RunDisplay
+        from mgsr.cli.outputs import LOG
+        from mgsr.cli.pipeline import run_scene
+        from worker.reporting import Reporter
+
+        with RunDisplay(spec.out / LOG, append=spec.resume) as display:
+            report = Reporter(spec.previews, partial(_tell, spec), display)
+            run_scene(spec.scene, spec.out, config, options.device, spec.resume, report, stop)
+
+
+def emit(kind: str, **data: Any) -> None:
+    """Tell the worker something. If it is gone, so are we in a moment."""
+    with contextlib.suppress(BrokenPipeError):
+        os.write(EVENTS_FD, (json.dumps({"event": kind, **data}) + "\n").encode())
+
+
+def _tell(spec: JobSpec, kind: str, **data: Any) -> None:
+    """Tell the worker something that others will read."""
+    emit(kind, **{name: _without_folders(value, spec) if name == "text" else value for name, value in data.items()})
+
+
+def _unexpected(error: BaseException) -> JobResult:
+    traceback.print_exception(error, file=sys.stderr)
+    return JobResult(status="failed", code="internal", message=f"{type(error).__name__}: {error}")
+
+
+def _without_folders(text: str, spec: JobSpec) -> str:
+    """The message without the worker's own paths, which mean nothing to who reads it."""
+    for folder, name in ((spec.scene, "archive"), (spec.out, "results")):
+        text = text.replace(f"{folder}/", "").replace(str(folder), name)
+    return text
+
+
+def _first_to_go() -> None:
+    """Have the kernel pick this process, not the worker, when memory runs out."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("800")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Brings an attempt's results to the store, and says what they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import mimetypes
+from pathlib import Path
+from typing import Any
+
+from service.contract.jobs import attempt_path
+from service.contract.records import Artifact
+from service.contract.store import Store
+
+# Files of the results that are no results.
+_KEPT_BACK = {"checkpoint"}
+_TYPES = {".ply": "application/octet-stream", ".glb": "model/gltf-binary", ".txt": "text/plain; charset=utf-8"}
+_METRICS = ("psnr_test", "ssim_test", "mesh", "gaussians", "iterations", "seconds", "peak_memory_mib", "gt")
+
+
+def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Artifact]:
+    """Every result file, uploaded under the attempt. Raises StoreError."""
+    artifacts = []
+    for path in sorted(out.rglob("*")):
+        name = path.relative_to(out).as_posix()
+        if path.is_file() and name not in _KEPT_BACK:
+            store.upload(attempt_path(job, attempt, name), path)
+            size = path.stat().st_size
+            artifacts.append(Artifact(name=name, size=size, sha256=_sha256(path), content_type=_type(path)))
+    return artifacts
+
+
+def headline(out: Path) -> dict[str, Any]:
+    """The figures of report.json that a job's own document shows."""
+    report = json.loads((out / "report.json").read_text())
+    return {name: report[name] for name in _METRICS if report.get(name) is not None}
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _type(path: Path) -> str:
+    return _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"

@@ -1,0 +1,103 @@
+"""Takes up rounds of jobs: claims them, has an attempt made, and files how they ended."""
+
+from __future__ import annotations
+
+import logging
+import os
+import secrets
+import socket
+from collections.abc import Callable
+from typing import Any
+
+from redis import Redis, RedisError
+
+from service.contract.errors import StoreError
+from service.contract.jobs import Jobs, attempt_path
+from service.contract.live import Live
+from service.contract.queue import JobQueue, queue_for
+from service.contract.records import Failure, JobRecord, JobStatus, Outcome, now
+from service.contract.settings import Settings
+from service.contract.store import Store
+from worker.attempt import FINAL_CODES, Attempt, Interrupted, Surroundings
+from worker.lease import LeaseKeeper
+
+log = logging.getLogger("mgsr.worker")
+
+# Seconds for which requests on the way are tried again; the next look tries anyway.
+SHORT_PATIENCE = 5.0
+
+
+class Rounds:
+    """What one worker does with what it takes from the queue."""
+
+    def __init__(self, settings: Settings, redis: Redis, stopping: Callable[[], bool]) -> None:
+        self._settings = settings
+        self._stopping = stopping
+        self.name = f"{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(3)}"
+        self.live = Live(redis)
+        self.queue = JobQueue(redis)
+        self.patient = Jobs(Store(settings.store_url, settings.publish_patience))
+        self.jobs = Jobs(Store(settings.store_url, SHORT_PATIENCE))
+
+    def take(self, job: str, number: int, beat: Callable[[], None]) -> None:
+        """Work on a round, unless another worker does or it is over. Trouble with Redis or the store is logged; the
+        round then stays open, and recovery puts it back into the queue."""
+        holder = f"{self.name}.{secrets.token_hex(4)}"
+        try:
+            if not self.live.take_lease(job, holder, self._settings.lease):
+                return
+            with LeaseKeeper(self.live, job, holder, self._settings.lease) as lease:
+                self._work(job, number, holder, lease, beat)
+        except (StoreError, RedisError) as error:
+            log.warning("job %s: left for another attempt: %s", job, error)
+
+    def _work(self, job: str, number: int, holder: str, lease: LeaseKeeper, beat: Callable[[], None]) -> None:
+        record = self.patient.record(job)
+        if record is None or self.patient.outcome(job, number) is not None:
+            self.patient.store.delete(f"open/{job}.{number}")
+            return
+        if self.live.cancel_asked(job, number) or self.patient.cancel_asked(job, number):
+            self._end(record, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
+            return
+        if (lost := self.patient.lost_attempts(job, number)) >= self._settings.max_attempts:
+            self._end(record, number, _given_up(lost))
+            return
+        attempt = self.patient.begin_attempt(job, number, holder)
+        log.info("job %s: attempt %d begins", job, attempt)
+        around = Surroundings(self._settings, self.patient, self.jobs, self.live, self._stopping, beat)
+        try:
+            self._end(record, number, Attempt(around, record, number, attempt, lease).run())
+        except Interrupted as stop:
+            log.info("job %s: attempt %d interrupted", job, attempt)
+            if not stop.lost:
+                self.jobs.end_attempt(job, attempt)
+            if not lease.lost:
+                self.queue.put(job, number, queue_for(record.options))
+
+    def _end(self, record: JobRecord, number: int, outcome: Outcome) -> None:
+        """File the outcome, tell who listens, and drop what is of no more use."""
+        won = self.patient.finish(record.id, number, outcome)
+        log.info("job %s: %s%s", record.id, outcome.status, "" if won else ", but another attempt was first")
+        if not won:
+            return
+        self._tell(record.id, {"status": outcome.status, "round": number})
+        if outcome.status is JobStatus.SUCCEEDED:
+            for attempt in self.patient.attempts(record.id):
+                self.patient.store.delete(attempt_path(record.id, attempt, "checkpoint"))
+        elif outcome.error is not None and outcome.error.code in FINAL_CODES:
+            self.patient.store.delete(record.archive)
+
+    def _tell(self, job: str, data: dict[str, Any]) -> None:
+        try:
+            self.live.publish(job, "status", data)
+        except RedisError:
+            return  # who listens also looks at the store from time to time
+
+
+def _given_up(lost: int) -> Outcome:
+    failure = Failure(
+        code="worker_lost",
+        message=f"{lost} attempts ended with their worker or their process killed; look at the workers, then retry",
+        retryable=True,
+    )
+    return Outcome(status=JobStatus.FAILED, attempt=None, finished=now(), error=failure)

@@ -1,0 +1,55 @@
+"""Folders for attempts, of which none outlives its worker for long, however that dies."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+@contextmanager
+def scratch_folder(root: Path, name: str) -> Iterator[Path]:
+    """A new folder under `root`, removed at the block's end. A lock beside it, which the kernel lets go of when this
+    process dies, tells `sweep` that the folder is in use."""
+    root.mkdir(parents=True, exist_ok=True, mode=0o700)
+    folder = root / f"{name}.{secrets.token_hex(4)}"
+    lock = _hold(folder.with_suffix(folder.suffix + ".lock"))
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _drop(folder.with_suffix(folder.suffix + ".lock"))
+        os.close(lock)
+
+
+def sweep(root: Path) -> None:
+    """Remove the folders of workers that are gone."""
+    for lock in root.glob("*.lock"):
+        with suppress(OSError):
+            handle = os.open(lock, os.O_RDWR)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(lock.with_suffix(""), ignore_errors=True)
+                _drop(lock)
+            finally:
+                os.close(handle)
+
+
+def _hold(path: Path) -> int:
+    """A locked file. Should `sweep` have removed it between the two steps, it is made again."""
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with suppress(FileNotFoundError):
+            if os.fstat(handle).st_ino == path.stat().st_ino:
+                return handle
+        os.close(handle)
+
+
+def _drop(path: Path) -> None:
+    path.unlink(missing_ok=True)

@@ -37,6 +37,12 @@ class TrainingError(MgsrError):
     code = "training_failed"
 
 
+class GpuError(MgsrError):
+    """The graphics card can't be used: no or an old driver, an unsupported card, too little memory."""
+
+    code = "gpu_failed"
+
+
 class MeshError(MgsrError):
     """No usable surface came out; the text says why."""
 

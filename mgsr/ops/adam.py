@@ -9,13 +9,14 @@ import torch
 
 from mgsr.errors import CheckpointError, TensorError
 from mgsr.native import _adam
-from mgsr.ops.arrays import host
+from mgsr.native.cuda.adam import AdamBatch
+from mgsr.native.cuda.launcher import launcher_for
 
 
 class FusedAdam:
     """Adam (Kingma and Ba 2015) for parameters whose rows are splats, and whose rows come and go.
 
-    params: name to leaf tensor [N, ...], float32, on the CPU; all have the same N. `params` of the object holds the
+    params: name to leaf tensor [N, ...], float32, on one device; all have the same N. `params` of the object holds the
         current ones; `keep` and `extend` replace them by new leaves (shared with whoever reads `params`).
     lrs: name to learning rate, one for each parameter.
     lr_scales: name to tensor of the shape of a row [...], multiplies the rate of each column; for spherical
@@ -40,8 +41,7 @@ class FusedAdam:
         self.params: dict[str, torch.Tensor] = {}
         self.lrs = dict(lrs)
         self.betas, self.epsilon = betas, epsilon
-        self._batch = _adam.AdamBatch(*betas, epsilon)
-        self._scales = {name: host(scale).reshape(-1) for name, scale in (lr_scales or {}).items()}
+        self._scales = {name: scale.detach().contiguous().reshape(-1) for name, scale in (lr_scales or {}).items()}
         self._first: dict[str, torch.Tensor] = {}
         self._second: dict[str, torch.Tensor] = {}
         self._steps = dict.fromkeys(params, 0)
@@ -50,18 +50,18 @@ class FusedAdam:
 
     def step(self) -> None:
         """Update every parameter that has a gradient, in place."""
-        held = []  # the kernel keeps bare pointers until update, and these may be copies
+        batch, held = self._batch(), []  # the batch keeps bare pointers until update, and these may be copies
         for name, param in self.params.items():
             if param.grad is None or not param.numel():
                 continue
             self._steps[name] += 1
             rows = (param.shape[0], -1)
-            values, gradients = host(param).view(rows), host(param.grad).view(rows)
+            values, gradients = param.detach().view(rows), param.grad.contiguous().view(rows)
             held.append(gradients)
             first, second = self._first[name].view(rows), self._second[name].view(rows)
             scales, rate, count = self._scales.get(name), self.lrs[name], self._steps[name]
-            self._batch.add(values, gradients, first, second, scales, rate, count)
-        self._batch.update()
+            batch.add(values, gradients, first, second, scales, rate, count)
+        batch.update()
 
     def set_lr(self, name: str, lr: float) -> None:
         """Change one learning rate from the next step on."""
@@ -116,9 +116,16 @@ class FusedAdam:
             expected = {name: tuple(t.shape) for name, t in self.params.items()}
             if came != expected:
                 raise CheckpointError(f"optimiser state: expected moments of {expected}, got {came}")
-        self._first = {name: t.clone() for name, t in state["first"].items()}
-        self._second = {name: t.clone() for name, t in state["second"].items()}
+        devices = {name: param.device for name, param in self.params.items()}
+        self._first = {name: t.to(devices[name], copy=True) for name, t in state["first"].items()}
+        self._second = {name: t.to(devices[name], copy=True) for name, t in state["second"].items()}
         self._steps, self.lrs = dict(state["steps"]), dict(state["lrs"])
+
+    def _batch(self) -> AdamBatch | _adam.AdamBatch:
+        launcher = launcher_for(next(iter(self.params.values())))
+        if launcher is None:
+            return _adam.AdamBatch(*self.betas, self.epsilon)
+        return AdamBatch(launcher, *self.betas, self.epsilon)
 
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()

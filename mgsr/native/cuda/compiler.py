@@ -1,0 +1,95 @@
+"""Compiles kernel families with NVRTC, and keeps the results on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from mgsr.errors import GpuError
+
+SOURCES = Path(__file__).resolve().parents[1]
+INSTALL = "install MGSR with its cuda extra: pip install 'mgsr[cuda]'"
+
+
+def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> bytes:
+    """The machine code (cubin) of kernels/<family>/<family>.cu for an architecture such as sm_90.
+
+    Taken from the cache on disk when the same sources, options, architecture and NVRTC version were compiled before.
+    Processes may share the cache: a file appears there whole or not at all. cache_dir: by default `MGSR_CUDA_CACHE`,
+    else `mgsr/cuda` in the user's cache folder.
+
+    Raises GpuError when NVRTC is missing, doesn't know the architecture, or rejects the source.
+    """
+    try:
+        from cuda.core import Program, ProgramOptions
+        from cuda.core.utils import FileStreamProgramCache, make_program_cache_key
+    except ImportError as error:
+        raise GpuError(f"cuda-core can't be imported ({error}); {INSTALL}") from error
+    if arch not in supported_archs():
+        raise GpuError(f"{arch}: expected one of {', '.join(supported_archs())}, which this NVRTC compiles for")
+    text = (SOURCES / "kernels" / family / f"{family}.cu").read_text()
+    options = ProgramOptions(
+        name=f"{family}.cu",
+        arch=arch,
+        std="c++17",
+        include_path=str(SOURCES),
+        device_as_default_execution_space=True,
+    )
+    key = make_program_cache_key(
+        code=text, code_type="c++", options=options, target_type="cubin", extra_digest=headers_digest()
+    )
+    with FileStreamProgramCache(cache_dir or default_cache_dir()) as stored:
+        cubin = stored.get(key)
+        if cubin is None:
+            cubin = stored[key] = _compile(Program(text, "c++", options), family, arch)
+    return cubin
+
+
+def supported_archs() -> list[str]:
+    """The architectures that this NVRTC compiles for, oldest first. Raises GpuError without NVRTC."""
+    try:
+        from cuda.bindings import nvrtc
+
+        _, archs = nvrtc.nvrtcGetSupportedArchs()
+    except (ImportError, RuntimeError) as error:
+        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, can't be loaded ({error}); {INSTALL}") from error
+    return [f"sm_{arch}" for arch in sorted(archs)]
+
+
+def arch_for(major: int, minor: int) -> str:
+    """The architecture to compile for, for a card of that compute capability: its own, or the nearest one before it
+    of the same major number. Raises GpuError when there is none."""
+    archs = supported_archs()
+    capable = [arch for arch in archs if arch[3:-1] == str(major) and int(arch[-1]) <= minor]
+    if not capable:
+        raise GpuError(
+            f"this card has compute capability {major}.{minor}, and the installed NVRTC compiles for "
+            f"{', '.join(archs)}: with a newer card, install a newer nvidia-cuda-nvrtc; an older one is not supported, "
+            "use --device cpu"
+        )
+    return capable[-1]
+
+
+def default_cache_dir() -> Path:
+    """Where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder."""
+    own = os.environ.get("MGSR_CUDA_CACHE")
+    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mgsr" / "cuda"
+
+
+@cache
+def headers_digest() -> bytes:
+    """A hash of every header that a kernel may include."""
+    digest = hashlib.sha256()
+    for path in sorted([*SOURCES.glob("math/**/*.h"), *SOURCES.glob("kernels/**/*.h")]):
+        digest.update(path.relative_to(SOURCES).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.digest()
+
+
+def _compile(program: Any, family: str, arch: str) -> bytes:
+    try:
+        return bytes(program.compile("cubin").code)
+    except Exception as error:  # cuda-core's own class is private; its text holds the compiler's log
+        raise GpuError(f"kernels/{family}/{family}.cu does not compile for {arch}: {error}") from error

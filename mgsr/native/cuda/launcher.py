@@ -1,0 +1,123 @@
+"""Runs kernels: every launch goes through a Launcher, which on a card is CudaLauncher."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cache
+from typing import Any, Protocol
+
+import torch
+
+from mgsr.errors import GpuError
+from mgsr.native.cuda.compiler import INSTALL, arch_for, compile_family
+
+
+class Launcher(Protocol):
+    """A machine for kernels of CUDA C++."""
+
+    def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
+        """Run a kernel of kernels/<family>/<family>.cu on `blocks` blocks of `threads` threads, after what was
+        launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it can't be run."""
+
+
+_chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
+
+
+def launcher_for(tensor: torch.Tensor) -> Launcher | None:
+    """Who runs the CUDA kernels on a tensor: its card; or, inside `use_launcher`, the launcher given there; or None,
+    for a tensor on the CPU, which has kernels of its own. Raises GpuError when the card can't be used."""
+    chosen = _chosen.get()
+    if chosen is not None or tensor.device.type != "cuda":
+        return chosen
+    return cuda_launcher(tensor.get_device())
+
+
+@contextmanager
+def use_launcher(launcher: Launcher) -> Iterator[None]:
+    """Within the block, this context's operations run as CUDA kernels on `launcher`, wherever their tensors are."""
+    token = _chosen.set(launcher)
+    try:
+        yield
+    finally:
+        _chosen.reset(token)
+
+
+@cache
+def cuda_launcher(device: int) -> CudaLauncher:
+    """The launcher of a card, made once a process: it holds the card's loaded kernels."""
+    return CudaLauncher(device)
+
+
+class CudaLauncher:
+    """Launches on one card, on torch's current stream there.
+
+    Raises GpuError for a driver older than the compiler, and for a card that the compiler doesn't know.
+    """
+
+    def __init__(self, device: int) -> None:
+        try:
+            from cuda.bindings import driver
+        except ImportError as error:
+            raise GpuError(f"cuda-bindings can't be imported ({error}); {INSTALL}") from error
+        torch.cuda.init()
+        self._driver: Any = driver
+        self._device = device
+        check_driver(self._ask(driver.cuDriverGetVersion()), compiler_version())
+        self._arch = arch_for(*torch.cuda.get_device_capability(device))
+        self._modules: dict[str, Any] = {}
+        self._kernels: dict[tuple[str, str], Any] = {}
+
+    def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
+        if not blocks:
+            return
+        function = self._kernels.get((family, kernel)) or self._load(family, kernel)
+        addresses = (ctypes.c_void_p * 1)(ctypes.addressof(params))
+        stream = torch.cuda.current_stream(self._device).cuda_stream
+        result = self._driver.cuLaunchKernel(
+            function, blocks, 1, 1, threads, 1, 1, 0, stream, ctypes.addressof(addresses), 0
+        )
+        self._ask(result, kernel)
+
+    def _load(self, family: str, kernel: str) -> Any:
+        from cuda.core import ObjectCode
+
+        if family not in self._modules:
+            with torch.cuda.device(self._device):
+                self._modules[family] = ObjectCode.from_cubin(compile_family(family, self._arch), name=family)
+        handle = self._modules[family].get_kernel(kernel).handle
+        function = self._kernels[family, kernel] = self._driver.CUfunction(int(handle))
+        return function
+
+    def _ask(self, result: tuple[Any, ...], what: str = "the CUDA driver") -> Any:
+        status = result[0]
+        if int(status) != 0:
+            _, name = self._driver.cuGetErrorName(status)
+            _, text = self._driver.cuGetErrorString(status)
+            raise GpuError(f"{what} failed on card {self._device}: {name.decode()}, {text.decode()}")
+        return result[1] if len(result) > 1 else None
+
+
+def compiler_version() -> tuple[int, int]:
+    """NVRTC's version, which is that of the CUDA toolkit it belongs to. Raises GpuError without NVRTC."""
+    try:
+        from cuda.bindings import nvrtc
+
+        _, major, minor = nvrtc.nvrtcVersion()
+    except (ImportError, RuntimeError) as error:
+        raise GpuError(f"NVRTC, NVIDIA's run-time compiler, can't be loaded ({error}); {INSTALL}") from error
+    return major, minor
+
+
+def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
+    """Raises GpuError when a driver (its number as cuDriverGetVersion gives it: 12040 for 12.4) is of an older major
+    version than the compiler, whose machine code it would refuse."""
+    major, minor = driver_version // 1000, driver_version % 1000 // 10
+    if major < compiler[0]:
+        raise GpuError(
+            f"the NVIDIA driver supports CUDA {major}.{minor} and the kernels are compiled by NVRTC "
+            f"{compiler[0]}.{compiler[1]}: install a newer driver, or cuda-bindings and NVRTC of the driver's version "
+            f"(pip install 'cuda-bindings=={major}.*' nvidia-cuda-nvrtc-cu{major})"
+        )

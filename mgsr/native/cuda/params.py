@@ -1,0 +1,26 @@
+"""Kernel parameters: C structs as ctypes, and tensors as their pointers."""
+
+from __future__ import annotations
+
+import ctypes
+
+import torch
+
+Pointer = ctypes.c_void_p
+Int = ctypes.c_int32
+Long = ctypes.c_int64
+Float = ctypes.c_float
+
+
+def pointer(tensor: torch.Tensor | None) -> int | None:
+    """Where a tensor's data begins; None, the null pointer, for none. The tensor must be contiguous and outlive the
+    launch (on a card: stay in use on the stream of the launch, as torch's memory does)."""
+    if tensor is None:
+        return None
+    assert tensor.is_contiguous(), "kernels read contiguous tensors"
+    return tensor.data_ptr()
+
+
+def device_tensor(tensor: torch.Tensor) -> torch.Tensor:
+    """The tensor as a CUDA kernel reads it: contiguous and outside the graph (no copy where it already is)."""
+    return tensor.detach().contiguous()

@@ -1,0 +1,18 @@
+// How a CUDA kernel is declared. Kernel files use plain CUDA C++ alone: blocks, shared memory, barriers and warp shuffles
+// with full masks, so that the tests' host shim can run them, and no atomics, so that results don't depend on timing.
+#pragma once
+
+#include "kernels/common/integers.h"
+
+namespace mgsr {
+
+constexpr int kWarp = 32;
+constexpr unsigned kFullWarp = 0xffffffffu;
+
+}  // namespace mgsr
+
+// A kernel of at most `threads` threads a block that takes one struct by value, as p. The shim has its own.
+#ifndef MGSR_KERNEL
+#define MGSR_KERNEL(name, Params, threads) \
+  extern "C" __global__ void __launch_bounds__(threads) name(const __grid_constant__ Params p)
+#endif

@@ -1,0 +1,101 @@
+"""Every CUDA kernel compiles for every generation of cards; the cache on disk serves two processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mgsr.errors import GpuError
+from mgsr.native.cuda import compiler
+from mgsr.native.cuda.compiler import SOURCES, arch_for, compile_family, headers_digest, supported_archs
+from mgsr.native.cuda.launcher import check_driver
+
+FAMILIES = sorted(path.stem for path in SOURCES.glob("kernels/*/*.cu"))
+ARCHS = ("sm_75", "sm_80", "sm_90", "sm_100", "sm_120")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nvrtc() -> None:
+    """Skips, and says so, where NVRTC is not installed."""
+    pytest.importorskip("cuda.core", reason="NEEDS NVRTC: pip install 'mgsr[cuda]'")
+    try:
+        supported_archs()
+    except GpuError as error:
+        pytest.skip(f"NEEDS NVRTC: {error}")
+
+
+def test_the_families_are_found() -> None:
+    assert "adam" in FAMILIES
+
+
+@pytest.mark.parametrize("arch", [pytest.param(a, marks=[] if a == "sm_90" else pytest.mark.slow) for a in ARCHS])
+@pytest.mark.parametrize("family", FAMILIES)
+def test_compiles(family: str, arch: str, tmp_path: Path) -> None:
+    assert compile_family(family, arch, tmp_path)[:4] == b"\x7fELF"
+
+
+def test_a_second_compilation_reads_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = compile_family("adam", "sm_90", tmp_path)
+
+    def fails(*arguments: object) -> bytes:
+        raise AssertionError("compiled again")
+
+    monkeypatch.setattr(compiler, "_compile", fails)
+    assert compile_family("adam", "sm_90", tmp_path) == first
+    with pytest.raises(AssertionError, match="compiled again"):
+        compile_family("adam", "sm_80", tmp_path)
+
+
+def test_a_changed_header_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compile_family("adam", "sm_90", tmp_path)
+    monkeypatch.setattr(compiler, "headers_digest", lambda: b"another")
+    monkeypatch.setattr(compiler, "_compile", lambda *arguments: b"compiled")
+    assert compile_family("adam", "sm_90", tmp_path) == b"compiled"
+    assert headers_digest() != b"another"
+
+
+def test_processes_share_the_cache(tmp_path: Path) -> None:
+    code = "import sys; from mgsr.native.cuda.compiler import compile_family as c; from pathlib import Path; "
+    code += "print(len(c('adam', 'sm_90', Path(sys.argv[1]))))"
+    started = [
+        subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    sizes = {process.communicate()[0] for process in started}
+    assert len(sizes) == 1 and all(process.returncode == 0 for process in started)
+    assert int(sizes.pop()) == len(compile_family("adam", "sm_90", tmp_path))
+
+
+def test_the_environment_moves_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MGSR_CUDA_CACHE", str(tmp_path / "here"))
+    compile_family("adam", "sm_90")
+    assert any((tmp_path / "here").rglob("*"))
+
+
+def test_a_card_gets_its_own_architecture_or_the_one_before() -> None:
+    assert arch_for(9, 0) == "sm_90"
+    assert arch_for(12, 9)[:5] == "sm_12"
+    for capability in ((6, 1), (99, 0)):
+        with pytest.raises(GpuError, match=f"compute capability {capability[0]}.{capability[1]}"):
+            arch_for(*capability)
+    with pytest.raises(GpuError, match="sm_42"):
+        compile_family("adam", "sm_42")
+
+
+def test_an_old_driver_is_refused_with_the_cure() -> None:
+    check_driver(13000, (13, 5))
+    check_driver(14010, (13, 5))
+    with pytest.raises(GpuError, match=r"driver supports CUDA 12\.4.*newer driver"):
+        check_driver(12040, (13, 5))
+
+
+def test_a_source_that_does_not_compile_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "kernels" / "broken"
+    folder.mkdir(parents=True)
+    (folder / "broken.cu").write_text("not_a_type x;")
+    monkeypatch.setattr(compiler, "SOURCES", tmp_path)
+    with pytest.raises(GpuError, match="not_a_type"):
+        compile_family("broken", "sm_90", tmp_path / "cache")

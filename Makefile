@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PY := $(BIN)/python
 
-.PHONY: setup demo test test-all lint clean
+.PHONY: setup demo test test-all test-service lint clean
 setup: $(VENV)/.installed
 
 $(PY):
@@ -30,6 +30,10 @@ test: lint
 
 test-all: lint
 	$(PY) -m pytest
+
+# The service's tests alone, with the slow ones: load, chaos, S3.
+test-service: setup
+	$(PY) -m pytest tests/service tests/worker
 
 clean:
 	rm -rf $(VENV) build out mgsr/native/*.so

@@ -1,0 +1,190 @@
+"""A whole service as it runs in earnest: queue server, API and workers as processes, spoken to over connections."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import httpx
+from redis import Redis, RedisError
+
+from service.contract.valkey import prepare_server
+
+ROOT = Path(__file__).resolve().parents[2]
+FINAL = ("succeeded", "failed", "cancelled")
+
+# Some seconds of work that still ends in a mesh of thousands of faces.
+TINY: dict[str, Any] = {
+    "train.warmup.surfel_iterations": 30,
+    "train.mutual.iterations": 2,
+    "train.surfels.max_start": 600,
+    "mesh.poisson_depth": 5,
+    "mesh.outline_smoothing": None,
+    "mesh.flash_ratio": None,
+}
+TINY_OPTIONS: dict[str, Any] = {"preset": "draft", "method": "2dgs", "settings": TINY}
+# Minutes of work, for tests that stop it.
+LONG_OPTIONS: dict[str, Any] = {
+    "preset": "draft",
+    "method": "2dgs",
+    "settings": TINY | {"train.warmup.surfel_iterations": 100_000, "train.warmup.stop_rule": "none"},
+}
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def zip_folder(folder: Path) -> bytes:
+    """A folder's files as a zip."""
+    held = io.BytesIO()
+    with zipfile.ZipFile(held, "w") as target:
+        for path in sorted(folder.rglob("*")):
+            if path.is_file():
+                target.write(path, path.relative_to(folder).as_posix())
+    return held.getvalue()
+
+
+class Stack:
+    """Processes by name: queue, api, worker0, worker1, ... Use in `with`."""
+
+    def __init__(self, folder: Path, workers: int = 1, **settings: str) -> None:
+        self.folder, self.worker_names = folder, [f"worker{i}" for i in range(workers)]
+        self.server = prepare_server(folder)
+        self.port = free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.environment = os.environ | {
+            "PYTHONPATH": str(ROOT),
+            "OMP_NUM_THREADS": "1",
+            "MGSR_HOME": str(folder),
+            "MGSR_REDIS_URL": self.server.url,
+            **settings,
+        }
+        self.http = httpx.Client(base_url=self.url, timeout=60.0)
+        self.redis = Redis.from_url(self.server.url)
+
+    def __enter__(self) -> Stack:
+        for name in ("queue", "api", *self.worker_names):
+            self.start(name)
+        self.wait_until_ready(len(self.worker_names))
+        return self
+
+    def __exit__(self, *trouble: object) -> None:
+        self.http.close()
+        for name in reversed(list(self.processes)):
+            self.stop(name)
+
+    def start(self, name: str) -> None:
+        """Start a process; what it says goes to NAME.log."""
+        commands = {
+            "queue": self.server.command,
+            "api": [sys.executable, "-m", "service.cli", "--port", str(self.port)],
+        }
+        command = commands.get(name, [sys.executable, "-m", "worker.cli"])
+        with (self.folder / f"{name}.log").open("ab") as log:
+            self.processes[name] = subprocess.Popen(command, env=self.environment, stdout=log, stderr=log, cwd=ROOT)
+
+    def stop(self, name: str) -> None:
+        """End a process in good order; kill it if it won't."""
+        process = self.processes.pop(name)
+        process.terminate()
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def kill(self, name: str) -> None:
+        """kill -9."""
+        process = self.processes.pop(name)
+        process.kill()
+        process.wait()
+
+    def wait_until_ready(self, workers: int = 0, seconds: float = 60.0) -> None:
+        """Until queue and API answer, and so many workers listen."""
+        ends = time.monotonic() + seconds
+        while time.monotonic() < ends:
+            try:
+                self.redis.ping()
+                answer = self.http.get("/readyz")
+                if answer.status_code == 200 and answer.json()["workers"] >= workers:
+                    return
+            except (RedisError, httpx.TransportError):
+                pass
+            time.sleep(0.1)
+        raise AssertionError(f"not ready after {seconds} s:\n{self.logs()}")
+
+    def logs(self) -> str:
+        """The end of what each process has said."""
+        return "\n".join(f"--- {path.name}\n{path.read_text()[-3000:]}" for path in self.folder.glob("*.log"))
+
+    def submit(self, archive: bytes, options: dict[str, Any], **headers: str) -> httpx.Response:
+        """Send an archive as a browser's form would."""
+        files = {"archive": ("scene.zip", archive, "application/zip")}
+        return self.http.post("/jobs", files=files, data={"options": json.dumps(options)}, headers=headers)
+
+    def submitted(self, archive: bytes, options: dict[str, Any]) -> str:
+        """The id of a job that was taken."""
+        answer = self.submit(archive, options)
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    def job(self, job: str) -> dict[str, Any]:
+        """How a job stands."""
+        answer = self.http.get(f"/jobs/{job}")
+        assert answer.status_code == 200, answer.text
+        found: dict[str, Any] = answer.json()
+        return found
+
+    def wait_for(self, job: str, *statuses: str, step: str | None = None, seconds: float = 120.0) -> dict[str, Any]:
+        """The job once it has one of the statuses (and is at a step)."""
+        ends = time.monotonic() + seconds
+        while time.monotonic() < ends:
+            found = self.job(job)
+            if found["status"] in statuses and (step is None or found["step"] == step):
+                return found
+            if found["status"] in FINAL and found["status"] not in statuses:
+                raise AssertionError(f"job {job} has {found['status']}: {found['error']}\n{self.logs()}")
+            time.sleep(0.1)
+        raise AssertionError(f"job {job} is not {statuses} after {seconds} s but {self.job(job)}\n{self.logs()}")
+
+    def finished(self, job: str, seconds: float = 180.0) -> dict[str, Any]:
+        """The job once it has ended, well or not."""
+        return self.wait_for(job, *FINAL, seconds=seconds)
+
+
+def job_processes(parent: int | None = None) -> list[int]:
+    """The process ids of job processes: all of this machine's, or one worker's."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+            owner = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+        if b"worker.job" in command and parent in (None, owner):
+            found.append(int(entry.name))
+    return found
+
+
+def kill_process(pid: int) -> None:
+    """kill -9, if it is still there."""
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        return

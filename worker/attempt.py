@@ -28,6 +28,8 @@ from worker.watch import Reason, Watch
 TICK = 0.1
 BEAT_PERIOD = 10.0
 KILLED = -9
+# What leaves no time for a last checkpoint. Outside training there is nothing new to keep either.
+AT_ONCE = (Reason.MEMORY, Reason.LEASE_LOST, Reason.DISK_FULL)
 
 # Failures after which the same archive and options fail again.
 FINAL_CODES = {
@@ -172,7 +174,7 @@ class Attempt:
         while (ended := process.poll()) is None:
             self._pass_on(process)
             reason = self._watch.look(process.memory)
-            if reason in (Reason.MEMORY, Reason.LEASE_LOST, Reason.DISK_FULL):
+            if reason is not None and (reason in AT_ONCE or self._known["step"] != "train"):
                 return process.kill()
             if reason is not None and asked is None:
                 asked = time.monotonic()

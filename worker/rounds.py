@@ -72,7 +72,7 @@ class Rounds:
             if not stop.lost:
                 self.jobs.end_attempt(job, attempt)
             if not lease.lost:
-                self.queue.put(job, number, queue_for(record.options))
+                self.queue.put(job, number, queue_for(record.options), first=True)
 
     def _end(self, record: JobRecord, number: int, outcome: Outcome) -> None:
         """File the outcome, tell who listens, and drop what is of no more use."""

@@ -38,8 +38,9 @@ class JobQueue:
         self._redis = redis
         self.queues = {name: open_queue(name, redis) for name in QUEUES}
 
-    def put(self, job: str, number: int, queue: str) -> None:
-        """Append a round. A round that stands in the queue twice is worked on once: leases see to that."""
+    def put(self, job: str, number: int, queue: str, first: bool = False) -> None:
+        """Append a round, or put it first where it has waited before. One that stands in the queue twice is worked on
+        once: leases see to that."""
         self.queues[queue].enqueue_call(
             TASK,
             args=(job, number),
@@ -47,6 +48,7 @@ class JobQueue:
             timeout=-1,  # the worker watches the job's own deadline
             result_ttl=0,
             failure_ttl=0,
+            at_front=first,
         )
 
     def waiting(self) -> dict[tuple[str, int], int]:

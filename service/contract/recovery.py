@@ -67,4 +67,4 @@ class Recovery:
             return
         if number == 0:
             self.jobs.index(record)
-        self.queue.put(job, number, queue_for(record.options))
+        self.queue.put(job, number, queue_for(record.options), first=True)

@@ -1,0 +1,78 @@
+"""Cancel in every state, and retry after it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, job_processes
+
+
+@pytest.fixture
+def busy(stack: Stack, tiny_archive: bytes) -> Iterator[str]:
+    """A job that trains for minutes, and is cancelled at the end if it is not yet."""
+    job = stack.submitted(tiny_archive, LONG_OPTIONS)
+    stack.wait_for(job, "running", step="train")
+    yield job
+    stack.http.delete(f"/jobs/{job}")
+    stack.wait_for(job, "cancelled", seconds=15)
+
+
+def worker_jobs(stack: Stack) -> list[int]:
+    return job_processes(stack.processes["worker0"].pid)
+
+
+def test_while_it_trains(stack: Stack, busy: str) -> None:
+    """Within two seconds the process is gone, and only then the job counts as cancelled."""
+    assert worker_jobs(stack)
+    asked = time.monotonic()
+    answer = stack.http.delete(f"/jobs/{busy}")
+    assert answer.status_code == 202 and answer.json()["cancelling"]
+    stack.wait_for(busy, "cancelled", seconds=10)
+    assert not worker_jobs(stack)
+    assert time.monotonic() - asked < 4  # two to be seen, two for a checkpoint on a busy machine
+    again = stack.http.delete(f"/jobs/{busy}")
+    assert again.status_code == 200 and again.json()["status"] == "cancelled"
+
+
+def test_while_it_waits(stack: Stack, busy: str, tiny_archive: bytes) -> None:
+    waiting = stack.submitted(tiny_archive, TINY_OPTIONS)
+    assert stack.job(waiting)["status"] == "queued" and stack.job(waiting)["queue_position"] == 1
+    answer = stack.http.delete(f"/jobs/{waiting}")
+    assert answer.status_code == 200 and answer.json()["status"] == "cancelled"
+    assert stack.http.get(f"/jobs/{waiting}/mesh.ply").json()["code"] == "no_results"
+
+
+def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
+    """Before and while it unpacks and loads: killed at once."""
+    for pause in (0.0, 0.3, 0.8):
+        job = stack.submitted(tiny_archive, LONG_OPTIONS)
+        time.sleep(pause)
+        stack.http.delete(f"/jobs/{job}")
+        stack.wait_for(job, "cancelled", seconds=5)
+    time.sleep(0.3)
+    assert not worker_jobs(stack)
+
+
+def test_retry_goes_on_from_the_checkpoint(stack: Stack, tiny_archive: bytes) -> None:
+    options = LONG_OPTIONS | {"settings": TINY | {"train.warmup.surfel_iterations": 1500}}
+    job = stack.submitted(tiny_archive, options)
+    while (iteration := stack.wait_for(job, "running", step="train")["iteration"] or 0) < 300:
+        time.sleep(0.1)
+    stack.http.delete(f"/jobs/{job}")
+    stopped = stack.wait_for(job, "cancelled", seconds=10)
+    answer = stack.http.post(f"/jobs/{job}/retry")
+    assert answer.status_code == 202 and answer.json()["status"] in ("queued", "running")
+    assert stack.http.post(f"/jobs/{job}/retry").json()["code"] == "not_retryable"  # it runs already
+    seen: list[int] = []
+    while not seen:
+        seen = [row["iteration"] for row in stack.wait_for(job, "running", step="train")["curve"][-1:]]
+    done = stack.wait_for(job, "succeeded")
+    assert done["round"] == 1 and done["attempt"] == 2
+    rows = [row["iteration"] for row in done["curve"] if row["stage"] == done["curve"][0]["stage"]]
+    assert rows == sorted(rows) and len(stopped["curve"]) <= len(done["curve"])  # one curve, no step back
+    log = stack.http.get(f"/jobs/{job}/log.txt").text
+    first = next(line for line in log.splitlines() if " alone " in line or "warmup" in line)
+    assert int(first.split("/")[0].split()[-1]) >= iteration, first

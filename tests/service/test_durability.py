@@ -1,0 +1,189 @@
+"""Nothing gets lost: many jobs, and processes that are killed while they work."""
+
+from __future__ import annotations
+
+import random
+import re
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.client.api import Client
+from service.contract.jobs import Jobs
+from service.contract.options import JobOptions
+from service.contract.store import Store
+from tests.service.stack import FINAL, LONG_OPTIONS, TINY_OPTIONS, Stack, job_processes, kill_process
+
+RECOVERED = 45.0
+STUCK = 60.0
+
+
+def send(stack: Stack, archive: Path, seed: int) -> str:
+    """Submit as `mgsr submit` does: again and again while the service is away."""
+    options = JobOptions.model_validate(TINY_OPTIONS | {"seed": seed}).model_dump_json()
+    for _ in range(20):
+        try:
+            with Client(stack.url, None) as client:
+                return str(client.submit(archive, options, lambda count: None)["id"])
+        except httpx.HTTPError:
+            time.sleep(1.0)
+    raise AssertionError("the service never came back")
+
+
+def successes(stack: Stack) -> list[str]:
+    """The job of each outcome `succeeded` that any worker has filed."""
+    logs = "".join(path.read_text() for path in stack.folder.glob("worker*.log"))
+    assert "another attempt was first" not in logs
+    return re.findall(r"job (\w+): succeeded", logs)
+
+
+def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes) -> None:
+    """Its job process dies with it, and another worker goes on from the checkpoint within 45 seconds."""
+    with Stack(tmp_path, workers=1, MGSR_CHECKPOINT_SECONDS="1") as stack:
+        job = stack.submitted(tiny_archive, LONG_OPTIONS)
+        while (stack.wait_for(job, "running", step="train")["iteration"] or 0) < 200:
+            time.sleep(0.1)
+        jobs = Jobs(Store(str(tmp_path / "store"), 1.0))
+        while jobs.store.read(f"jobs/{job}/attempts/1/checkpoint") is None:
+            time.sleep(0.1)
+        (process,) = job_processes(stack.processes["worker0"].pid)
+        stack.kill("worker0")
+        killed = time.time()
+        stack.start("worker0")
+        time.sleep(0.5)
+        assert process not in job_processes()
+        while 2 not in jobs.attempts(job):
+            assert time.time() - killed < RECOVERED, stack.logs()
+            time.sleep(0.2)
+        print(f"taken up again after {time.time() - killed:.1f} s")
+        while (stack.job(job)["attempt"], stack.job(job)["step"]) != (2, "train"):
+            time.sleep(0.1)
+        assert min(row["iteration"] for row in stack.job(job)["curve"]) >= 5
+        stack.http.delete(f"/jobs/{job}")
+        stack.wait_for(job, "cancelled", seconds=15)
+        assert len(list((tmp_path / "scratch").iterdir())) == 0, "scratch of the killed worker"
+
+
+def test_the_queue_may_lose_everything(tmp_path: Path, tiny_archive: bytes) -> None:
+    """Redis starts anew with nothing: the job that runs goes on, the one that waits is queued again."""
+    with Stack(tmp_path, workers=1) as stack:
+        running = stack.submitted(tiny_archive, LONG_OPTIONS)
+        waiting = stack.submitted(tiny_archive, TINY_OPTIONS)
+        stack.wait_for(running, "running", step="train")
+        stack.redis.flushall()
+        time.sleep(6)
+        assert stack.wait_for(running, "running", step="train", seconds=10)["attempt"] == 1
+        stack.http.delete(f"/jobs/{running}")
+        stack.wait_for(running, "cancelled", seconds=15)
+        stack.wait_for(waiting, "succeeded", seconds=60)
+
+
+def test_a_worker_that_is_stopped_hands_its_job_back(tmp_path: Path, tiny_archive: bytes) -> None:
+    with Stack(tmp_path, workers=1) as stack:
+        job = stack.submitted(tiny_archive, LONG_OPTIONS)
+        stack.wait_for(job, "running", step="train")
+        stack.stop("worker0")
+        assert stack.wait_for(job, "queued", seconds=5)["queue_position"] == 1
+        assert (tmp_path / f"store/jobs/{job}/attempts/1/checkpoint").exists()
+        stack.start("worker0")
+        stack.wait_for(job, "running", step="train", seconds=30)
+        stack.http.delete(f"/jobs/{job}")
+        stack.wait_for(job, "cancelled", seconds=15)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(2400)
+def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: bytes) -> None:
+    archive = tmp_path / "scene.zip"
+    archive.write_bytes(tiny_archive)
+    with Stack(tmp_path, workers=2) as stack:
+        begun = time.monotonic()
+        with ThreadPoolExecutor(8) as pool:
+            jobs = list(pool.map(lambda seed: send(stack, archive, seed), range(200)))
+        print(f"sent in {time.monotonic() - begun:.1f} s")
+        assert len(set(jobs)) == 200
+        for job in jobs:
+            assert stack.wait_for(job, "succeeded", seconds=2000)["metrics"]["mesh"]["faces"] > 500
+            assert stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"}).content == b"ply"
+        print(f"all done in {time.monotonic() - begun:.1f} s")
+        assert sorted(successes(stack)) == sorted(jobs)
+        assert stack.http.get("/jobs", params={"limit": 200}).json()["next"] is None
+
+
+class Chaos(threading.Thread):
+    """Kills one process after the other with signal 9, and starts it again as a supervisor would."""
+
+    def __init__(self, stack: Stack, seed: int) -> None:
+        super().__init__()
+        self.stack, self.random, self.done = stack, random.Random(seed), threading.Event()
+        self.kills: list[str] = []
+
+    def run(self) -> None:
+        while not self.done.wait(self.random.uniform(1.0, 6.0)):
+            victim = self.random.choice(["queue", "api", "worker0", "worker1", "job", "job"])
+            if victim == "job":
+                processes = job_processes()
+                if not processes:
+                    continue
+                kill_process(self.random.choice(processes))
+            else:
+                self.stack.kill(victim)
+                time.sleep(self.random.uniform(0.1, 1.5))
+                self.stack.start(victim)
+            self.kills.append(victim)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(2400)
+def test_thirty_jobs_while_everything_is_killed(tmp_path: Path, tiny_archive: bytes) -> None:
+    archive = tmp_path / "scene.zip"
+    archive.write_bytes(tiny_archive)
+    with Stack(tmp_path, workers=2, MGSR_CHECKPOINT_SECONDS="1", MGSR_MAX_ATTEMPTS="50") as stack:
+        chaos = Chaos(stack, seed=3)
+        chaos.start()
+        with ThreadPoolExecutor(4) as pool:
+            jobs = list(pool.map(lambda seed: send(stack, archive, seed), range(30)))
+        store = Jobs(Store(str(tmp_path / "store"), 1.0))
+        ends = {job: wait_for_outcome(store, job) for job in jobs[:22]}
+        chaos.done.set()  # the last jobs end in peace, so that what was broken shows
+        chaos.join()
+        quiet = time.time()
+        ends |= {job: wait_for_outcome(store, job) for job in jobs[22:]}
+        print(f"{len(chaos.kills)} kills: { ({name: chaos.kills.count(name) for name in set(chaos.kills)}) }")
+        print(f"all done {max(0.0, max(ends.values()) - quiet):.1f} s after the last kill")
+        stack.wait_until_ready(2)
+        assert {stack.job(job)["status"] for job in jobs} == {"succeeded"}
+        assert sorted(successes(stack)) == sorted(jobs)
+        gaps = [gap for job in jobs for gap in waits_between_attempts(stack, store, job)]
+        print(f"{len(gaps)} attempts lost; taken up again after {max(gaps):.1f} s at most")
+        assert max(gaps) < STUCK
+        assert not job_processes()
+
+
+def wait_for_outcome(store: Jobs, job: str, seconds: float = 1200.0) -> float:
+    """When the job ended, by the store: the API may be away."""
+    ends = time.monotonic() + seconds
+    while (outcome := store.outcome(job, 0)) is None:
+        assert time.monotonic() < ends, f"job {job} has no outcome"
+        time.sleep(0.5)
+    assert outcome.status in FINAL
+    return outcome.finished.timestamp()
+
+
+def waits_between_attempts(stack: Stack, store: Jobs, job: str) -> list[float]:
+    """Seconds between the last sign of life of each attempt that died and the start of the next."""
+    starts = store.attempts(job)
+    signs = {attempt: last_sign(stack, job, attempt, start.started) for attempt, start in starts.items()}
+    return [(starts[n + 1].started - signs[n]).total_seconds() for n in starts if n + 1 in starts]
+
+
+def last_sign(stack: Stack, job: str, attempt: int, started: datetime) -> datetime:
+    """The newest file that the attempt has left in the store."""
+    folder = stack.folder / f"store/jobs/{job}/attempts/{attempt}"
+    newest = max(path.stat().st_mtime for path in folder.rglob("*") if path.is_file())
+    return max(started, datetime.fromtimestamp(newest, started.tzinfo))

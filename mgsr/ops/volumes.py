@@ -12,6 +12,8 @@ from torch import Tensor
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.native import _volumes
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.volumes import VolumeKernels
 
 
 class Reflected(NamedTuple):
@@ -98,9 +100,11 @@ def rasterize_volumes(
             weights=(reflected.weights, "N"),
         )
     stats = SplatStats(radii=means.new_empty(len(means)))
-    color, alpha, depth, refl, weight = _Rasterize.apply(
-        means, quats, scales, opacities, colors, *(reflected or (None, None, None)), background, camera, options, stats
-    )
+    tensors = (means, quats, scales, opacities, colors, *(reflected or (None, None, None)), background)
+    launcher = launcher_for(means)
+    differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
+    kernels = _volumes if launcher is None else VolumeKernels(launcher, keep=differentiable)
+    color, alpha, depth, refl, weight = _Rasterize.apply(*tensors, camera, options, stats, kernels)
     return VolumeRaster(color, alpha, depth, refl, weight, stats)
 
 
@@ -120,6 +124,7 @@ class _Rasterize(torch.autograd.Function):
         camera,
         options,
         stats,
+        kernels,
     ):
         splats = [
             t if t is None else t.detach().contiguous()
@@ -140,8 +145,8 @@ class _Rasterize(torch.autograd.Function):
             options.low_pass,
             options.compensate,
         )
-        ctx.frame = _volumes.forward(*splats, *view, color, alpha, depth, refl, weight, stats.radii)
-        ctx.splats, ctx.view, ctx.stats = splats, view, stats
+        ctx.frame = kernels.forward(*splats, *view, color, alpha, depth, refl, weight, stats.radii)
+        ctx.splats, ctx.view, ctx.stats, ctx.kernels = splats, view, stats, kernels
         ctx.save_for_backward(color, alpha, depth, refl, weight)
         ctx.set_materialize_grads(False)
         return color, alpha, depth, refl, weight
@@ -151,10 +156,10 @@ class _Rasterize(torch.autograd.Function):
         images: list[Any] = [t if t is None else t.detach() for t in ctx.saved_tensors]
         v_images: list[Any] = [v if v is None else v.detach().contiguous() for v in v_outputs]
         v_splats = [t if t is None else torch.zeros_like(t) for t in ctx.splats[:-1]]
-        v_means2d = torch.zeros(len(ctx.splats[0]), 2)
-        _volumes.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
+        v_means2d = ctx.splats[0].new_zeros(len(ctx.splats[0]), 2)
+        ctx.kernels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
         ctx.stats.v_means2d = v_means2d
         v_background = None
         if ctx.needs_input_grad[8] and v_images[0] is not None:
             v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
-        return *v_splats, v_background, None, None, None
+        return *v_splats, v_background, None, None, None, None

@@ -7,10 +7,16 @@
 // `static` keeps each compiled variant's copy its own: the linker must never give AVX-512 code to the baseline.
 #if defined(__CUDACC__) || defined(__CUDACC_RTC__)
 #define MGSR_HD static __host__ __device__ __forceinline__
+#define MGSR_MEMBER __host__ __device__ __forceinline__
 #else
 #include <cmath>
 #define MGSR_HD static inline
+#define MGSR_MEMBER
 namespace mgsr {
+using std::exp2;
+using std::fma;
+using std::log;
+using std::log2;
 using std::sqrt;
 }
 #endif

@@ -1,15 +1,10 @@
-// Front-to-back blending, the same in every rasterizer: a splat counts for a pixel where its alpha is at least kMinAlpha;
-// a pixel stops before the first splat that would leave it less than kMinTransmittance.
+// Front-to-back blending (math/blending.h) of vectors of pixels, the same in every rasterizer.
 #pragma once
 
 #include "kernels/common/simd.h"
+#include "math/blending.h"
 
 namespace mgsr {
-
-constexpr float kMinTransmittance = 1e-4f;
-constexpr float kMinAlpha = 1.0f / 255.0f;
-constexpr float kLog2MinAlpha = -7.9943534f;
-constexpr float kMaxAlpha = 0.999f;
 
 namespace MGSR_ISA {
 

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "kernels/common/simd.h"
+#include "math/ellipse.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
@@ -19,36 +20,16 @@ struct Intervals {
   vint any;  // 0 where there are none
 };
 
-// The outline of a splat in the form that cutting it into bands of rows needs: no division, two square roots a band.
-template <class T>
-struct EllipseForm {
-  T x, y;
-  T hx, hy;    // half extents
-  T at_right;  // dy of the rightmost point
-  T slope;     // the middle of the row at dy lies at x + slope dy ...
-  T w2, k;     // ... and its half width is sqrt(w2 - k dy^2)
-
-  // With the centre at (x, y) and covariance (cxx, cxy, cyy), sqrt(r2) standard deviations out.
-  static EllipseForm make(T x, T y, T cxx, T cxy, T cyy, T r2) {
-    using std::sqrt;
-    const T det = cxx * cyy - cxy * cxy, slope = cxy / cyy, k = det / (cyy * cyy), hx = sqrt(r2 * cxx);
-    return {x, y, hx, sqrt(r2 * cyy), cxy / cxx * hx, slope, r2 * k * cyy, k};
-  }
-};
-
-// Taken a hair wider than exact, so that rounding never loses a pixel that the blending would keep.
+// As ellipse_columns, for a vector of bands at once.
 struct Ellipse : EllipseForm<float> {
-  PixelBox box() const { return {x - hx - kSlack, x + hx + kSlack, y - hy - kSlack, y + hy + kSlack}; }
+  PixelBox box() const { return {x - hx - kOutlineSlack, x + hx + kOutlineSlack, y - hy - kOutlineSlack, y + hy + kOutlineSlack}; }
 
   Intervals cut(vfloat y0, vfloat y1) const {
-    const vfloat low = max(y0 - (y + kSlack), splat(-hy - kSlack)), high = min(y1 - (y - kSlack), splat(hy + kSlack));
+    const vfloat low = max(y0 - (y + kOutlineSlack), splat(-hy - kOutlineSlack)), high = min(y1 - (y - kOutlineSlack), splat(hy + kOutlineSlack));
     const vfloat right = min(max(splat(at_right), low), high), left = min(max(splat(-at_right), low), high);
     const vfloat to_right = sqrt(max(w2 - k * right * right, vfloat{})), to_left = sqrt(max(w2 - k * left * left, vfloat{}));
-    return {x + slope * left - to_left - kSlack, x + slope * right + to_right + kSlack, low <= high};
+    return {x + slope * left - to_left - kOutlineSlack, x + slope * right + to_right + kOutlineSlack, low <= high};
   }
-
- private:
-  static constexpr float kSlack = 2e-3f;
 };
 
 }  // namespace MGSR_ISA

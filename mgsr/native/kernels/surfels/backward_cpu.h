@@ -14,13 +14,6 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr float kLn2 = 0.69314718056f;
-
-// Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient /
-// w^2, which give L's. kSlopeX, kSlopeY, kW: w's gradient times dx, dy, 1. kMeanX, kMeanY: first moments where the splat
-// is plain, else the centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
-enum PairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
-
 // The gradient images at a sub-tile's pixels, made ready for the walk.
 struct PixelGradients {
   struct Fields {

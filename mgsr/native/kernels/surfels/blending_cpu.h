@@ -11,9 +11,6 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-constexpr float kLog2E = 1.4426950408889634f;
-constexpr float kExponentScale = 0.5f * kLog2E;  // 2^-(this * (u^2 + v^2)) is the weight
-
 // The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
 // another; the passing of the light, which does; then what is made of it. In one loop the processor would not see far
 // enough ahead to overlap them.

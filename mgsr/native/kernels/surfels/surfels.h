@@ -1,11 +1,11 @@
 // The 2D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include "kernels/common/binning.h"
 #include "kernels/common/depth_sort.h"
+#include "kernels/surfels/record.h"
 #include "math/camera.h"
 
 namespace mgsr {
@@ -31,19 +31,6 @@ struct SurfelImages {
 struct SurfelGradients {
   float *means, *quats, *scales, *opacities, *colors;  // as in SurfelInputs
   float* means2d;  // [N,2] pixels: gradient of the loss to a shift of each splat in the image plane
-};
-
-// One splat as the blending loops read it: one cache line. With d = pixel - (x, y) and w = 1 + g . d the splat's plane
-// is met at depth / w, where its weight is 2^-(|L d|^2 / w^2).
-struct alignas(64) SurfelRecord {
-  float x, y;
-  float L[4], g[2];
-  float signed_depth;  // of the centre; negative where the low-pass or the near plane may decide for a pixel
-  float log2_opacity;
-  float color[3], normal[3];
-
-  bool plain() const { return signed_depth > 0; }
-  float depth() const { return signed_depth > 0 ? signed_depth : -signed_depth; }
 };
 
 // Kept between forward and backward. Its vectors keep their memory when it is used again.

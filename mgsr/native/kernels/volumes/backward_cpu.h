@@ -12,10 +12,6 @@ namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-// Gradient of one (splat, tile) pair. The moments are of the exponent's gradient over the pixels' offsets from the
-// centre; kOpacity and kReflOpacity are times the opacity.
-enum PairField { kDx, kDy, kDxx, kDxy, kDyy, kOpacity, kColor, kDepth = kColor + 3, kReflOpacity, kWeight, kReflColor };
-
 // The gradient images at a sub-tile's pixels, made ready for the walk.
 template <bool Dual, bool Depth>
 struct PixelGradients {

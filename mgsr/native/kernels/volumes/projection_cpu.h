@@ -10,13 +10,12 @@
 #include "kernels/common/lanes.h"
 #include "kernels/volumes/backward_cpu.h"
 #include "kernels/volumes/volumes.h"
+#include "math/footprint.h"
 #include "math/gaussian.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
-
-constexpr double kLog2E = 1.4426950408889634;
 
 // The geometry of a few splats, as the maths wants it.
 template <class L>
@@ -56,8 +55,7 @@ struct Footprints {
   Footprints(const VolumeInputs& in, const Camera<Doubles>& camera, const int64_t splats[Doubles::kCount]) {
     const Geometry<Doubles> geometry(in, splats);
     g = project_gaussian(camera, geometry.mean, geometry.quat, geometry.scale, Doubles(double(in.low_pass)));
-    const Doubles det = g.cxx * g.cyy - g.cxy * g.cxy, k = std::sqrt(0.5 * kLog2E), inverse = k / sqrt(det * g.cyy);
-    root[0] = inverse * g.cyy, root[1] = -inverse * g.cxy, root[2] = k / sqrt(g.cyy);
+    const Doubles det = footprint_root(g, root);
     visible = (g.depth > double(in.near)) & (det > 0.0) & (g.cxx + g.cyy < 1e12);
   }
 
@@ -102,7 +100,7 @@ void project_few(const VolumeInputs& in, const Camera<Doubles>& camera, int64_t 
     write_light(in, i, opacities, state.records[i]);
   }
   const auto& g = footprints.g;
-  const auto outlines = EllipseForm<Doubles>::make(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
+  const auto outlines = make_ellipse(g.x, g.y, g.cxx, g.cxy, g.cyy, r2);
   for (int64_t i = begin; i < end; ++i) {
     const Ellipse outline = lane_of(outlines, int(i - begin));
     const PixelBox box = outline.box();
@@ -131,22 +129,7 @@ ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const in
                                               const Floats total[kPairFields]) {
   Floats root[3];
   for (int k = 0; k < 3; ++k) root[k] = each_lane<Floats>([&](int lane) { return state.records[splats[lane]].root[k]; });
-  // exponent (natural) = -0.5 (qxx dx^2 + 2 qxy dx dy + qyy dy^2) in terms of the inverse covariance Q.
-  const Floats scale = float(2.0 / kLog2E);
-  const Floats qxx = scale * root[0] * root[0], qxy = scale * root[0] * root[1];
-  const Floats qyy = scale * (root[1] * root[1] + root[2] * root[2]);
-  ProjectedGaussian<Floats> g = {};
-  g.x = qxx * total[kDx] + qxy * total[kDy];
-  g.y = qxy * total[kDx] + qyy * total[kDy];
-  g.depth = total[kDepth];
-  // v_covariance = -Q v_Q Q, with v_Q = -0.5 * moments.
-  const Floats mxx = 0.5f * total[kDxx], mxy = 0.5f * total[kDxy], myy = 0.5f * total[kDyy];
-  const Floats axx = qxx * mxx + qxy * mxy, axy = qxx * mxy + qxy * myy;
-  const Floats ayx = qxy * mxx + qyy * mxy, ayy = qxy * mxy + qyy * myy;
-  g.cxx = axx * qxx + axy * qxy;
-  g.cyy = ayx * qxy + ayy * qyy;
-  g.cxy = (axx * qxy + axy * qyy) + (ayx * qxx + ayy * qxy);
-  return g;
+  return footprint_vjp(root, total[kDx], total[kDy], total[kDxx], total[kDxy], total[kDyy], total[kDepth]);
 }
 
 // The gradients that need no projection; returns that of the compensation, 0 where there is none.

@@ -1,11 +1,11 @@
 // The 3D branch on the CPU: what goes in, what comes out, and what the backward pass needs kept from the forward pass.
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include "kernels/common/binning.h"
 #include "kernels/common/depth_sort.h"
+#include "kernels/volumes/record.h"
 #include "math/camera.h"
 
 namespace mgsr {
@@ -33,17 +33,6 @@ struct VolumeImages {
 struct VolumeGradients {
   float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights;  // as in VolumeInputs
   float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
-};
-
-// One splat as the blending loops read it: one cache line. Its weight at d pixels from the centre is 2^-|root d|^2.
-// A centre far from the image's origin is coarse in float; its whole and its fractional part are not.
-struct alignas(64) VolumeRecord {
-  int16_t x, y;          // centre, pixels: the whole part
-  float x_rest, y_rest;  // and the rest
-  float root[3];         // of the inverse covariance: xx, xy, yy of an upper triangle
-  float opacity, depth;
-  float color[3];
-  float refl_opacity, weight, refl_color[3];
 };
 
 // Kept between forward and backward. Its vectors keep their memory when it is used again.

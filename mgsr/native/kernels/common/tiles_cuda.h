@@ -1,0 +1,86 @@
+// Tiles of 16x16 pixels on the GPU: which of them a splat touches, and the pieces that their lists are worked in.
+//
+// A tile's list is worked in buckets of 32 splats, one warp's worth. The forward pass leaves each pixel's state at the
+// begin of every bucket, so that the backward pass can take each bucket on its own, a splat to a lane.
+#pragma once
+
+#include "kernels/common/cuda.h"
+#include "math/ellipse.h"
+
+namespace mgsr {
+
+constexpr int kTile = 16, kTilePixels = kTile * kTile;
+constexpr int kBucket = kWarp;
+constexpr float kCulledDepth = 3e38f;  // sorts behind every splat that is seen
+constexpr int kPairFields = 16;  // floats of a (splat, tile) pair's gradient
+
+// Where a splat can count: inside its ellipse, or inside a circle when it has a radius.
+struct SplatOutline {
+  EllipseForm<float> ellipse;
+  float x, y, radius;
+  float unused;  // makes it 48 bytes
+};
+
+// The lists of all tiles.
+struct Tiles {
+  int width, height;        // of the image, pixels
+  int across, count;        // tiles in a row, and in all
+  const int2* ranges;       // [tiles] begin and end in entries
+  const int2* entries;      // [pairs] splat and slot, grouped by tile, nearest first
+  const int* bucket_ends;   // [tiles] of each tile's buckets: the first bucket behind them
+};
+
+__device__ inline int first_bucket(const Tiles& tiles, int tile) { return tile > 0 ? tiles.bucket_ends[tile - 1] : 0; }
+
+// A pixel of a tile by its number. A warp's 32 lie in a block of 8x4: neighbours meet the same splats.
+constexpr int kPatchWidth = 8, kPatchHeight = 4;
+struct TilePixel {
+  int x, y;  // on the image
+
+  __device__ TilePixel(const Tiles& tiles, int tile, int number) {
+    const int patch = number / kWarp, place = number % kWarp;
+    x = tile % tiles.across * kTile + patch % 2 * kPatchWidth + place % kPatchWidth;
+    y = tile / tiles.across * kTile + patch / 2 * kPatchHeight + place / kPatchWidth;
+  }
+  __device__ bool inside(const Tiles& tiles) const { return x < tiles.width && y < tiles.height; }
+  __device__ int64_t index(const Tiles& tiles) const { return int64_t(y) * tiles.width + x; }
+};
+
+__device__ inline Columns outline_columns(const SplatOutline& s, float y0, float y1) {
+  Columns c = ellipse_columns(s.ellipse, y0, y1);
+  if (s.radius == 0.0f) return c;
+  const float above = y0 - s.y, below = s.y - y1, beside = above > below ? above : below;
+  const float dy = beside > 0.0f ? beside : 0.0f, half2 = s.radius * s.radius - dy * dy;
+  if (!(half2 > 0.0f)) return c;
+  const float half = sqrtf(half2), x0 = s.x - half, x1 = s.x + half;
+  if (c.x1 < c.x0) return {x0, x1};
+  return {c.x0 < x0 ? c.x0 : x0, c.x1 > x1 ? c.x1 : x1};
+}
+
+// Calls visit(tile) for every tile in which the outline holds a pixel's centre, row by row.
+template <class Visit>
+__device__ inline void for_touched_tiles(const SplatOutline& s, int width, int height, const Visit& visit) {
+  const float up = s.ellipse.y - s.ellipse.hy - kOutlineSlack, down = s.ellipse.y + s.ellipse.hy + kOutlineSlack;
+  const float top = fmaxf(ceilf(fminf(up, s.y - s.radius) - 0.5f), 0.0f);
+  const float bottom = fminf(floorf(fmaxf(down, s.y + s.radius) - 0.5f), height - 1.0f);
+  if (!(top <= bottom)) return;
+  const int across = (width + kTile - 1) / kTile;
+  for (int row = int(top) / kTile; row <= int(bottom) / kTile; ++row) {
+    const float y0 = fmaxf(float(row * kTile), top), y1 = fminf(float(row * kTile + kTile - 1), bottom);
+    const Columns c = outline_columns(s, y0 + 0.5f, y1 + 0.5f);
+    if (c.x1 < c.x0) continue;
+    // Pixel i counts when x0 <= i + 0.5 <= x1. Held to the image first, where truncation rounds down.
+    const int first = int(held_between(c.x0 + 0.5f, 0.0f, float(width)));
+    const int end = int(held_between(c.x1 + 0.5f, 0.0f, float(width)));
+    if (first >= end) continue;
+    for (int column = first / kTile; column <= (end - 1) / kTile; ++column) visit(row * across + column);
+  }
+}
+
+__device__ inline int count_touched_tiles(const SplatOutline& s, int width, int height) {
+  int count = 0;
+  for_touched_tiles(s, width, height, [&](int) { ++count; });
+  return count;
+}
+
+}  // namespace mgsr

@@ -1,0 +1,91 @@
+// Lists of splats for each tile, and sums over a splat's tiles; the same for both branches.
+//
+// tiles_emit: a thread writes one splat's (tile, splat) pairs, splats in depth order, so that a stable sort by tile leaves
+// each tile's list nearest first. A pair's place before that sort is its slot: a splat's slots are consecutive.
+// tiles_list: a thread writes one entry of the sorted lists, and the range of a tile where it begins or ends.
+// tiles_sum: 16 lanes add up one splat's pair gradients, a field each, in the order of the slots: no atomics, and the same
+// bytes at every run.
+#include "kernels/common/tiles_cuda.h"
+
+namespace mgsr {
+
+constexpr int kTilesThreads = 256;
+
+struct EmitParams {
+  int64_t count;
+  int width, height;
+  const SplatOutline* outlines;  // [count]
+  const int64_t* order;          // [count] splats, nearest first
+  const int* tile_counts;        // [count] of each splat
+  const int64_t* ends;           // [count] sums of the counts in depth order, each with its own
+  void* keys;                    // [pairs] tiles, of 2 or 4 bytes
+  int key_bytes;
+  int* owners;                   // [pairs] splats
+};
+
+struct ListParams {
+  int64_t pairs;
+  const void* keys;      // [pairs] sorted
+  int key_bytes;
+  const int64_t* slots;  // [pairs] where each was before
+  const int* owners;     // [pairs] splats, before the sort
+  int2* entries;         // [pairs]
+  int2* ranges;          // [tiles], zero before
+};
+
+struct SumParams {
+  int64_t count;
+  const int64_t* order;    // as in EmitParams
+  const int* tile_counts;
+  const int64_t* ends;
+  const float* pairs;      // [pairs, kPairFields] by slot
+  float* sums;             // [count, kPairFields] by splat
+};
+
+__device__ inline int tile_key(const void* keys, int bytes, int64_t i) {
+  return bytes == 2 ? static_cast<const int16_t*>(keys)[i] : static_cast<const int*>(keys)[i];
+}
+
+}  // namespace mgsr
+
+MGSR_KERNEL(tiles_emit, mgsr::EmitParams, mgsr::kTilesThreads) {
+  using namespace mgsr;
+  const int64_t rank = int64_t(blockIdx.x) * kTilesThreads + threadIdx.x;
+  if (rank >= p.count) return;
+  const int64_t splat = p.order[rank];
+  const int count = p.tile_counts[splat];
+  if (count == 0) return;
+  int64_t slot = p.ends[rank] - count;
+  for_touched_tiles(p.outlines[splat], p.width, p.height, [&](int tile) {
+    if (p.key_bytes == 2) static_cast<int16_t*>(p.keys)[slot] = int16_t(tile);
+    else static_cast<int*>(p.keys)[slot] = tile;
+    p.owners[slot++] = int(splat);
+  });
+}
+
+MGSR_KERNEL(tiles_list, mgsr::ListParams, mgsr::kTilesThreads) {
+  using namespace mgsr;
+  const int64_t i = int64_t(blockIdx.x) * kTilesThreads + threadIdx.x;
+  if (i >= p.pairs) return;
+  const int slot = int(p.slots[i]), tile = tile_key(p.keys, p.key_bytes, i);
+  p.entries[i] = make_int2(p.owners[slot], slot);
+  if (i == 0 || tile_key(p.keys, p.key_bytes, i - 1) != tile) p.ranges[tile].x = int(i);
+  if (i + 1 == p.pairs || tile_key(p.keys, p.key_bytes, i + 1) != tile) p.ranges[tile].y = int(i + 1);
+}
+
+MGSR_KERNEL(tiles_sum, mgsr::SumParams, mgsr::kTilesThreads) {
+  using namespace mgsr;
+  const int64_t rank = (int64_t(blockIdx.x) * kTilesThreads + threadIdx.x) / kPairFields;
+  const int field = threadIdx.x % kPairFields;
+  if (rank >= p.count) return;
+  const int64_t splat = p.order[rank];
+  const int count = p.tile_counts[splat];
+  const float* pairs = p.pairs + (p.ends[rank] - count) * kPairFields + field;
+  // Four sums, which don't wait for one another.
+  float sums[4] = {};
+  int i = 0;
+  for (; i + 4 <= count; i += 4)
+    for (int k = 0; k < 4; ++k) sums[k] += pairs[int64_t(i + k) * kPairFields];
+  for (; i < count; ++i) sums[0] += pairs[int64_t(i) * kPairFields];
+  p.sums[splat * kPairFields + field] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+}

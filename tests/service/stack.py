@@ -97,6 +97,18 @@ class Stack:
         with (self.folder / f"{name}.log").open("ab") as log:
             self.processes[name] = subprocess.Popen(command, env=self.environment, stdout=log, stderr=log, cwd=ROOT)
 
+    def job_processes(self) -> list[int]:
+        """The process ids of the job processes of this stack, also of those whose worker is gone."""
+        mark = f"MGSR_JOB={self.folder}/".encode()
+        found = []
+        for entry in Path("/proc").iterdir():
+            try:
+                if entry.name.isdigit() and mark in (entry / "environ").read_bytes():
+                    found.append(int(entry.name))
+            except OSError:
+                continue  # it has just ended
+        return found
+
     def stop(self, name: str) -> None:
         """End a process in good order; kill it if it won't."""
         process = self.processes.pop(name)
@@ -164,22 +176,6 @@ class Stack:
     def finished(self, job: str, seconds: float = 180.0) -> dict[str, Any]:
         """The job once it has ended, well or not."""
         return self.wait_for(job, *FINAL, seconds=seconds)
-
-
-def job_processes(parent: int | None = None) -> list[int]:
-    """The process ids of job processes: all of this machine's, or one worker's."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            command = (entry / "cmdline").read_bytes().split(b"\0")
-            owner = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-        except OSError:
-            continue
-        if b"worker.job" in command and parent in (None, owner):
-            found.append(int(entry.name))
-    return found
 
 
 def kill_process(pid: int) -> None:

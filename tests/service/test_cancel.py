@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, job_processes
+from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack
 
 
 @pytest.fixture
@@ -20,18 +20,14 @@ def busy(stack: Stack, tiny_archive: bytes) -> Iterator[str]:
     stack.wait_for(job, "cancelled", seconds=15)
 
 
-def worker_jobs(stack: Stack) -> list[int]:
-    return job_processes(stack.processes["worker0"].pid)
-
-
 def test_while_it_trains(stack: Stack, busy: str) -> None:
     """Within two seconds the process is gone, and only then the job counts as cancelled."""
-    assert worker_jobs(stack)
+    assert stack.job_processes()
     asked = time.monotonic()
     answer = stack.http.delete(f"/jobs/{busy}")
     assert answer.status_code == 202 and answer.json()["cancelling"]
     stack.wait_for(busy, "cancelled", seconds=10)
-    assert not worker_jobs(stack)
+    assert not stack.job_processes()
     assert time.monotonic() - asked < 4  # two to be seen, two for a checkpoint on a busy machine
     again = stack.http.delete(f"/jobs/{busy}")
     assert again.status_code == 200 and again.json()["status"] == "cancelled"
@@ -53,7 +49,7 @@ def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
         stack.http.delete(f"/jobs/{job}")
         stack.wait_for(job, "cancelled", seconds=5)
     time.sleep(0.3)
-    assert not worker_jobs(stack)
+    assert not stack.job_processes()
 
 
 def test_retry_goes_on_from_the_checkpoint(stack: Stack, tiny_archive: bytes) -> None:

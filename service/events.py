@@ -42,10 +42,11 @@ class ServerEvent:
 
 @dataclass
 class _Watched:
-    """A job's watchers, and the task that reads for them."""
+    """A job's watchers, and the task that reads for them. begun: set once it is settled from where that reads."""
 
     watchers: set[asyncio.Queue[ServerEvent | None]] = field(default_factory=set)
     reader: asyncio.Task[None] | None = None
+    begun: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class EventHub:
@@ -59,8 +60,9 @@ class EventHub:
         """The job as it is, then its events after the one of id `after` (or from now on), until it ends."""
         job = snapshot.state.record.id
         queue: asyncio.Queue[ServerEvent | None] = asyncio.Queue(BEHIND)
-        self._join(job, queue)
+        watched = self._join(job, queue)
         try:
+            await watched.begun.wait()  # what comes from here on is in the queue, what came before is in the stream
             yield b"retry: 2000\n\n" + _job_event(snapshot)
             last = (0, 0)
             for event in await self._missed(job, after):
@@ -111,11 +113,12 @@ class EventHub:
             return []
         return [_event(entry) for entry in entries or []]
 
-    def _join(self, job: str, queue: asyncio.Queue[ServerEvent | None]) -> None:
+    def _join(self, job: str, queue: asyncio.Queue[ServerEvent | None]) -> _Watched:
         watched = self._jobs.setdefault(job, _Watched())
         watched.watchers.add(queue)
         if watched.reader is None:
             watched.reader = asyncio.create_task(self._read(job, watched))
+        return watched
 
     def _leave(self, job: str, queue: asyncio.Queue[ServerEvent | None]) -> None:
         watched = self._jobs[job]
@@ -134,6 +137,7 @@ class EventHub:
 
     async def _read(self, job: str, watched: _Watched) -> None:
         last = await self._newest(job)
+        watched.begun.set()
         while True:
             try:
                 found = await self._redis.xread({events_key(job): last}, block=BLOCK_MS)

@@ -11,10 +11,10 @@ from service.contract.jobs import Jobs
 from service.contract.live import Live
 from service.contract.queue import JobQueue, queue_for
 
-PERIOD = 4.0  # seconds between two looks
+PERIOD = 3.0  # seconds between two looks
 # A round must be seen without worker and place twice, so long apart: one that is just being dequeued, or whose worker
 # has not come back to a Redis that restarted, is left alone.
-GRACE = 7.0
+GRACE = 6.0
 ABANDONED_SUBMIT = 3600.0
 SWEEP_PERIOD = 600.0
 

@@ -87,15 +87,16 @@ class Stack:
         for name in reversed(list(self.processes)):
             self.stop(name)
 
-    def start(self, name: str) -> None:
-        """Start a process; what it says goes to NAME.log."""
+    def start(self, name: str, **settings: str) -> None:
+        """Start a process, perhaps with settings of its own; what it says goes to NAME.log."""
         commands = {
             "queue": self.server.command,
             "api": [sys.executable, "-m", "service.cli", "--port", str(self.port)],
         }
         command = commands.get(name, [sys.executable, "-m", "worker.cli"])
+        environment = self.environment | settings
         with (self.folder / f"{name}.log").open("ab") as log:
-            self.processes[name] = subprocess.Popen(command, env=self.environment, stdout=log, stderr=log, cwd=ROOT)
+            self.processes[name] = subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=ROOT)
 
     def job_processes(self) -> list[int]:
         """The process ids of the job processes of this stack, also of those whose worker is gone."""

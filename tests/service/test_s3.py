@@ -1,0 +1,138 @@
+"""The store as a bucket: results by signed addresses, and a bucket that is away for a while."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, suppress
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack, free_port
+
+AWAY = 20.0
+
+
+class Gate:
+    """A port that passes connections on to another while it is open, and refuses and cuts them while it is closed."""
+
+    def __init__(self, target: int) -> None:
+        self.target, self.port = target, free_port()
+        self.listener: socket.socket | None = None
+        self.connections: set[socket.socket] = set()
+
+    def open(self) -> None:
+        """Let through."""
+        self.listener = socket.create_server(("127.0.0.1", self.port), backlog=100)
+        threading.Thread(target=self._accept, args=(self.listener,), daemon=True).start()
+
+    def close(self) -> None:
+        """Let nothing through any more."""
+        assert self.listener is not None
+        self.listener.shutdown(socket.SHUT_RDWR)
+        self.listener.close()
+        for connection in list(self.connections):
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+    def _accept(self, listener: socket.socket) -> None:
+        with suppress(OSError):
+            while True:
+                outer, _ = listener.accept()
+                inner = socket.create_connection(("127.0.0.1", self.target))
+                self.connections |= {outer, inner}
+                for source, sink in ((outer, inner), (inner, outer)):
+                    threading.Thread(target=self._pump, args=(source, sink), daemon=True).start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while data := source.recv(1 << 16):
+                sink.sendall(data)
+        with suppress(OSError):
+            sink.shutdown(socket.SHUT_RDWR)
+        self.connections.discard(source)
+
+
+@pytest.fixture
+def bucket() -> Iterator[tuple[dict[str, str], Gate]]:
+    """Settings of a store in a bucket of a real S3 API (moto's server), and the gate before it."""
+    port = free_port()
+    server = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    gate = Gate(port)
+    try:
+        _wait_for(port)
+        httpx.put(f"http://127.0.0.1:{port}/mgsr-test").raise_for_status()
+        gate.open()
+        yield (
+            {
+                "MGSR_STORE": "s3://mgsr-test/some/prefix",
+                "AWS_ENDPOINT": f"http://127.0.0.1:{gate.port}",
+                "AWS_REGION": "us-east-1",
+                "AWS_ACCESS_KEY_ID": "test",
+                "AWS_SECRET_ACCESS_KEY": "test",
+                "AWS_ALLOW_HTTP": "true",
+            },
+            gate,
+        )
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def _wait_for(port: int) -> None:
+    for _ in range(200):
+        with suppress(OSError), closing(socket.create_connection(("127.0.0.1", port), 1)):
+            return
+        time.sleep(0.1)
+    raise AssertionError("moto's server did not start")
+
+
+def test_results_come_from_the_bucket_itself(
+    bucket: tuple[dict[str, str], Gate], tmp_path: Path, tiny_archive: bytes
+) -> None:
+    with Stack(tmp_path, **bucket[0]) as stack:
+        same = {"Idempotency-Key": "once"}
+        jobs = {stack.submit(tiny_archive, TINY_OPTIONS, **same).json()["id"] for _ in range(2)}
+        (job,) = jobs
+        stack.wait_for(job, "succeeded")
+        answer = stack.http.get(f"/jobs/{job}/mesh.ply")
+        assert answer.status_code == 307
+        part = httpx.get(answer.headers["Location"], headers={"Range": "bytes=0-2"})
+        assert (part.status_code, part.content) == (206, b"ply")
+        assert [listed["id"] for listed in stack.http.get("/jobs").json()["jobs"]] == [job]
+        assert b"done in" in stack.http.get(f"/jobs/{job}/log.txt").content
+        assert not (tmp_path / "store").exists()
+
+
+@pytest.mark.slow
+def test_a_bucket_that_is_away_costs_no_job(
+    bucket: tuple[dict[str, str], Gate], tmp_path: Path, tiny_archive: bytes
+) -> None:
+    """Away while the job trains, writes checkpoints and wants to publish."""
+    settings, gate = bucket
+    with Stack(tmp_path, MGSR_CHECKPOINT_SECONDS="1", **settings) as stack:
+        options = LONG_OPTIONS | {"settings": TINY | {"train.warmup.surfel_iterations": 1000}}
+        job = stack.submitted(tiny_archive, options)
+        stack.wait_for(job, "running", step="train")
+        gate.close()
+        closed = time.monotonic()
+        answers = [stack.http.get("/readyz"), stack.submit(tiny_archive, TINY_OPTIONS)]
+        time.sleep(1)
+        answers.append(stack.http.get(f"/jobs/{job}"))
+        assert [answer.status_code for answer in answers] == [503, 503, 503]
+        assert {answer.json()["code"] for answer in answers} == {"store_unavailable"}
+        assert stack.http.get("/healthz").status_code == 200
+        time.sleep(max(0.0, AWAY - (time.monotonic() - closed)))
+        gate.open()
+        done = stack.wait_for(job, "succeeded", seconds=120)
+        assert done["attempt"] == 1
+        assert stack.http.get(f"/jobs/{job}/mesh.ply").status_code == 307
+        assert len(stack.http.get("/jobs").json()["jobs"]) == 1

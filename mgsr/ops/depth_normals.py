@@ -11,7 +11,7 @@ from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _image
-from mgsr.ops.arrays import host
+from mgsr.ops.arrays import plain
 
 
 def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
@@ -44,7 +44,7 @@ def _geometry(camera: Camera) -> tuple[tuple[float, float, float, float], list[f
 class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
-        depth, alpha = host(depth), None if alpha is None else host(alpha)
+        depth, alpha = plain(depth), None if alpha is None else plain(alpha)
         normals = torch.empty((*depth.shape, 3))
         _image.depth_normals(depth, alpha, *_geometry(camera), normals)
         ctx.save_for_backward(depth, alpha)
@@ -56,5 +56,5 @@ class _DepthNormals(torch.autograd.Function):
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
-        _image.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), host(v_normals), v_depth)
+        _image.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), plain(v_normals), v_depth)
         return v_depth, None, None

@@ -10,7 +10,9 @@ from torch.autograd.function import once_differentiable
 from mgsr.checks import check_tensors
 from mgsr.errors import TensorError
 from mgsr.native import _harmonics
-from mgsr.ops.arrays import host
+from mgsr.native.cuda.harmonics import HarmonicsKernels
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.ops.arrays import plain
 
 
 def harmonics_to_rgb(
@@ -40,9 +42,11 @@ def harmonics_to_rgb(
 class _Harmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
-        coeffs, means, center = host(coeffs), host(means), host(center)
+        coeffs, means, center = plain(coeffs), plain(means), plain(center)
+        launcher = launcher_for(means)
+        ctx.kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
         rgb = torch.empty_like(means)
-        _harmonics.forward(coeffs, means, center, degree, rgb)
+        ctx.kernels.forward(coeffs, means, center, degree, rgb)
         ctx.save_for_backward(coeffs, means, center, rgb)
         ctx.degree = degree
         return rgb
@@ -53,5 +57,5 @@ class _Harmonics(torch.autograd.Function):
         coeffs, means, center, rgb = ctx.saved_tensors
         v_coeffs = torch.empty_like(coeffs)
         v_means = torch.empty_like(means) if ctx.needs_input_grad[1] else None
-        _harmonics.backward(coeffs, means, center, ctx.degree, host(rgb), host(v_rgb), v_coeffs, v_means)
+        ctx.kernels.backward(coeffs, means, center, ctx.degree, plain(rgb), plain(v_rgb), v_coeffs, v_means)
         return v_coeffs, v_means, None, None

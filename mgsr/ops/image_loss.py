@@ -10,7 +10,7 @@ from torch.autograd.function import once_differentiable
 from mgsr.checks import check_tensors
 from mgsr.errors import TensorError
 from mgsr.native import _image
-from mgsr.ops.arrays import host
+from mgsr.ops.arrays import plain
 
 Region = tuple[int, int, int, int]
 
@@ -65,8 +65,8 @@ class _ImageLoss(torch.autograd.Function):
     ) -> torch.Tensor:
         new = torch.empty if is_whole else torch.zeros
         v_image, v_target = (new(image.shape) if needed else None for needed in ctx.needs_input_grad[:2])
-        weights = None if mask is None else host(mask)
-        total, weight = _image.image_loss(host(image), host(target), l1_weight, weights, region, v_image, v_target)
+        weights = None if mask is None else plain(mask)
+        total, weight = _image.image_loss(plain(image), plain(target), l1_weight, weights, region, v_image, v_target)
         ctx.save_for_backward(v_image, v_target)
         ctx.scale = 1 / weight if weight else 0.0
         return torch.tensor(total * ctx.scale, dtype=torch.float32)

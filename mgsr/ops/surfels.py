@@ -14,7 +14,7 @@ from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _surfels
-from mgsr.ops.arrays import host
+from mgsr.ops.arrays import plain
 from mgsr.ops.volumes import SplatStats
 
 
@@ -96,7 +96,7 @@ def rasterize_surfels(
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats):
-        splats = [host(t) for t in (means, quats, scales, opacities, colors, background)]
+        splats = [plain(t) for t in (means, quats, scales, opacities, colors, background)]
         plane, triple = (camera.height, camera.width), (camera.height, camera.width, 3)
         color, normal = means.new_empty(triple), means.new_empty(triple)
         alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
@@ -121,7 +121,7 @@ class _Rasterize(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *v_outputs: Tensor | None):
         images = ctx.saved_tensors
-        v_images = [v if v is None else host(v) for v in v_outputs]
+        v_images = [v if v is None else plain(v) for v in v_outputs]
         v_splats = [torch.zeros_like(t) for t in ctx.splats[:-1]]
         v_means2d = torch.zeros(len(ctx.splats[0]), 2)
         _surfels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)

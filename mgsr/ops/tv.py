@@ -9,7 +9,7 @@ from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.native import _image
-from mgsr.ops.arrays import host
+from mgsr.ops.arrays import plain
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
@@ -38,7 +38,7 @@ class _EdgeAwareTv(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
         v_values = torch.empty(values.shape) if ctx.needs_input_grad[0] else None
-        total, pairs = _image.tv(host(values), host(guide), None if mask is None else host(mask), v_values)
+        total, pairs = _image.tv(plain(values), plain(guide), None if mask is None else plain(mask), v_values)
         ctx.save_for_backward(v_values)
         count = pairs * values.shape[2]
         ctx.scale = 1 / count if count else 0.0

@@ -19,8 +19,3 @@ def pointer(tensor: torch.Tensor | None) -> int | None:
         return None
     assert tensor.is_contiguous(), "kernels read contiguous tensors"
     return tensor.data_ptr()
-
-
-def device_tensor(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as a CUDA kernel reads it: contiguous and outside the graph (no copy where it already is)."""
-    return tensor.detach().contiguous()

@@ -1,0 +1,53 @@
+"""The CUDA half of the spherical harmonics: the same calls as `mgsr.native._harmonics`."""
+
+from __future__ import annotations
+
+import ctypes
+
+from torch import Tensor
+
+from mgsr.native.cuda.launcher import Launcher
+from mgsr.native.cuda.params import Int, Long, Pointer, pointer
+
+THREADS = 64
+
+
+class Params(ctypes.Structure):
+    """HarmonicsParams of kernels/harmonics/harmonics.cu."""
+
+    _fields_ = (
+        ("n", Long),
+        ("k", Int),
+        ("degree", Int),
+        *((name, Pointer) for name in ("coeffs", "means", "center", "rgb", "v_rgb", "v_coeffs", "v_means")),
+    )
+
+
+class HarmonicsKernels:
+    """Colours and their gradients on one launcher."""
+
+    def __init__(self, launcher: Launcher) -> None:
+        self._launcher = launcher
+
+    def forward(self, coeffs: Tensor, means: Tensor, center: Tensor, degree: int, rgb: Tensor) -> None:
+        """Write rgb [N,3]."""
+        self._run("forward", degree, coeffs, (coeffs, means, center, rgb, None, None, None))
+
+    def backward(
+        self,
+        coeffs: Tensor,
+        means: Tensor,
+        center: Tensor,
+        degree: int,
+        rgb: Tensor,
+        v_rgb: Tensor,
+        v_coeffs: Tensor,
+        v_means: Tensor | None,
+    ) -> None:
+        """Write v_coeffs [N,K,3] and, where asked for, v_means [N,3]."""
+        self._run("backward", degree, coeffs, (coeffs, means, center, rgb, v_rgb, v_coeffs, v_means))
+
+    def _run(self, direction: str, degree: int, coeffs: Tensor, arrays: tuple[Tensor | None, ...]) -> None:
+        n, k = coeffs.shape[:2]
+        params = Params(n, k, degree, *(pointer(t) for t in arrays))
+        self._launcher.launch("harmonics", f"harmonics_{direction}_{degree}", -(-n // THREADS), THREADS, params)

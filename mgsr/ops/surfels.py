@@ -14,6 +14,8 @@ from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _surfels
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.surfels import SurfelKernels
 from mgsr.ops.arrays import plain
 from mgsr.ops.volumes import SplatStats
 
@@ -87,15 +89,17 @@ def rasterize_surfels(
         background=(background, "3"),
     )
     stats = SplatStats(radii=means.new_empty(len(means)))
-    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(
-        means, quats, scales, opacities, colors, background, camera, options, stats
-    )
+    tensors = (means, quats, scales, opacities, colors, background)
+    launcher = launcher_for(means)
+    differentiable = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    kernels = _surfels if launcher is None else SurfelKernels(launcher, keep=differentiable)
+    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(*tensors, camera, options, stats, kernels)
     return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, stats)
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats):
+    def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats, kernels):
         splats = [plain(t) for t in (means, quats, scales, opacities, colors, background)]
         plane, triple = (camera.height, camera.width), (camera.height, camera.width, 3)
         color, normal = means.new_empty(triple), means.new_empty(triple)
@@ -111,8 +115,8 @@ class _Rasterize(torch.autograd.Function):
             options.low_pass,
         )
         images = (color, alpha, depth, median_depth, normal, distortion)
-        ctx.frame = _surfels.forward(*splats, *view, *images, stats.radii)
-        ctx.splats, ctx.view, ctx.stats = splats, view, stats
+        ctx.frame = kernels.forward(*splats, *view, *images, stats.radii)
+        ctx.splats, ctx.view, ctx.stats, ctx.kernels = splats, view, stats, kernels
         ctx.save_for_backward(*images)
         ctx.set_materialize_grads(False)
         return images
@@ -123,11 +127,11 @@ class _Rasterize(torch.autograd.Function):
         images = ctx.saved_tensors
         v_images = [v if v is None else plain(v) for v in v_outputs]
         v_splats = [torch.zeros_like(t) for t in ctx.splats[:-1]]
-        v_means2d = torch.zeros(len(ctx.splats[0]), 2)
-        _surfels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
+        v_means2d = ctx.splats[0].new_zeros(len(ctx.splats[0]), 2)
+        ctx.kernels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
         ctx.stats.v_means2d = v_means2d
         v_background = None
         v_color = v_images[0]
         if ctx.needs_input_grad[5] and v_color is not None:
             v_background = (v_color * (1 - images[1])[..., None]).sum((0, 1))
-        return *v_splats, v_background, None, None, None
+        return *v_splats, v_background, None, None, None, None

@@ -7,7 +7,7 @@ import ctypes
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Int, Long, Pointer, pointer
+from mgsr.native.cuda.params import Int, Long, pointer, pointers
 
 THREADS = 64
 
@@ -19,7 +19,7 @@ class Params(ctypes.Structure):
         ("n", Long),
         ("k", Int),
         ("degree", Int),
-        *((name, Pointer) for name in ("coeffs", "means", "center", "rgb", "v_rgb", "v_coeffs", "v_means")),
+        *pointers("coeffs", "means", "center", "rgb", "v_rgb", "v_coeffs", "v_means"),
     )
 
 

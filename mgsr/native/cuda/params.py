@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import torch
 
@@ -10,6 +11,11 @@ Pointer = ctypes.c_void_p
 Int = ctypes.c_int32
 Long = ctypes.c_int64
 Float = ctypes.c_float
+
+
+def pointers(*names: str) -> tuple[tuple[str, Any], ...]:
+    """Fields of a struct that are pointers."""
+    return tuple((name, Pointer) for name in names)
 
 
 def pointer(tensor: torch.Tensor | None) -> int | None:

@@ -12,11 +12,12 @@ from torch import Tensor
 
 from mgsr.errors import GpuError
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Int, Long, Pointer, pointer
+from mgsr.native.cuda.params import Int, Long, Pointer, pointer, pointers
 
 TILE, TILE_PIXELS, BUCKET = 16, 256, 32
 PAIR_FIELDS, OUTLINE_FLOATS, RECORD_FLOATS = 16, 12, 16
-THREADS = 256
+THREADS, SPLAT_THREADS = 256, 128
+BUCKET_WARPS, BUCKET_THREADS = 2, 64
 MAX_PAIRS = 2**31 - 1
 
 
@@ -25,7 +26,7 @@ class Tiles(ctypes.Structure):
 
     _fields_ = (
         *((name, Int) for name in ("width", "height", "across", "count")),
-        *((name, Pointer) for name in ("ranges", "entries", "bucket_ends")),
+        *pointers("ranges", "entries", "bucket_ends"),
     )
 
 
@@ -34,7 +35,7 @@ class EmitParams(ctypes.Structure):
         ("count", Long),
         ("width", Int),
         ("height", Int),
-        *((name, Pointer) for name in ("outlines", "order", "tile_counts", "ends", "keys")),
+        *pointers("outlines", "order", "tile_counts", "ends", "keys"),
         ("key_bytes", Int),
         ("owners", Pointer),
     )
@@ -45,12 +46,12 @@ class ListParams(ctypes.Structure):
         ("pairs", Long),
         ("keys", Pointer),
         ("key_bytes", Int),
-        *((name, Pointer) for name in ("slots", "owners", "entries", "ranges")),
+        *pointers("slots", "owners", "entries", "ranges"),
     )
 
 
 class SumParams(ctypes.Structure):
-    _fields_ = (("count", Long), *((name, Pointer) for name in ("order", "tile_counts", "ends", "pairs", "sums")))
+    _fields_ = (("count", Long), *pointers("order", "tile_counts", "ends", "pairs", "sums"))
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,11 @@ class TileLists:
     def most_buckets(self) -> int:
         """A bound on the number of buckets, which only the card knows."""
         return min(self.pairs, self.pairs // BUCKET + self.tiles)
+
+    @property
+    def bucket_blocks(self) -> int:
+        """Blocks of a kernel that takes a bucket to each warp."""
+        return -(-self.most_buckets // BUCKET_WARPS)
 
     def struct(self) -> Tiles:
         """For the kernels' parameters; its tensors must outlive the launch."""

@@ -11,19 +11,23 @@ from torch import Tensor
 
 from mgsr.native.cuda import tiles
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, Pointer, pointer
-from mgsr.native.cuda.tiles import TILE_PIXELS, TileLists, Tiles, list_tiles, refusing, sum_pairs
+from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
+from mgsr.native.cuda.tiles import (
+    BUCKET_THREADS,
+    SPLAT_THREADS,
+    TILE_PIXELS,
+    TileLists,
+    Tiles,
+    list_tiles,
+    refusing,
+    sum_pairs,
+)
 from mgsr.native.cuda.view import Camera, camera_struct
 
-SPLAT_THREADS, BUCKET_THREADS, BUCKET_WARPS = 128, 64, 2
 # Floats kept of each pixel at the begin of a bucket, and made ready of each pixel for the backward pass.
 STATE_PLANES = {"single": 5, "dual": 10}
 PIXEL_PLANES = {"single": 5, "dual": 10}
 SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors", "refl_opacities", "refl_colors", "weights")
-
-
-def _pointers(*names: str) -> tuple[tuple[str, Any], ...]:
-    return tuple((name, Pointer) for name in names)
 
 
 class Splats(ctypes.Structure):
@@ -31,7 +35,7 @@ class Splats(ctypes.Structure):
 
     _fields_ = (
         ("count", Long),
-        *_pointers(*SPLAT_TENSORS),
+        *pointers(*SPLAT_TENSORS),
         ("camera", Camera),
         ("width", Int),
         ("height", Int),
@@ -42,34 +46,34 @@ class Splats(ctypes.Structure):
 
 
 class ProjectParams(ctypes.Structure):
-    _fields_ = (("in", Splats), *_pointers("records", "outlines", "depths", "tile_counts", "radii"))
+    _fields_ = (("in", Splats), *pointers("records", "outlines", "depths", "tile_counts", "radii"))
 
 
 class BlendParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
-        *_pointers("records", "background", "color", "alpha", "depth", "reflected", "weight"),
-        *_pointers("transmittance", "states", "reached"),
+        *pointers("records", "background", "color", "alpha", "depth", "reflected", "weight"),
+        *pointers("transmittance", "states", "reached"),
     )
 
 
 class PixelParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
-        *_pointers("transmittance", "color", "depth", "reflected", "weight"),
-        *_pointers("v_color", "v_alpha", "v_depth", "v_reflected", "v_weight", "planes"),
+        *pointers("transmittance", "color", "depth", "reflected", "weight"),
+        *pointers("v_color", "v_alpha", "v_depth", "v_reflected", "v_weight", "planes"),
     )
 
 
 class BackwardParams(ctypes.Structure):
-    _fields_ = (("tiles", Tiles), *_pointers("records", "states", "reached", "planes", "pairs"))
+    _fields_ = (("tiles", Tiles), *pointers("records", "states", "reached", "planes", "pairs"))
 
 
 class GradientParams(ctypes.Structure):
     _fields_ = (
         ("in", Splats),
-        *_pointers("records", "radii", "sums", "tile_counts"),
-        *_pointers(*(f"v_{name}" for name in SPLAT_TENSORS), "v_means2d"),
+        *pointers("records", "radii", "sums", "tile_counts"),
+        *pointers(*(f"v_{name}" for name in SPLAT_TENSORS), "v_means2d"),
     )
 
 
@@ -93,6 +97,7 @@ class VolumeKernels:
         self._launcher, self._keep = launcher, keep
 
     def forward(self, *arguments: Any) -> Frame:
+        """Render into the images and radii given, and return what `backward` takes."""
         splats, background, view, images, radii = (
             arguments[:8],
             arguments[8],
@@ -112,6 +117,8 @@ class VolumeKernels:
         return Frame(lists, records, radii, transmittance, states, reached)
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
+        """Write the splats' gradients from those of the images."""
+        assert frame.states is not None, "rendered without a backward pass in mind"
         splats, view = arguments[:8], arguments[9:16]
         images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
         kind, lists = _kind(splats), frame.lists
@@ -120,8 +127,7 @@ class VolumeKernels:
             pairs = planes.new_empty(lists.pairs, tiles.PAIR_FIELDS)
         arrays = (frame.records, frame.states, frame.reached, planes, pairs)
         params = BackwardParams(lists.struct(), *(pointer(t) for t in arrays))
-        blocks = -(-lists.most_buckets // BUCKET_WARPS)
-        self._launcher.launch("volumes", f"volumes_backward_{kind}", blocks, BUCKET_THREADS, params)
+        self._launcher.launch("volumes", f"volumes_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         sums = sum_pairs(self._launcher, lists, pairs)
         arrays = (frame.records, frame.radii, sums, lists.tile_counts, *v_splats)
         gradients = GradientParams(_splats_struct(splats, view), *(pointer(t) for t in arrays))

@@ -57,6 +57,19 @@ __device__ inline Columns outline_columns(const SplatOutline& s, float y0, float
   return {c.x0 < x0 ? c.x0 : x0, c.x1 > x1 ? c.x1 : x1};
 }
 
+__device__ inline bool finite(const float* values, int n) {
+  float zero = 0.0f;
+  for (int i = 0; i < n; ++i) zero += values[i] * 0.0f;
+  return zero == 0.0f;
+}
+
+// Whether the box of an outline reaches the image.
+__device__ inline bool on_image(const SplatOutline& s, int width, int height) {
+  const EllipseForm<float>& e = s.ellipse;
+  return fmaxf(e.x + e.hx + kOutlineSlack, s.x + s.radius) >= 0 && fminf(e.x - e.hx - kOutlineSlack, s.x - s.radius) <= width &&
+         fmaxf(e.y + e.hy + kOutlineSlack, s.y + s.radius) >= 0 && fminf(e.y - e.hy - kOutlineSlack, s.y - s.radius) <= height;
+}
+
 // Calls visit(tile) for every tile in which the outline holds a pixel's centre, row by row.
 template <class Visit>
 __device__ inline void for_touched_tiles(const SplatOutline& s, int width, int height, const Visit& visit) {

@@ -42,12 +42,6 @@ struct VolumeGradientParams {
   float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights, *means2d;  // outputs
 };
 
-__device__ inline bool finite(const float* values, int n) {
-  float zero = 0.0f;
-  for (int i = 0; i < n; ++i) zero += values[i] * 0.0f;
-  return zero == 0.0f;
-}
-
 __device__ inline bool finite_light(const VolumeSplats& in, int64_t i) {
   if (!finite(in.colors + 3 * i, 3)) return false;
   return !in.refl_colors || (finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1));

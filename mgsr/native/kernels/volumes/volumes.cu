@@ -15,12 +15,9 @@ MGSR_KERNEL(volumes_project, mgsr::VolumeProjectParams, mgsr::kSplatThreads) {
   if (i >= p.in.count) return;
   VolumeRecord record = {};
   SplatOutline outline = {};
-  const bool visible = project_volume(p.in, i, record, outline);
-  const EllipseForm<float>& e = outline.ellipse;
-  const bool seen = visible && e.x + e.hx + kOutlineSlack >= 0 && e.x - e.hx - kOutlineSlack <= p.in.width &&
-                    e.y + e.hy + kOutlineSlack >= 0 && e.y - e.hy - kOutlineSlack <= p.in.height;
+  const bool seen = project_volume(p.in, i, record, outline) && on_image(outline, p.in.width, p.in.height);
   p.depths[i] = seen ? record.depth : kCulledDepth;
-  p.radii[i] = seen ? fmaxf(e.hx, e.hy) : 0.0f;
+  p.radii[i] = seen ? fmaxf(outline.ellipse.hx, outline.ellipse.hy) : 0.0f;
   p.tile_counts[i] = seen ? count_touched_tiles(outline, p.in.width, p.in.height) : 0;
   if (seen) p.records[i] = record, p.outlines[i] = outline;
 }

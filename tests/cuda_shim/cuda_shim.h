@@ -1,8 +1,8 @@
 // Runs CUDA kernels on the host, for tests: included before a .cu file that g++ compiles.
 //
 // The threads of a block are fibers on one processor, switched where they meet: at __syncthreads and at warp operations.
-// Between two meetings they run one after the other, in the order asked for: ascending, descending, or shuffled anew each
-// time. Blocks go in the same kind of order. What depends on the order is a race, and shows as a difference of results.
+// Between two meetings they run one after the other, in the order asked for: ascending or descending, with each warp as far
+// ahead of the next as barriers allow, or shuffled anew each time. Blocks go in the same kind of order. What depends on the order is a race, and shows as a difference of results.
 // Misuse ends the launch with a message: a thread that left while others wait, threads of a warp in different
 // operations, a deadlock.
 #pragma once
@@ -110,15 +110,26 @@ inline void run_thread(int index) {
   switch_fiber(machine.scheduler, machine.team[size_t(index)].fiber);
 }
 
-// Lets every thread that can run do so until its next meeting; returns whether any could.
-inline bool run_round() {
+// Lets those of the threads [begin, end) that can run do so until their next meeting; returns whether any could.
+inline bool run_some(int begin, int end) {
   bool ran = false;
-  for (int index : in_order(int(machine.team.size()))) {
-    if (machine.team[size_t(index)].state != Thread::kReady) continue;
-    run_thread(index);
+  for (int index : in_order(end - begin)) {
+    if (machine.team[size_t(begin + index)].state != Thread::kReady) continue;
+    run_thread(begin + index);
     ran = true;
     if (!machine.error.empty()) throw std::runtime_error(machine.error);
   }
+  return ran;
+}
+
+// Lets every thread run until the block's next barrier or its end; returns whether any could. In the plain orders one warp
+// runs as far as it can before the next one begins, which is as far apart as warps can be; shuffled, all go step by step.
+inline bool run_round() {
+  const int size = int(machine.team.size());
+  if (machine.order == Order::kShuffled) return run_some(0, size);
+  bool ran = false;
+  for (int warp : in_order((size + 31) / 32))
+    while (run_some(32 * warp, std::min(32 * warp + 32, size))) ran = true;
   return ran;
 }
 

@@ -53,6 +53,18 @@ _SUBMIT_BODY: dict[str, Any] = {
 }
 _LOCATION = {"Location": {"description": "The job's address.", "schema": {"type": "string"}}}
 
+_EVENT = {
+    "type": "object",
+    "description": "One event; data is JSON text.",
+    "required": ["event", "data"],
+    "properties": {
+        "id": {"type": "string"},
+        "event": {"type": "string", "enum": ["job", "progress", "status"]},
+        "data": {"type": "string", "contentMediaType": "application/json"},
+        "retry": {"type": "integer"},
+    },
+}
+
 IdempotencyKey = Annotated[
     str | None,
     Header(
@@ -63,7 +75,7 @@ IdempotencyKey = Annotated[
 ]
 OptionsQuery = Annotated[
     str | None,
-    Query(max_length=65536, description="JobOptions as JSON text, where the body is the archive itself."),
+    Query(max_length=16384, description="JobOptions as JSON text, where the body is the archive itself."),
 ]
 
 
@@ -194,7 +206,7 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     responses={
         200: {
             "description": "`job`: the whole job, first and last; `progress`: fields that changed; `status`: it ended.",
-            "content": {"text/event-stream": {"schema": {"type": "string"}}},
+            "content": {"text/event-stream": {"schema": _EVENT}},
         },
         **answers(404, 422),
     },

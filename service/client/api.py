@@ -43,6 +43,10 @@ class Client:
     ) -> None:
         self._http.close()
 
+    def check(self) -> None:
+        """Ask once whether the service is there."""
+        _check(self._http.get("/healthz", timeout=10.0))
+
     def submit(self, archive: Path, options: str, sent: Callable[[int], None]) -> Job:
         """Send an archive with its options (JSON); the job. sent: told of each chunk's size."""
         key = uuid.uuid4().hex

@@ -29,6 +29,7 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
     console = Console(highlight=False)
     try:
         with Client(server, key) as client, _archive(scene) as archive:
+            client.check()
             job = _send(client, archive, options, console)
             console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
             return 0 if out is None else _wait(client, job["id"], out, console)

@@ -27,6 +27,8 @@ appendfsync everysec
 save ""
 maxmemory-policy noeviction
 daemonize no
+logfile {folder}/valkey.log
+loglevel warning
 """
 
 

@@ -70,7 +70,7 @@ def split_in_two(parameters: Parameters, shrink: float, generator: torch.Generat
     """Each splat's two halves: centres drawn from its own distribution, scales divided by `shrink`."""
     doubled = {name: torch.cat([tensor, tensor]) for name, tensor in parameters.items()}
     scales = doubled["log_scales"].exp()
-    drawn = torch.randn(scales.shape, generator=generator) * scales
+    drawn = torch.randn(scales.shape, generator=generator).to(scales.device) * scales
     if drawn.shape[1] == 2:  # a surfel is flat
         drawn = torch.nn.functional.pad(drawn, (0, 1))
     rotations = rotation_matrices(doubled["quats"])

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from mgsr.ops.statistics import gather_gradients
+
 
 @dataclass
 class DensifyState:
@@ -16,20 +18,23 @@ class DensifyState:
     seen: Tensor
 
     @staticmethod
-    def empty(count: int) -> DensifyState:
-        """Nothing gathered yet about `count` splats."""
-        return DensifyState(torch.zeros(count), torch.zeros(count))
+    def empty(count: int, device: torch.device | None = None) -> DensifyState:
+        """Nothing gathered yet about `count` splats, which are on `device`."""
+        return DensifyState(torch.zeros(count, device=device), torch.zeros(count, device=device))
 
-    def gather(self, v_means2d: Tensor, visible: Tensor, width: int, height: int, weight: float = 1.0) -> None:
+    def gather(self, v_means2d: Tensor, radii: Tensor, width: int, height: int, weight: float = 1.0) -> None:
         """Add one image's gradients.
 
         v_means2d [N,2]: of the loss, per pixel of the projected centres; counted per half image side as 3DGS does,
-        so that a threshold holds for images of any size. visible [N] bool. weight: the branch's weight in the loss,
-        divided out so that the threshold means the same alone and in the mutual phase.
+        so that a threshold holds for images of any size. radii [N]: 0 where a splat was not seen. weight: the
+        branch's weight in the loss, divided out so that the threshold means the same alone and in the mutual phase.
         """
-        scale = v_means2d.new_tensor([0.5 * width / weight, 0.5 * height / weight])
-        self.gradient_sum += torch.linalg.vector_norm(v_means2d * scale, dim=1)
-        self.seen += visible
+        scale = (0.5 * width / weight, 0.5 * height / weight)
+        gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale)
+
+    def to(self, device: torch.device) -> DensifyState:
+        """The same on a device."""
+        return DensifyState(self.gradient_sum.to(device), self.seen.to(device))
 
     def mean_gradients(self) -> Tensor:
         """The mean over the images that saw each splat, [N]; 0 for one that none saw."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import torch
 from torch import Tensor
 
 from mgsr.ops.harmonics import harmonics_to_rgb
@@ -50,3 +51,7 @@ class SurfelModel:
     def detached(self) -> SurfelModel:
         """A copy that carries no gradients."""
         return SurfelModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})
+
+    def to(self, device: torch.device) -> SurfelModel:
+        """The same on a device (no copy where it already is)."""
+        return SurfelModel(**{name: tensor.to(device) for name, tensor in self.parameters().items()})

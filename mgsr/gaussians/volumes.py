@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import torch
 from torch import Tensor
 
 from mgsr.ops.harmonics import harmonics_to_rgb
@@ -78,6 +79,10 @@ class VolumeModel:
     def detached(self) -> VolumeModel:
         """A copy that carries no gradients."""
         return VolumeModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})
+
+    def to(self, device: torch.device) -> VolumeModel:
+        """The same on a device (no copy where it already is)."""
+        return VolumeModel(**{name: tensor.to(device) for name, tensor in self.parameters().items()})
 
 
 def _stored(tensor: Tensor | None) -> Tensor:

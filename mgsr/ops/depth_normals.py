@@ -11,6 +11,8 @@ from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _image
+from mgsr.native.cuda.image import ImageKernels
+from mgsr.native.cuda.launcher import launcher_for
 from mgsr.ops.arrays import plain
 
 
@@ -45,8 +47,10 @@ class _DepthNormals(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None) -> torch.Tensor:
         depth, alpha = plain(depth), None if alpha is None else plain(alpha)
-        normals = torch.empty((*depth.shape, 3))
-        _image.depth_normals(depth, alpha, *_geometry(camera), normals)
+        launcher = launcher_for(depth)
+        ctx.kernels = _image if launcher is None else ImageKernels(launcher)
+        normals = depth.new_empty(*depth.shape, 3)
+        ctx.kernels.depth_normals(depth, alpha, *_geometry(camera), normals)
         ctx.save_for_backward(depth, alpha)
         ctx.camera = camera
         return normals
@@ -56,5 +60,5 @@ class _DepthNormals(torch.autograd.Function):
     def backward(ctx: Any, v_normals: torch.Tensor) -> tuple[torch.Tensor, None, None]:
         depth, alpha = ctx.saved_tensors
         v_depth = torch.empty_like(depth)
-        _image.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), plain(v_normals), v_depth)
+        ctx.kernels.depth_normals_vjp(depth, alpha, *_geometry(ctx.camera), plain(v_normals), v_depth)
         return v_depth, None, None

@@ -10,7 +10,9 @@ from torch.autograd.function import once_differentiable
 from mgsr.checks import check_tensors
 from mgsr.errors import TensorError
 from mgsr.native import _image
-from mgsr.ops.arrays import plain
+from mgsr.native.cuda.image import ImageKernels
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.ops.arrays import mean, plain
 
 Region = tuple[int, int, int, int]
 
@@ -64,12 +66,18 @@ class _ImageLoss(torch.autograd.Function):
         is_whole: bool,
     ) -> torch.Tensor:
         new = torch.empty if is_whole else torch.zeros
-        v_image, v_target = (new(image.shape) if needed else None for needed in ctx.needs_input_grad[:2])
+        v_image, v_target = (
+            new(image.shape, device=image.device) if needed else None for needed in ctx.needs_input_grad[:2]
+        )
         weights = None if mask is None else plain(mask)
-        total, weight = _image.image_loss(plain(image), plain(target), l1_weight, weights, region, v_image, v_target)
+        arguments = (plain(image), plain(target), l1_weight, weights, region, v_image, v_target)
+        launcher = launcher_for(image)
+        if launcher is None:
+            loss, ctx.scale = mean(*_image.image_loss(*arguments))
+        else:
+            loss, ctx.scale = ImageKernels(launcher).image_loss(*arguments)
         ctx.save_for_backward(v_image, v_target)
-        ctx.scale = 1 / weight if weight else 0.0
-        return torch.tensor(total * ctx.scale, dtype=torch.float32)
+        return loss
 
     @staticmethod
     @once_differentiable

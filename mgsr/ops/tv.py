@@ -9,7 +9,9 @@ from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.native import _image
-from mgsr.ops.arrays import plain
+from mgsr.native.cuda.image import ImageKernels
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.ops.arrays import mean, plain
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
@@ -37,12 +39,16 @@ def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor 
 class _EdgeAwareTv(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
-        v_values = torch.empty(values.shape) if ctx.needs_input_grad[0] else None
-        total, pairs = _image.tv(plain(values), plain(guide), None if mask is None else plain(mask), v_values)
+        v_values = torch.empty(values.shape, device=values.device) if ctx.needs_input_grad[0] else None
+        arguments = (plain(values), plain(guide), None if mask is None else plain(mask), v_values)
+        launcher = launcher_for(values)
+        if launcher is None:
+            total, pairs = _image.tv(*arguments)
+            result, ctx.scale = mean(total, pairs * values.shape[2])
+        else:
+            result, ctx.scale = ImageKernels(launcher).tv(*arguments)
         ctx.save_for_backward(v_values)
-        count = pairs * values.shape[2]
-        ctx.scale = 1 / count if count else 0.0
-        return torch.tensor(total * ctx.scale, dtype=torch.float32)
+        return result
 
     @staticmethod
     @once_differentiable

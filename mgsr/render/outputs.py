@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from torch import Tensor
+
+from mgsr.data.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -42,3 +45,8 @@ class VolumeOutputs:
     depth: Tensor | None
     alpha: Tensor
     stats: Any
+
+
+def camera_center(camera: Camera, device: torch.device) -> Tensor:
+    """[3] float32, world, on a device; the host does not wait for the copy."""
+    return torch.tensor(camera.center, dtype=torch.float32).to(device, non_blocking=True)

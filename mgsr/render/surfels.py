@@ -8,7 +8,7 @@ from torch import Tensor
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
-from mgsr.render.outputs import SurfelOutputs
+from mgsr.render.outputs import SurfelOutputs, camera_center
 
 
 def render_surfels(
@@ -23,7 +23,7 @@ def render_surfels(
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
     stored. Gradients flow to the model's tensors where these ask for them.
     """
-    center = torch.tensor(camera.center, dtype=torch.float32, device=model.means.device)
+    center = camera_center(camera, model.means.device)
     raster = rasterize_surfels(
         model.means,
         model.quats,

@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from mgsr.data.camera import Camera
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
-from mgsr.render.outputs import VolumeOutputs
+from mgsr.render.outputs import VolumeOutputs, camera_center
 
 
 def render_volumes(
@@ -28,7 +28,7 @@ def render_volumes(
     the reflected colours, by default all that is stored; depth: off saves its time. Gradients flow to the model's
     tensors where these ask for them.
     """
-    center = torch.tensor(camera.center, dtype=torch.float32, device=model.means.device)
+    center = camera_center(camera, model.means.device)
     raster = rasterize_volumes(
         model.means,
         model.quats,
@@ -43,9 +43,7 @@ def render_volumes(
     color = raster.color
     if raster.reflected is not None and raster.weight is not None:
         color = add_reflection(raster.color, raster.reflected, raster.weight)
-    return VolumeOutputs(
-        color, raster.color, raster.reflected, raster.weight, raster.depth, raster.alpha, raster.stats
-    )
+    return VolumeOutputs(color, raster.color, raster.reflected, raster.weight, raster.depth, raster.alpha, raster.stats)
 
 
 def add_reflection(transmitted: Tensor, reflected: Tensor, weight: Tensor) -> Tensor:

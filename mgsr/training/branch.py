@@ -13,12 +13,16 @@ from mgsr.densify.adaptive import adapt
 from mgsr.densify.reset import lowered_opacities
 from mgsr.densify.state import DensifyState
 from mgsr.errors import TrainingError
+from mgsr.gaussians.order import morton_order
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 
 Model = TypeVar("Model", SurfelModel, VolumeModel)
+# Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
+# together there.
+ORDER_EVERY = 2000
 
 
 class Branch(Generic[Model]):
@@ -41,8 +45,13 @@ class Branch(Generic[Model]):
         self.generator = generator
         self.steps = 0
         self.optimizer = self._make_optimizer(model.parameters())
-        self.densify_state = DensifyState.empty(len(model))
+        self.densify_state = DensifyState.empty(len(model), self.device)
         self._adopt()
+
+    @property
+    def device(self) -> torch.device:
+        """Where the splats are."""
+        return self.model.means.device
 
     def step(self, progress: float) -> None:
         """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
@@ -57,7 +66,7 @@ class Branch(Generic[Model]):
     def gather(self, stats: Any, width: int, height: int, weight: float) -> None:
         """Note one image's screen-space gradients for densification (see `DensifyState.gather`)."""
         if stats.v_means2d is not None:
-            self.densify_state.gather(stats.v_means2d, stats.visible, width, height, weight)
+            self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight)
 
     def adapt(self, grow: bool = True) -> None:
         """Clone, split and prune, and begin to gather anew. Raises TrainingError when no splat is left."""
@@ -70,7 +79,14 @@ class Branch(Generic[Model]):
         self.optimizer.keep(change.kept)
         self.optimizer.extend(change.added)
         self._adopt()
-        self.densify_state = DensifyState.empty(len(self.model))
+        self.densify_state = DensifyState.empty(len(self.model), self.device)
+        if self.device.type != "cpu" and self.steps % ORDER_EVERY < self.densify.every:
+            self.reorder()
+
+    def reorder(self) -> None:
+        """Put neighbours in space next to each other in memory. For when nothing is gathered of the splats."""
+        self.optimizer.keep(morton_order(self.model.means.detach()))
+        self._adopt()
 
     def reset_opacities(self) -> None:
         """Lower every opacity and forget the optimiser's momentum there."""
@@ -97,9 +113,10 @@ class Branch(Generic[Model]):
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take back what `state` gave."""
-        self.optimizer = self._make_optimizer(state["parameters"])
+        device = self.device
+        self.optimizer = self._make_optimizer({name: t.to(device) for name, t in state["parameters"].items()})
         self.optimizer.load_state_dict(state["optimizer"])
-        self.densify_state = DensifyState(**state["densify"])
+        self.densify_state = DensifyState(**state["densify"]).to(device)
         self.generator.set_state(state["generator"])
         self.steps = state["steps"]
         self._adopt()

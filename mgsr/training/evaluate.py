@@ -11,15 +11,16 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
-from mgsr.training.views import Color, TrainingView
+from mgsr.training.views import Color, TrainingView, color_tensor
 
 
 @torch.no_grad()
 def render_color(model: SurfelModel | VolumeModel, view: TrainingView, background: Color) -> Tensor:
     """The branch's image [H,W,3] of a view's camera, without gradients."""
+    color = color_tensor(background, model.means.device)
     if isinstance(model, SurfelModel):
-        return render_surfels(model, view.camera, torch.tensor(background)).color
-    return render_volumes(model, view.camera, torch.tensor(background), depth=False).color
+        return render_surfels(model, view.camera, color).color
+    return render_volumes(model, view.camera, color, depth=False).color
 
 
 def mean_psnr(model: SurfelModel | VolumeModel, views: list[TrainingView], background: Color) -> float:

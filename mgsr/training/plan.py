@@ -17,7 +17,7 @@ from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.stages import Stage, Step, SurfelBranch, VolumeBranch, both_teach, surfels_alone, volumes_alone
-from mgsr.training.views import TrainingView, ViewCycle, plain_background, prepare_views
+from mgsr.training.views import CPU, TrainingView, ViewCycle, plain_background, prepare_views
 
 
 class StartingPoints(Protocol):
@@ -49,8 +49,8 @@ class Plan:
         return [branch for branch in (self.surfels, self.volumes) if branch is not None]
 
 
-def make_plan(scene: Scene, start: StartingPoints, config: Config) -> Plan:
-    """Branches on the starting points, and the stages that the settings ask for.
+def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Plan:
+    """Branches on the starting points, all on `device`, and the stages that the settings ask for.
 
     Every generator is seeded from config.seed and its own purpose, so that one stage's length does not change
     another's draws.
@@ -58,8 +58,8 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config) -> Plan:
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
     margin = config.train.crop_margin if _silhouettes_count(config) else None
-    views = prepare_views(scene.train, scene.masked, margin, config.train.surfels.edge_band)
-    surfels, volumes = _make_branches(scene, start, config)
+    views = prepare_views(scene.train, scene.masked, margin, config.train.surfels.edge_band, device)
+    surfels, volumes = _make_branches(scene, start, config, device)
     warmup_views, held_back = _hold_back(views, config)
     stages: list[Stage] = []
     if surfels is not None:
@@ -69,7 +69,7 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config) -> Plan:
         compute = volumes_alone(volumes, config.train, warming=True)
         stages.append(_warmup("warmup_volumes", volumes, compute, warmup_views, held_back, config))
     stages.append(_last_stage(surfels, volumes, views, config))
-    curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked)
+    curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
     return Plan(surfels, volumes, stages, curve_views)
 
 
@@ -85,18 +85,18 @@ def mutual_iterations(config: Config) -> int:
 
 
 def _make_branches(
-    scene: Scene, start: StartingPoints, config: Config
+    scene: Scene, start: StartingPoints, config: Config, device: torch.device
 ) -> tuple[SurfelBranch | None, VolumeBranch | None]:
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
     surfels, volumes = None, None
     if train.branches is not Branches.VOLUMES:
         generator = _generator(config, 1)
-        model = start_surfels(*points, train.surfels, generator)
+        model = start_surfels(*points, train.surfels, generator).to(device)
         surfels = Branch("surfels", model, train.surfels.rates, train.surfels.densify, extent, generator)
     if train.branches is not Branches.SURFELS:
         generator = _generator(config, 2)
-        full = start_volumes(*points, train.volumes, generator)
+        full = start_volumes(*points, train.volumes, generator).to(device)
         volumes = Branch("volumes", full, train.volumes.rates, train.volumes.densify, extent, generator)
     return surfels, volumes
 

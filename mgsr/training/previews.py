@@ -9,7 +9,7 @@ from torch import Tensor
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
 from mgsr.training.plan import Plan
-from mgsr.training.views import Color
+from mgsr.training.views import Color, color_tensor
 
 
 @torch.no_grad()
@@ -22,11 +22,13 @@ def preview_pictures(plan: Plan, background: Color) -> dict[str, np.ndarray]:
     view = (plan.curve_views or plan.stages[-1].views)[0]
     images: dict[str, Tensor] = {}
     if plan.surfels is not None:
-        flat = render_surfels(plan.surfels.model, view.camera, torch.tensor(background))
+        flat = render_surfels(plan.surfels.model, view.camera, color_tensor(background, plan.surfels.device))
         images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}
     if plan.volumes is not None:
-        full = render_volumes(plan.volumes.model, view.camera, torch.tensor(background), depth=False)
+        full = render_volumes(
+            plan.volumes.model, view.camera, color_tensor(background, plan.volumes.device), depth=False
+        )
         images["render"] = full.color
         if full.reflected is not None and full.weight is not None:
             images |= {"transmitted": full.transmitted, "reflected": full.weight[..., None] * full.reflected}
-    return {name: (image.clamp(0, 1) * 255).round().to(torch.uint8).numpy() for name, image in images.items()}
+    return {name: (image.clamp(0, 1) * 255).round().to(torch.uint8).cpu().numpy() for name, image in images.items()}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import torch
+
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.training.checkpoint import fingerprint
@@ -12,6 +14,7 @@ from mgsr.training.plan import StartingPoints, make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult
 from mgsr.training.threads import one_torch_thread
 from mgsr.training.trainer import Trainer
+from mgsr.training.views import CPU
 
 
 def train(
@@ -23,20 +26,23 @@ def train(
     checkpoint_path: Path | None = None,
     resume: bool = False,
     deadline: float | None = None,
+    device: torch.device = CPU,
 ) -> TrainResult:
     """The trained branches of a scene, from starting points in the scene's frame.
 
     progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
     a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
     resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
-    deadline: seconds after which training ends where it is (the reports say so).
+    deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
+    much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
 
     Raises TrainingError (too few views or points, numbers that are not finite, nothing left of a branch), Cancelled,
-    CheckpointError (damaged, or of another scene or other settings).
+    CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be used, or without
+    memory for the scene).
     """
     with one_torch_thread():
         trainer = Trainer(
-            make_plan(scene, start, config),
+            make_plan(scene, start, config, device),
             config.train,
             scene.masked,
             fingerprint(scene, config),
@@ -50,8 +56,8 @@ def train(
         trainer.run()
         plan = trainer.plan
         return TrainResult(
-            surfels=None if plan.surfels is None else plan.surfels.model.detached(),
-            volumes=None if plan.volumes is None else plan.volumes.model.detached(),
+            surfels=None if plan.surfels is None else plan.surfels.model.detached().to(CPU),
+            volumes=None if plan.volumes is None else plan.volumes.model.detached().to(CPU),
             stages=trainer.reports,
             curve=trainer.curve,
             seconds=trainer.seconds,

@@ -19,9 +19,7 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
     (see `rest_scale`).
     """
     fade = config.final**progress
-    position = extent * math.exp(
-        (1 - progress) * math.log(config.position) + progress * math.log(config.position_end)
-    )
+    position = extent * math.exp((1 - progress) * math.log(config.position) + progress * math.log(config.position_end))
     return {
         "means": position,
         "quats": fade * config.rotation,
@@ -36,7 +34,7 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
 
 def rest_scale(sh: Tensor, config: RatesConfig) -> Tensor:
     """What multiplies the rate of each coefficient of colours [N,K,3]: [K,3], 1 for the constant term."""
-    scale = torch.full(sh.shape[1:], config.sh_rest / config.sh)
+    scale = torch.full(sh.shape[1:], config.sh_rest / config.sh, device=sh.device)
     scale[0] = 1.0
     return scale
 

@@ -6,9 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from mgsr.config import DensifyConfig, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
@@ -19,7 +16,7 @@ from mgsr.render.volumes import render_volumes
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
 from mgsr.training.schedule import sh_degree_at
-from mgsr.training.views import Color, TrainingView, ViewCycle
+from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 VolumeBranch = Branch[VolumeModel]
@@ -135,14 +132,11 @@ def _see_surfels(
     branch: SurfelBranch, view: TrainingView, background: Color, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
     distortion = config.surfels.distortion_weight > 0
-    return render_surfels(branch.model, view.camera, _tensor(background), degree, distortion)
+    return render_surfels(branch.model, view.camera, color_tensor(background, branch.device), degree, distortion)
 
 
 def _see_volumes(
     branch: VolumeBranch, view: TrainingView, background: Color, degree: int, refl_degree: int, depth: bool
 ) -> VolumeOutputs:
-    return render_volumes(branch.model, view.camera, _tensor(background), degree, refl_degree, depth)
-
-
-def _tensor(background: Color) -> Tensor:
-    return torch.tensor(background)
+    color = color_tensor(background, branch.device)
+    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth)

@@ -15,6 +15,7 @@ from mgsr.data.scene import View
 from mgsr.losses.target import Target
 
 Color = tuple[float, float, float]
+CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -48,21 +49,21 @@ class TrainingView:
 
 
 def prepare_views(
-    views: list[View], masked: bool, margin: int | None = None, edge_band: int = 0
+    views: list[View], masked: bool, margin: int | None = None, edge_band: int = 0, device: torch.device = CPU
 ) -> list[TrainingView]:
-    """The views as tensors; with `masked`, premultiplied by their alpha, otherwise alpha is ignored.
+    """The views as tensors on a device; with `masked`, premultiplied by their alpha, otherwise alpha is ignored.
 
     edge_band: half width in pixels of the strip around the masks' outlines that `off_edge` marks.
     margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
     """
-    return [_prepared(view, masked, margin, edge_band) for view in views]
+    return [_prepared(view, masked, margin, edge_band, device) for view in views]
 
 
-def _prepared(view: View, masked: bool, margin: int | None, edge_band: int) -> TrainingView:
-    color = torch.from_numpy(view.image).to(torch.float32) / 255
+def _prepared(view: View, masked: bool, margin: int | None, edge_band: int, device: torch.device) -> TrainingView:
+    color = torch.from_numpy(view.image).to(device).to(torch.float32) / 255
     if not masked or view.alpha is None:
         return TrainingView(view.name, view.camera, color, None)
-    alpha = torch.from_numpy(view.alpha).to(torch.float32) / 255
+    alpha = torch.from_numpy(view.alpha).to(device).to(torch.float32) / 255
     region = None if margin is None else bounding_region(view.alpha, margin)
     off_edge = outline_weights(alpha, edge_band) if edge_band else None
     return TrainingView(view.name, view.camera, color * alpha[..., None], alpha, region, off_edge)
@@ -101,6 +102,11 @@ def pick_background(kind: Background, masked: bool, generator: torch.Generator) 
 def plain_background(kind: Background) -> Color:
     """The colour on which renderings are judged: white, unless training knows black alone."""
     return (0.0, 0.0, 0.0) if kind is Background.BLACK else (1.0, 1.0, 1.0)
+
+
+def color_tensor(color: Color, device: torch.device) -> Tensor:
+    """[3] on a device; the host does not wait for the copy."""
+    return torch.tensor(color).to(device, non_blocking=True)
 
 
 class ViewCycle:

@@ -85,9 +85,9 @@ def test_halves_follow_the_splats_own_shape(axes: int) -> None:
 
 def test_gathered_gradients_are_per_half_side() -> None:
     state = DensifyState.empty(2)
-    seen = torch.tensor([True, False])
-    state.gather(torch.tensor([[0.03, 0.04], [0.0, 0.0]]), seen, 100, 100, weight=0.5)
-    state.gather(torch.tensor([[0.0, 0.0], [0.0, 0.0]]), seen, 100, 100, weight=0.5)
+    radii = torch.tensor([3.0, 0.0])
+    state.gather(torch.tensor([[0.03, 0.04], [0.0, 0.0]]), radii, 100, 100, weight=0.5)
+    state.gather(torch.tensor([[0.0, 0.0], [0.0, 0.0]]), radii, 100, 100, weight=0.5)
     assert torch.allclose(state.mean_gradients(), torch.tensor([2.5, 0.0]))
 
 

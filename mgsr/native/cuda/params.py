@@ -11,6 +11,7 @@ Pointer = ctypes.c_void_p
 Int = ctypes.c_int32
 Long = ctypes.c_int64
 Float = ctypes.c_float
+Double = ctypes.c_double
 
 
 def pointers(*names: str) -> tuple[tuple[str, Any], ...]:

@@ -1,0 +1,38 @@
+"""What densification gathers of each splat, on the card."""
+
+from __future__ import annotations
+
+import ctypes
+
+from torch import Tensor
+
+from mgsr.native.cuda.launcher import Launcher
+from mgsr.native.cuda.params import Float, Long, pointer, pointers
+
+THREADS = 256
+
+
+class Params(ctypes.Structure):
+    """StatisticsParams of kernels/statistics/statistics.cu."""
+
+    _fields_ = (
+        ("count", Long),
+        *pointers("v_means2d", "radii"),
+        ("scale_x", Float),
+        ("scale_y", Float),
+        *pointers("gradient_sum", "seen"),
+    )
+
+
+def gather(
+    launcher: Launcher,
+    gradient_sum: Tensor,
+    seen: Tensor,
+    v_means2d: Tensor,
+    radii: Tensor,
+    scale: tuple[float, float],
+) -> None:
+    """gradient_sum [N] += |v_means2d [N,2] * scale|, seen [N] += 1 where radii [N] > 0; in place."""
+    arrays = (pointer(t) for t in (gradient_sum, seen))
+    params = Params(len(seen), pointer(v_means2d), pointer(radii), *scale, *arrays)
+    launcher.launch("statistics", "statistics_gather", -(-len(seen) // THREADS), THREADS, params)

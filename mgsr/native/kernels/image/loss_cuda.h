@@ -1,0 +1,164 @@
+// Fused L1 + SSIM with its gradient, in two passes. image_loss: a block takes 32x16 pixels, a thread each, one channel after
+// the other: the moments of its windows, filtered along the rows and then down the columns in shared memory, give SSIM and
+// its derivatives by the moments, which go to maps in global memory. image_loss_gradient: the same filter over those maps,
+// which are zero outside, gives the gradient.
+#pragma once
+
+#include "kernels/image/sums_cuda.h"
+#include "math/ssim.h"
+
+namespace mgsr {
+
+constexpr int kLossWidth = 32, kLossHeight = 16, kLossThreads = kLossWidth * kLossHeight;
+constexpr int kHaloWidth = kLossWidth + 2 * kSsimRadius, kHaloHeight = kLossHeight + 2 * kSsimRadius;
+constexpr int kMoments = 4;  // a, b, a^2 + b^2, a b
+
+// Rows y0..y1 and columns x0..x1 (ends excluded).
+struct Region {
+  int y0, y1, x0, x1;
+};
+
+struct ImageLossParams {
+  int height, width;
+  const float *image, *target;  // [height, width, 3]
+  const float* mask;            // [height, width] weights, or null for 1 everywhere
+  float l1_weight;
+  Region region;                // outside, image and target are equal
+  Region maps;                  // where SSIM can differ from 1: the region and 5 pixels more, inside the image
+  float* derivatives;           // [3 or 4, 3, maps' height, maps' width]: by a, a^2 + b^2, a b and b; or null
+  int derivative_count;         // 0 without derivatives, 3 for the image's gradient, 4 for the target's too
+  PartialSums* sums;            // [blocks]
+  float *v_image, *v_target;    // [height, width, 3], written inside the region; or null
+};
+
+// The pixel of a thread, on the image: blocks cover a region in rows.
+struct LossPixel {
+  int x0, y0, x, y;  // of the block's corner, and its own
+
+  __device__ explicit LossPixel(const Region& region) {
+    const int across = (region.x1 - region.x0 + kLossWidth - 1) / kLossWidth;
+    x0 = region.x0 + int(blockIdx.x) % across * kLossWidth, y0 = region.y0 + int(blockIdx.x) / across * kLossHeight;
+    x = x0 + int(threadIdx.x) % kLossWidth, y = y0 + int(threadIdx.x) / kLossWidth;
+  }
+  __device__ bool inside(const Region& region) const { return x < region.x1 && y < region.y1 && x >= region.x0 && y >= region.y0; }
+};
+
+__device__ inline float ssim_tap(int j) { return kSsimTaps[j <= kSsimRadius ? j : 2 * kSsimRadius - j]; }
+
+// Planes for filtering: rows of the halo filtered along, to be filtered down.
+template <int Planes>
+struct FilteredRows {
+  float values[Planes][kHaloHeight][kLossWidth];
+
+  __device__ float down(int plane) const {
+    const int x = threadIdx.x % kLossWidth, y = threadIdx.x / kLossWidth;
+    float sum = 0.0f;
+    for (int j = 0; j <= 2 * kSsimRadius; ++j) sum = fmaf(ssim_tap(j), values[plane][y + j][x], sum);
+    return sum;
+  }
+};
+
+// A channel's moments filtered along the rows. halo: [2, kHaloHeight, kHaloWidth] of the image and the target.
+__device__ inline void filter_moments(const float (*halo)[kHaloHeight][kHaloWidth], FilteredRows<kMoments>& rows) {
+  for (int i = threadIdx.x; i < kHaloHeight * kLossWidth; i += kLossThreads) {
+    const int x = i % kLossWidth, y = i / kLossWidth;
+    float sums[kMoments] = {};
+    for (int j = 0; j <= 2 * kSsimRadius; ++j) {
+      const float a = halo[0][y][x + j], b = halo[1][y][x + j], tap = ssim_tap(j);
+      sums[0] = fmaf(tap, a, sums[0]), sums[1] = fmaf(tap, b, sums[1]);
+      sums[2] = fmaf(tap, fmaf(a, a, b * b), sums[2]), sums[3] = fmaf(tap, a * b, sums[3]);
+    }
+    for (int m = 0; m < kMoments; ++m) rows.values[m][y][x] = sums[m];
+  }
+}
+
+__device__ inline void load_halo(const ImageLossParams& p, const LossPixel& pixel, int channel, float (*halo)[kHaloHeight][kHaloWidth]) {
+  for (int i = threadIdx.x; i < kHaloHeight * kHaloWidth; i += kLossThreads) {
+    const int x = pixel.x0 + i % kHaloWidth - kSsimRadius, y = pixel.y0 + i / kHaloWidth - kSsimRadius;
+    const bool inside = x >= 0 && y >= 0 && x < p.width && y < p.height;
+    const int64_t at = (int64_t(y) * p.width + x) * 3 + channel;
+    halo[0][i / kHaloWidth][i % kHaloWidth] = inside ? p.image[at] : 0.0f;
+    halo[1][i / kHaloWidth][i % kHaloWidth] = inside ? p.target[at] : 0.0f;
+  }
+}
+
+// Where a derivative's map holds a pixel of a channel.
+__device__ inline float* map_at(const ImageLossParams& p, int derivative, int channel, int x, int y) {
+  const int width = p.maps.x1 - p.maps.x0, height = p.maps.y1 - p.maps.y0;
+  return p.derivatives + ((int64_t(derivative) * 3 + channel) * height + (y - p.maps.y0)) * width + (x - p.maps.x0);
+}
+
+// One channel's loss at the thread's pixel, whose derivatives it leaves in the maps.
+__device__ inline double channel_loss(const ImageLossParams& p, const LossPixel& pixel, int channel, const FilteredRows<kMoments>& rows,
+                                      float weight) {
+  const SsimMoments<float> m = {rows.down(0), rows.down(1), rows.down(2), rows.down(3)};
+  if (!pixel.inside(p.maps)) return 0.0;
+  SsimMoments<float> v;
+  const float value = ssim_vjp(m, -weight, v), parts[4] = {v.a, v.squares, v.product, v.b};
+  for (int d = 0; d < p.derivative_count; ++d) *map_at(p, d, channel, pixel.x, pixel.y) = parts[d];
+  const int64_t at = (int64_t(pixel.y) * p.width + pixel.x) * 3 + channel;
+  const float l1 = pixel.inside(p.region) ? p.l1_weight * fabsf(p.image[at] - p.target[at]) : 0.0f;
+  return double(weight) * (double(1.0f - p.l1_weight) * double(1.0f - value) + double(l1));
+}
+
+__device__ inline void image_loss(const ImageLossParams& p) {
+  __shared__ float halo[2][kHaloHeight][kHaloWidth];
+  __shared__ FilteredRows<kMoments> rows;
+  const LossPixel pixel(p.maps);
+  const bool inside = pixel.inside(p.maps);
+  const float weight = !inside ? 0.0f : p.mask ? p.mask[int64_t(pixel.y) * p.width + pixel.x] : 1.0f;
+  double total = 0.0;
+  for (int channel = 0; channel < 3; ++channel) {
+    load_halo(p, pixel, channel, halo);
+    __syncthreads();
+    filter_moments(halo, rows);
+    __syncthreads();
+    total += channel_loss(p, pixel, channel, rows, weight);
+    __syncthreads();
+  }
+  write_block_sums(total, 0.0, &p.sums[blockIdx.x]);
+}
+
+// One map around the block, filtered along the rows.
+__device__ inline void filter_map(const ImageLossParams& p, const LossPixel& pixel, int derivative, int channel,
+                                  float (*halo)[kHaloWidth], FilteredRows<1>& rows) {
+  for (int i = threadIdx.x; i < kHaloHeight * kHaloWidth; i += kLossThreads) {
+    const int x = pixel.x0 + i % kHaloWidth - kSsimRadius, y = pixel.y0 + i / kHaloWidth - kSsimRadius;
+    const bool inside = x >= p.maps.x0 && y >= p.maps.y0 && x < p.maps.x1 && y < p.maps.y1;
+    halo[i / kHaloWidth][i % kHaloWidth] = inside ? *map_at(p, derivative, channel, x, y) : 0.0f;
+  }
+  __syncthreads();
+  for (int i = threadIdx.x; i < kHaloHeight * kLossWidth; i += kLossThreads) {
+    float sum = 0.0f;
+    for (int j = 0; j <= 2 * kSsimRadius; ++j) sum = fmaf(ssim_tap(j), halo[i / kLossWidth][i % kLossWidth + j], sum);
+    rows.values[0][i / kLossWidth][i % kLossWidth] = sum;
+  }
+  __syncthreads();
+}
+
+__device__ inline void write_gradient(const ImageLossParams& p, const LossPixel& pixel, int channel, const float derivatives[4]) {
+  const int64_t at = (int64_t(pixel.y) * p.width + pixel.x) * 3 + channel;
+  const float a = p.image[at], b = p.target[at], difference = a - b, by_ssim = 1.0f - p.l1_weight;
+  const float weight = p.mask ? p.mask[int64_t(pixel.y) * p.width + pixel.x] : 1.0f;
+  const float sign = difference > 0.0f ? weight * p.l1_weight : difference < 0.0f ? -weight * p.l1_weight : 0.0f;
+  const float squares = 2.0f * derivatives[1], product = derivatives[2];
+  p.v_image[at] = sign + by_ssim * (derivatives[0] + a * squares + b * product);
+  if (p.v_target) p.v_target[at] = by_ssim * (derivatives[3] + b * squares + a * product) - sign;
+}
+
+__device__ inline void image_loss_gradient(const ImageLossParams& p) {
+  __shared__ float halo[kHaloHeight][kHaloWidth];
+  __shared__ FilteredRows<1> rows;
+  const LossPixel pixel(p.region);
+  for (int channel = 0; channel < 3; ++channel) {
+    float derivatives[4] = {};
+    for (int d = 0; d < p.derivative_count; ++d) {
+      filter_map(p, pixel, d, channel, halo, rows);
+      derivatives[d] = rows.down(0);
+      __syncthreads();
+    }
+    if (pixel.inside(p.region)) write_gradient(p, pixel, channel, derivatives);
+  }
+}
+
+}  // namespace mgsr

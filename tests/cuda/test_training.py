@@ -1,0 +1,73 @@
+"""Training with the CUDA kernels: the same loop, ending near where the processor's does."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from mgsr.gaussians.order import morton_order
+from mgsr.training.branch import Branch
+from mgsr.training.run import train
+from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
+from tests.training.ball import ball_points, ball_scene
+from tests.training.test_train import short, tensors
+
+QUICK = ("warmup.surfel_iterations=3", "warmup.volume_iterations=3", "mutual.iterations=2", "sh_step=0.5")
+
+
+@on_each_machine
+def test_a_few_iterations_change_every_parameter(machine: Machine) -> None:
+    scene, points = ball_scene(24, train=3, test=1), ball_points(80)
+    with machine.running():
+        result = train(scene, points, short("mgsr", *QUICK), device=machine.device)
+    reference = train(scene, points, short("mgsr", *QUICK))
+    ours, theirs = tensors(result), tensors(reference)
+    assert ours.keys() == theirs.keys()
+    for name, tensor in ours.items():
+        if name == "volumes.quats":  # they start round, so that their rotation's gradient is rounding alone
+            continue
+        assert tensor.device.type == "cpu" and tensor.shape == theirs[name].shape, name
+        # Adam's first steps go by the sign of a gradient: one that is rounding alone may go either way.
+        assert ((tensor - theirs[name]).abs() < 1e-3).float().mean() > 0.99, name
+
+
+@pytest.mark.slow
+@on_each_machine
+def test_training_ends_where_the_processor_does(machine: Machine) -> None:
+    scene, points = ball_scene(32), ball_points(150)
+    with machine.running():
+        ours = train(scene, points, short(), device=machine.device)
+    theirs = train(scene, points, short())
+    assert abs(ours.curve[-1].psnr - theirs.curve[-1].psnr) < 0.5  # dB; densification tips over on single splats
+    assert abs(len(ours.surfels) - len(theirs.surfels)) < 0.05 * len(theirs.surfels)
+
+
+def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a card reorders; here the processor does too, at every densification."""
+    reordered: list[int] = []
+    adapt = Branch.adapt
+
+    def adapt_and_reorder(branch: Branch, grow: bool = True) -> None:
+        adapt(branch, grow)
+        before = {name: tensor.detach().clone() for name, tensor in branch.model.parameters().items()}
+        branch.reorder()
+        order = morton_order(before["means"])
+        after = branch.model.parameters()
+        assert all(
+            torch.equal(after[name], tensor[order]) and after[name].requires_grad for name, tensor in before.items()
+        )
+        reordered.append(len(order))
+
+    monkeypatch.setattr(Branch, "adapt", adapt_and_reorder)
+    train(ball_scene(24, train=3, test=1), ball_points(80), short("mgsr"))
+    assert len(reordered) > 3
+
+
+def test_a_checkpoint_serves_any_device(tmp_path) -> None:
+    """Restoring puts everything where the branch is; with a card, what the processor saved goes on there."""
+    machine = CARD if torch.cuda.is_available() else SHIM
+    scene, points, path = ball_scene(24, train=3, test=1), ball_points(80), tmp_path / "checkpoint.pt"
+    train(scene, points, short("2dgs", *QUICK), checkpoint_path=path)
+    with machine.running():
+        result = train(scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device)
+    assert result.surfels is not None

@@ -21,7 +21,16 @@ router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
 
 # Names that stand for the first of these files that is there.
 ALIASES = {"splats.ply": ("splats_3d.ply", "splats_2d.ply")}
-SINGLE = ("mesh.ply", "mesh.glb", "splats.ply", "splats_2d.ply", "splats_3d.ply", "report.html", "report.json")
+BINARY = "application/octet-stream"
+SINGLE = {
+    "mesh.ply": BINARY,
+    "mesh.glb": "model/gltf-binary",
+    "splats.ply": BINARY,
+    "splats_2d.ply": BINARY,
+    "splats_3d.ply": BINARY,
+    "report.html": "text/html",
+    "report.json": "application/json",
+}
 
 
 class ArtifactList(BaseModel):
@@ -30,16 +39,19 @@ class ArtifactList(BaseModel):
     artifacts: list[Artifact]
 
 
-_FILE: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "The file.",
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
-    },
-    206: {"description": "The part of it that Range asked for."},
-    304: {"description": "Unchanged since the ETag that you gave."},
-    307: {"description": "The file lies at this address, for a quarter of an hour."},
-    **answers(404, 416, 422),
-}
+def _file(kind: str) -> dict[int | str, dict[str, Any]]:
+    """The documentation of a route that sends a file of a media type."""
+    schema = {"type": "object"} if kind == "application/json" else {"type": "string", "format": "binary"}
+    content = {kind: {"schema": schema}}
+    return {
+        200: {"description": "The file.", "content": content},
+        206: {"description": "The part of it that Range asked for.", "content": content},
+        304: {"description": "Unchanged since the ETag that you gave."},
+        307: {"description": "The file lies at this address, for a quarter of an hour."},
+        **answers(404, 416, 422),
+    }
+
+
 RangeHeader = Annotated[str | None, Header(alias="Range", max_length=200)]
 IfNoneMatch = Annotated[str | None, Header(max_length=1000)]
 IfRange = Annotated[str | None, Header(max_length=200)]
@@ -51,7 +63,7 @@ async def list_artifacts(snapshot: SnapshotDep) -> ArtifactList:
     return ArtifactList(artifacts=_published(snapshot))
 
 
-@router.get("/artifacts/{name:path}", response_class=Response, responses=_FILE)
+@router.get("/artifacts/{name:path}", response_class=Response, responses=_file("*/*"))
 async def get_artifact(
     snapshot: SnapshotDep,
     parts: PartsDep,
@@ -64,7 +76,7 @@ async def get_artifact(
     return await _send(parts, snapshot, name, wanted, if_none_match, if_range)
 
 
-@router.get("/renders/{name:path}", response_class=Response, responses=_FILE)
+@router.get("/renders/{name:path}", response_class=Response, responses=_file("image/png"))
 async def get_render(
     snapshot: SnapshotDep,
     parts: PartsDep,
@@ -101,7 +113,7 @@ async def get_preview(
     return Response(data, media_type="image/webp", headers={"Cache-Control": "no-cache"})
 
 
-def _add_single(file: str) -> None:
+def _add_single(file: str, kind: str) -> None:
     """A route of its own for a file that people ask for by name."""
 
     async def get_file(
@@ -118,15 +130,15 @@ def _add_single(file: str) -> None:
         f"/{file}",
         get_file,
         response_class=Response,
-        responses=_FILE,
+        responses=_file(kind),
         operation_id=operation,
         name=operation,
         description=f"The result file {file}.",
     )
 
 
-for _file in SINGLE:
-    _add_single(_file)
+for _name, _kind in SINGLE.items():
+    _add_single(_name, _kind)
 
 
 async def _send(

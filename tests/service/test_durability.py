@@ -97,7 +97,7 @@ def test_a_worker_that_is_stopped_hands_its_job_back(tmp_path: Path, tiny_archiv
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(2400)
+@pytest.mark.timeout(7200)
 def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: bytes) -> None:
     archive = tmp_path / "scene.zip"
     archive.write_bytes(tiny_archive)
@@ -108,7 +108,7 @@ def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: byte
         print(f"sent in {time.monotonic() - begun:.1f} s")
         assert len(set(jobs)) == 200
         for job in jobs:
-            assert stack.wait_for(job, "succeeded", seconds=2000)["metrics"]["mesh"]["faces"] > 500
+            assert stack.wait_for(job, "succeeded", seconds=7000)["metrics"]["mesh"]["faces"] > 500
             assert stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"}).content == b"ply"
         print(f"all done in {time.monotonic() - begun:.1f} s")
         assert sorted(successes(stack)) == sorted(jobs)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from urllib.parse import quote
+
 import pytest
 import schemathesis
 from fastapi import FastAPI
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.errors import Unsatisfiable
 from hypothesis.strategies import SearchStrategy
@@ -35,8 +37,8 @@ CHECKS = [
 ]
 
 
-# What is no HTTP, such as an address of 64 KiB, the server under the app refuses in its own words.
-BELOW_US = b"Invalid HTTP request received."
+# Addresses of 64 KiB are no HTTP to the server under the app, which refuses them in its own words.
+LONGEST = 30_000
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +85,9 @@ def generated(strategy: SearchStrategy[Case], stack: Stack, known_jobs: list[str
         if "job_id" in (case.path_parameters or {}) and job is not None:
             following = case.path.endswith("/events")  # only an ended job's stream ends
             case.path_parameters["job_id"] = known_jobs[0] if following else job
+        assume(len(quote(str(case.query))) < LONGEST)
         response = case.call(base_url=stack.url, allow_redirects=False, timeout=30)
-        if response.content != BELOW_US:
-            case.validate_response(response, checks=CHECKS)
+        case.validate_response(response, checks=CHECKS)
 
     check()
 

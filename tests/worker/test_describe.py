@@ -1,0 +1,55 @@
+"""What the service believes of the library is what the library says of itself."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from mgsr.config import Config, field_types, make_config
+from service.contract.options import SETTINGS, JobOptions, find_setting, parse_setting
+from worker.describe import LIBRARY, as_text, describe_library
+
+
+def test_the_file_is_current() -> None:
+    assert LIBRARY.read_text(encoding="utf-8") == as_text(describe_library()), "run: python -m worker.describe"
+
+
+def test_every_default_passes_through_the_service_unchanged() -> None:
+    settings = {path: schema["default"] for path, schema in SETTINGS.items()}
+    options = JobOptions.model_validate_json(json.dumps({"settings": dict(list(settings.items())[:200])}))
+    assert make_config(overrides=options.overrides()) == Config()
+
+
+def test_every_setting_of_the_library_can_be_set() -> None:
+    assert set(SETTINGS) == set(field_types(Config())) - {"preset", "method", "seed"}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("masks=off", ("data.masks", "off")),
+        ("max_side=800", ("data.max_side", 800)),
+        ("mesh.max_faces=none", ("mesh.max_faces", None)),
+        ("close_holes=on", ("mesh.close_holes", True)),
+        ("mesh.trim=2.5", ("mesh.trim", 2.5)),
+        ("train.volumes.densify.every=50", ("train.volumes.densify.every", 50)),
+    ],
+)
+def test_settings_from_the_command_line(text: str, expected: tuple[str, object]) -> None:
+    assert parse_setting(text) == expected
+    path, value = expected
+    shown = {None: "none", True: "on"}.get(value, str(value))  # type: ignore[call-overload]
+    assert make_config(overrides=[f"{path}={shown}"]) == make_config(overrides=[text])
+
+
+@pytest.mark.parametrize("text", ["max_side", "max_side=many", "trim=nan", "trim=inf", "masks=maybe", "every=3", "x=1"])
+def test_settings_that_can_not_be(text: str) -> None:
+    with pytest.raises(ValueError):
+        parse_setting(text)
+
+
+def test_a_name_is_found_by_its_end() -> None:
+    assert find_setting("surfels.densify.every") == "train.surfels.densify.every"
+    with pytest.raises(ValueError, match=r"ambiguous: say one of .*train\.surfels\.densify\.every"):
+        find_setting("densify.every")

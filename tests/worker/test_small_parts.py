@@ -1,0 +1,152 @@
+"""The worker's parts that need no service around them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.cli.events import Event
+from mgsr.training.progress import Progress
+from tests.service.stack import ROOT
+from worker.attempt import joined
+from worker.reporting import CURVE_ROWS, STARTS, Reporter
+from worker.scratch import scratch_folder, sweep
+
+
+def report(tmp_path: Path, events: list[Event]) -> list[dict[str, Any]]:
+    told: list[dict[str, Any]] = []
+    reporter = Reporter(
+        tmp_path / "previews", lambda kind, **data: told.append({"kind": kind, **data}), lambda event: None
+    )
+    for event in events:
+        reporter(event)
+    return told
+
+
+def training(iteration: int, total: int = 1000, **more: Any) -> Event:
+    fields = {"losses": {"a": 0.25, "b": 0.5}, "counts": {"surfels": 3}, "psnr": 20.0, "seconds": iteration / 100}
+    return Event("train", "", Progress("alone", iteration, total, done=iteration / total, **(fields | more)))
+
+
+def test_training_as_a_person_sees_it(tmp_path: Path) -> None:
+    (told,) = report(tmp_path, [training(500)])
+    assert (told["stage"], told["iteration"], told["total"], told["psnr"]) == ("alone", 500, 1000, 20.0)
+    assert STARTS["train"] < told["progress"] < STARTS["export"]
+    # 5 of 10 seconds of training are left, and as large a part of the rest as the shares say.
+    assert 5.0 < told["eta_seconds"] < 5.0 + 10.0 * (1 - STARTS["export"]) / (STARTS["export"] - STARTS["train"]) + 0.1
+    assert told["curve"] == [{"seconds": 5.0, "stage": "alone", "iteration": 500, "loss": 0.75, "psnr": 20.0}]
+
+
+def test_many_events_are_few_lines_and_the_last_is_one_of_them(tmp_path: Path) -> None:
+    told = report(tmp_path, [training(iteration) for iteration in range(1, 1001)])
+    assert len(told) < 10 and told[-1]["iteration"] == 1000
+
+
+def test_a_long_curve_is_thinned(tmp_path: Path) -> None:
+    told = report(tmp_path, [training(100, total=100, seconds=float(i)) for i in range(5 * CURVE_ROWS)])
+    curve = told[-1]["curve"]
+    assert CURVE_ROWS / 2 <= len(curve) <= CURVE_ROWS
+    assert [row["seconds"] for row in curve] == sorted(row["seconds"] for row in curve)
+
+
+def test_numbers_that_are_none_are_no_trouble(tmp_path: Path) -> None:
+    (told,) = report(tmp_path, [training(500, losses={"a": float("nan")}, psnr=float("inf"))])
+    assert told["losses"] == {"a": None} and told["psnr"] is None and told["curve"][0]["loss"] is None
+    json.dumps(told, allow_nan=False)
+
+
+def test_previews_are_files_at_once(tmp_path: Path) -> None:
+    picture = np.full((1000, 800, 3), 127, np.uint8)
+    report(tmp_path, [training(1, previews={"render": picture})])
+    assert [path.name for path in (tmp_path / "previews").iterdir()] == ["render.webp"]
+
+
+def test_steps_rise(tmp_path: Path) -> None:
+    told = report(tmp_path, [Event(step, f"the step {step}") for step in STARTS])
+    shares = [entry["progress"] for entry in told]
+    assert shares == sorted(shares) and told[-1]["text"] == "the step report"
+
+
+def test_curves_of_two_attempts_are_one() -> None:
+    earlier = [{"seconds": float(i)} for i in range(10)]
+    assert joined(earlier, [{"seconds": 4.0}, {"seconds": 8.0}]) == [*earlier[:4], {"seconds": 4.0}, {"seconds": 8.0}]
+    assert joined(earlier, []) == earlier and joined([], earlier) == earlier
+
+
+HOLDER = """
+import os, sys, time
+from pathlib import Path
+from worker.scratch import scratch_folder
+with scratch_folder(Path(sys.argv[1]), "held") as folder:
+    (folder / "file").write_text("x")
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_scratch_of_the_living_stays_and_of_the_dead_goes(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    ) as holder:
+        assert holder.stdout is not None and holder.stdout.readline() == "ready\n"
+        sweep(tmp_path)
+        assert len(list(tmp_path.glob("held.*/file"))) == 1
+        holder.kill()
+    sweep(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_scratch_is_gone_after_its_block(tmp_path: Path) -> None:
+    with scratch_folder(tmp_path / "scratch", "job.1") as folder:
+        (folder / "deep").mkdir()
+        assert folder.stat().st_mode & 0o077 == 0
+    assert not list((tmp_path / "scratch").iterdir())
+
+
+TIED = """
+import os, subprocess, sys
+child = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), "sleep", "60"]
+print(subprocess.Popen(child).pid, flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_child_on_a_lifeline_dies_with_its_parent() -> None:
+    parent = subprocess.Popen(
+        [sys.executable, "-c", TIED], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    while b"sleep" not in Path(f"/proc/{child}/cmdline").read_bytes():
+        time.sleep(0.01)
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    ends = time.monotonic() + 5
+    while _alive(child):
+        assert time.monotonic() < ends
+        time.sleep(0.01)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+def test_cards_are_asked_of_the_driver_not_of_cuda() -> None:
+    """--gpus all on a machine without cards is one message."""
+    if Path("/proc/driver/nvidia/gpus").is_dir():
+        return
+    environment = os.environ | {"MGSR_REDIS_URL": "redis://127.0.0.1:1"}
+    command = [sys.executable, "-m", "worker.cli", "--gpus", "all"]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=ROOT, timeout=60)
+    assert ran.returncode == 2 and "no NVIDIA driver" in ran.stderr

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import signal
 import threading
 import time
+from contextlib import suppress
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any
@@ -43,22 +45,42 @@ class NoPenalty(BaseDeathPenalty):
         """There is none."""
 
 
-class MgsrWorker(SimpleWorker):
-    """Runs its tasks in its own process, which only supervises: the job itself is a process that `Attempt` spawns.
+class StopWish:
+    """SIGTERM and SIGINT: a running attempt writes a checkpoint and goes back into the queue, an idle worker ends.
 
-    SIGTERM and SIGINT have the running attempt write a checkpoint and go back into the queue.
+    One for the life of the process: RQ's own handlers belong to a worker, of which each loss of Redis makes a new one.
     """
+
+    def __init__(self) -> None:
+        self.asked = self.busy = False
+
+    def heed_signals(self) -> None:
+        """From now on, for this process."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, self._ask)
+
+    def __call__(self) -> bool:
+        return self.asked
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        if not self.busy:
+            raise StopRequested
+
+
+class MgsrWorker(SimpleWorker):
+    """Runs its tasks in its own process, which only supervises: the job itself is a process that `Attempt` spawns."""
 
     death_penalty_class = NoPenalty
     max_connection_wait_time = 2.0
     log_result_lifespan = False
 
-    def __init__(self, queues: list[str], settings: Settings) -> None:
+    def __init__(self, queues: list[str], settings: Settings, stop: StopWish) -> None:
         url = settings.need_redis()
         # Two clients: RQ raises the time-out of its own, so that it can wait for jobs; leases must not wait so long.
         connection = connect(url)
-        self.rounds = Rounds(settings, connect(url), lambda: bool(self._stop_requested))
-        self._busy = False
+        self.rounds = Rounds(settings, connect(url), stop)
+        self._stop = stop
         super().__init__(
             [open_queue(name, connection) for name in queues],
             name=self.rounds.name,
@@ -72,18 +94,17 @@ class MgsrWorker(SimpleWorker):
     def execute_job(self, job: Job, queue: Queue) -> None:
         """Run the task with this worker as its context."""
         token = current_worker.set(self)
-        self._busy = True
+        self._stop.busy = True
         try:
             super().execute_job(job, queue)
         finally:
-            self._busy = False
+            self._stop.busy = False
             current_worker.reset(token)
-
-    def request_stop(self, signum: int, frame: FrameType | None) -> None:
-        """End at once if idle, else have the running attempt end first. (RQ's own asks Redis, which may be away.)"""
-        self._stop_requested = True
-        if not self._busy:
+        if self._stop.asked:
             raise StopRequested
+
+    def _install_signal_handlers(self) -> None:
+        """None of its own: see StopWish."""
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log what should not have happened; recovery puts the round back."""
@@ -93,18 +114,16 @@ class MgsrWorker(SimpleWorker):
 def work(queues: list[str], settings: Settings) -> None:
     """Take jobs until SIGTERM or SIGINT. Survives restarts of Redis."""
     threading.Thread(target=_keep_house, args=(settings,), daemon=True, name="house").start()
-    while True:
-        try:
-            worker = MgsrWorker(queues, settings)
-            worker.work(logging_level="WARNING")
-            if worker._stop_requested:
-                return
-            time.sleep(1.0)
-        except RedisError as error:
-            log.warning("no answer from Redis, trying again: %s", error)
-            time.sleep(1.0)
-        except StopRequested:
-            return
+    stop = StopWish()
+    with suppress(StopRequested):
+        stop.heed_signals()
+        while not stop.asked:
+            try:
+                MgsrWorker(queues, settings, stop).work(logging_level="WARNING")
+            except RedisError as error:
+                log.warning("no answer from Redis, trying again: %s", error)
+            if not stop.asked:
+                time.sleep(1.0)
 
 
 def _keep_house(settings: Settings) -> None:

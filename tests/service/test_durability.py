@@ -96,6 +96,16 @@ def test_a_worker_that_is_stopped_hands_its_job_back(tmp_path: Path, tiny_archiv
         stack.wait_for(job, "cancelled", seconds=15)
 
 
+def test_a_worker_without_redis_ends_when_asked(tmp_path: Path) -> None:
+    with Stack(tmp_path, workers=1) as stack:
+        stack.kill("queue")
+        time.sleep(2)
+        begun = time.monotonic()
+        stack.stop("worker0")
+        assert time.monotonic() - begun < 5
+        stack.stop("api")
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: bytes) -> None:

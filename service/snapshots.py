@@ -89,6 +89,7 @@ class Snapshots:
         """Read the job anew next time: this service has just changed it."""
         self._kept.pop(job, None)
         self._reading.pop(job, None)
+        self._waiting = (float("-inf"), {})
         self._changed[job] = time.monotonic()
         while len(self._changed) > KEPT:
             self._changed.pop(next(iter(self._changed)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -33,14 +34,21 @@ def test_while_it_trains(stack: Stack, busy: str) -> None:
     assert again.status_code == 200 and again.json()["status"] == "cancelled"
 
 
-def test_while_it_waits(stack: Stack, busy: str, tiny_archive: bytes) -> None:
-    waiting = stack.submitted(tiny_archive, TINY_OPTIONS)
-    assert stack.job(waiting)["status"] == "queued" and stack.job(waiting)["queue_position"] == 1
-    answer = stack.http.delete(f"/jobs/{waiting}")
-    assert answer.status_code == 200 and answer.json()["status"] == "cancelled"
-    assert stack.http.get(f"/jobs/{waiting}/mesh.ply").json()["code"] == "no_results"
+def test_while_it_waits(tmp_path: Path, tiny_archive: bytes) -> None:
+    with Stack(tmp_path, workers=0) as idle:
+        jobs = [idle.submitted(tiny_archive, TINY_OPTIONS) for _ in range(2)]
+        assert [(idle.job(job)["status"], idle.job(job)["queue_position"]) for job in jobs] == [
+            ("queued", 1),
+            ("queued", 2),
+        ]
+        answer = idle.http.delete(f"/jobs/{jobs[0]}")
+        assert answer.status_code == 200 and answer.json()["status"] == "cancelled"
+        assert idle.http.get(f"/jobs/{jobs[0]}/mesh.ply").json()["code"] == "no_results"
+        again = idle.http.post(f"/jobs/{jobs[0]}/retry")
+        assert again.status_code == 202 and again.json()["status"] == "queued" and again.json()["round"] == 1
 
 
+@pytest.mark.slow
 def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
     """Before and while it unpacks and loads: killed at once."""
     for pause in (0.0, 0.3, 0.8):
@@ -52,6 +60,18 @@ def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
     assert not stack.job_processes()
 
 
+@pytest.mark.slow
+def test_while_it_writes_the_results(stack: Stack, tiny_archive: bytes) -> None:
+    """Outside training there is nothing to keep: killed at once."""
+    job = stack.submitted(tiny_archive, TINY_OPTIONS)
+    stack.wait_for(job, "running", step="report")
+    stack.http.delete(f"/jobs/{job}")
+    stack.wait_for(job, "cancelled", seconds=5)
+    assert not stack.job_processes()
+    assert stack.http.get(f"/jobs/{job}/mesh.ply").json()["code"] == "no_results"
+
+
+@pytest.mark.slow
 def test_retry_goes_on_from_the_checkpoint(stack: Stack, tiny_archive: bytes) -> None:
     options = LONG_OPTIONS | {"settings": TINY | {"train.warmup.surfel_iterations": 1500}}
     job = stack.submitted(tiny_archive, options)

@@ -42,6 +42,7 @@ def successes(stack: Stack) -> list[str]:
     return re.findall(r"job (\w+): succeeded", logs)
 
 
+@pytest.mark.slow
 def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes) -> None:
     """Its job process dies with it, and another worker goes on from the checkpoint within 45 seconds."""
     with Stack(tmp_path, workers=1, MGSR_CHECKPOINT_SECONDS="1") as stack:
@@ -69,6 +70,7 @@ def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes)
         assert len(list((tmp_path / "scratch").iterdir())) == 0, "scratch of the killed worker"
 
 
+@pytest.mark.slow
 def test_the_queue_may_lose_everything(tmp_path: Path, tiny_archive: bytes) -> None:
     """Redis starts anew with nothing: the job that runs goes on, the one that waits is queued again."""
     with Stack(tmp_path, workers=1) as stack:
@@ -83,6 +85,7 @@ def test_the_queue_may_lose_everything(tmp_path: Path, tiny_archive: bytes) -> N
         stack.wait_for(waiting, "succeeded", seconds=60)
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_stopped_hands_its_job_back(tmp_path: Path, tiny_archive: bytes) -> None:
     with Stack(tmp_path, workers=1) as stack:
         job = stack.submitted(tiny_archive, LONG_OPTIONS)

@@ -6,6 +6,8 @@ import json
 import threading
 from collections.abc import Iterator
 
+import pytest
+
 from tests.service.stack import TINY_OPTIONS, Stack
 
 Event = tuple[str, str, dict]
@@ -26,6 +28,7 @@ def listen(stack: Stack, job: str, after: str | None = None) -> Iterator[Event]:
                 fields = {}
 
 
+@pytest.mark.slow
 def test_from_submit_to_the_end(stack: Stack, tiny_archive: bytes) -> None:
     job = stack.submitted(tiny_archive, TINY_OPTIONS)
     heard: list[list[Event]] = [[], [], []]
@@ -46,6 +49,7 @@ def test_from_submit_to_the_end(stack: Stack, tiny_archive: bytes) -> None:
     assert [event for event in heard[0] if event[0]][-3:] == [event for event in heard[1] if event[0]][-3:]
 
 
+@pytest.mark.slow
 def test_what_was_missed_comes_first(stack: Stack, tiny_archive: bytes) -> None:
     job = stack.submitted(tiny_archive, TINY_OPTIONS)
     first: list[Event] = []

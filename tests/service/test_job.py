@@ -113,6 +113,7 @@ def test_a_job_that_ended_is_neither_cancelled_nor_retried(stack: Stack, done: d
     assert retry.status_code == 409 and retry.json()["code"] == "not_retryable"
 
 
+@pytest.mark.slow
 def test_progress_that_a_person_believes(stack: Stack, tiny_archive: bytes) -> None:
     """Stage, iteration, time left, losses, PSNR, curve and pictures while it trains; the log too; then cancelled."""
     watch = {"train.watch.curve_every": 50, "train.watch.preview_every": 50}
@@ -147,6 +148,7 @@ def _until_there(stack: Stack, address: str) -> httpx.Response:
     raise AssertionError(f"{address}: {answer.text}")
 
 
+@pytest.mark.slow
 def test_by_curl_as_the_documentation_says(stack: Stack, tiny_archive: bytes, tmp_path: Path) -> None:
     """The block of docs/service.md, run as it stands with another address, archive and options."""
     text = (ROOT / "docs/service.md").read_text(encoding="utf-8")

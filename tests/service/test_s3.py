@@ -95,6 +95,7 @@ def _wait_for(port: int) -> None:
     raise AssertionError("moto's server did not start")
 
 
+@pytest.mark.slow
 def test_results_come_from_the_bucket_itself(
     bucket: tuple[dict[str, str], Gate], tmp_path: Path, tiny_archive: bytes
 ) -> None:

@@ -77,8 +77,19 @@ def job_of(address: str) -> dict:
     return httpx.get(f"{address}/jobs/{found['id']}").json()
 
 
+def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
+    home, port = tmp_path / "home", free_port()
+    home.mkdir()
+    with serving(home, port) as process:
+        assert len(descendants(home)) >= 4  # itself, queue server, worker, API
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+    assert not descendants(home)
+
+
+@pytest.mark.slow
 def test_serve_submit_and_stop(tmp_path: Path, tiny_archive: bytes) -> None:
-    """One command, one more, a mesh; Ctrl-C leaves no process."""
+    """One command, one more, a mesh."""
     home, port = tmp_path / "home", free_port()
     home.mkdir()
     scene = tmp_path / "spheres.zip"
@@ -95,6 +106,7 @@ def test_serve_submit_and_stop(tmp_path: Path, tiny_archive: bytes) -> None:
     assert not descendants(home)
 
 
+@pytest.mark.slow
 def test_a_job_survives_a_stop_and_a_kill_of_everything(tmp_path: Path, tiny_archive: bytes) -> None:
     home, port = tmp_path / "home", free_port()
     home.mkdir()
@@ -120,6 +132,7 @@ def test_a_job_survives_a_stop_and_a_kill_of_everything(tmp_path: Path, tiny_arc
         process.wait(40)
 
 
+@pytest.mark.slow
 def test_what_dies_is_started_again(tmp_path: Path) -> None:
     home, port = tmp_path / "home", free_port()
     home.mkdir()

@@ -63,6 +63,7 @@ def test_a_submit_to_a_full_disk(tmp_path: Path, tiny_archive: bytes) -> None:
         assert not [path for path in (tmp_path / "store").rglob("*") if path.is_file()]
 
 
+@pytest.mark.slow
 def test_too_many_jobs(tmp_path: Path, tiny_archive: bytes) -> None:
     with Stack(tmp_path, workers=0, MGSR_MAX_OPEN_JOBS="2") as small:
         assert [small.submit(tiny_archive, TINY_OPTIONS).status_code for _ in range(2)] == [202, 202]
@@ -71,6 +72,7 @@ def test_too_many_jobs(tmp_path: Path, tiny_archive: bytes) -> None:
         assert int(answer.headers["Retry-After"]) > 0
 
 
+@pytest.mark.slow
 def test_a_deadline(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS | {"deadline_seconds": 3})
     limited.start("worker0")
@@ -81,6 +83,7 @@ def test_a_deadline(limited: Stack, tiny_archive: bytes) -> None:
     assert time.monotonic() - begun < 8
 
 
+@pytest.mark.slow
 def test_a_process_that_a_stranger_kills_is_started_again(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS)
     limited.start("worker0")
@@ -94,6 +97,7 @@ def test_a_process_that_a_stranger_kills_is_started_again(limited: Stack, tiny_a
     limited.wait_for(job, "cancelled")
 
 
+@pytest.mark.slow
 def test_a_process_that_crashes_says_so(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS)
     limited.start("worker0")
@@ -103,6 +107,7 @@ def test_a_process_that_crashes_says_so(limited: Stack, tiny_archive: bytes) -> 
     assert error["code"] == "crashed" and "-11" in error["message"]
 
 
+@pytest.mark.slow
 def test_a_job_whose_workers_die_again_and_again_is_given_up(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS)
     limited.start("worker0", MGSR_MAX_ATTEMPTS="2")
@@ -115,6 +120,7 @@ def test_a_job_whose_workers_die_again_and_again_is_given_up(limited: Stack, tin
     assert error["code"] == "worker_lost" and error["retryable"]
 
 
+@pytest.mark.slow
 def test_the_job_process_has_no_secrets(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS)
     limited.start("worker0", AWS_SECRET_ACCESS_KEY="very secret")

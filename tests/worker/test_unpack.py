@@ -72,6 +72,7 @@ def test_a_sparse_tar_is_refused(tmp_path: Path) -> None:
     assert refused.value.code == "archive_unsafe_member"
 
 
+@pytest.mark.slow
 def test_memory_stays_bounded(tmp_path: Path) -> None:
     """Hundreds of megabytes that unpack from a few, and a limit in their midst: only a few megabytes in memory."""
     with tarfile.open(tmp_path / "archive", "w:gz", compresslevel=1) as target:

@@ -21,19 +21,14 @@ EVERY = 0.5
 PREVIEW_SIDE = 640
 CURVE_ROWS = 240
 
-# Where each step begins, as shares of the whole run's time (measured: draft and standard presets, 48 views of
-# 256 x 256 pixels, on a CPU). Training fills the gap up to `export`.
-STARTS = {
-    "unpack": 0.0,
-    "load": 0.01,
-    "start": 0.02,
-    "train": 0.08,
-    "export": 0.82,
-    "render": 0.825,
-    "mesh": 0.84,
-    "evaluate": 0.94,
-    "report": 0.97,
-}
+# Seconds that the steps after training take: so many, and a share of training's (measured: draft and standard presets,
+# 48 views of 256 x 256 pixels, on two cores: 18 to 24 s after 36 s, 29 to 33 s after 180 s).
+AFTER_SECONDS = 15.0
+AFTER_SHARE = 0.1
+# Progress before training, of which nobody knows yet how long it will take.
+BEFORE = {"unpack": 0.0, "load": 0.01, "start": 0.02, "train": 0.03}
+# Shares of the time after training that have passed when a step begins.
+AFTER = {"export": 0.0, "render": 0.0, "mesh": 0.03, "evaluate": 0.72, "report": 0.82}
 
 
 class Reporter:
@@ -46,13 +41,18 @@ class Reporter:
         self._begun = time.monotonic()
         self._last = float("-inf")
         self._curve: list[dict[str, Any]] = []
+        self._progress = 0.0
+        self._after = AFTER_SECONDS
 
     def __call__(self, event: Event) -> None:
         self._log(event)
         if event.training is not None:
             self._train(event.training)
-        elif event.step in STARTS:
-            self._emit("step", text=event.text, **self._place(event.step))
+        elif event.step in BEFORE:
+            self._emit("step", text=event.text, step=event.step, **self._place(BEFORE[event.step], None))
+        elif event.step in AFTER:
+            left = self._after * (1 - AFTER[event.step])
+            self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
 
     def _train(self, training: Progress) -> None:
         for name, picture in training.previews.items():
@@ -61,7 +61,7 @@ class Reporter:
         if time.monotonic() - self._last < EVERY and not at_end:
             return
         self._last = time.monotonic()
-        progress = STARTS["train"] + training.done * (STARTS["export"] - STARTS["train"])
+        left = self._left(training)
         self._note(training)
         self._emit(
             "progress",
@@ -69,8 +69,7 @@ class Reporter:
             stage=training.stage,
             iteration=training.iteration,
             total=training.total,
-            progress=round(progress, 4),
-            eta_seconds=_left(training),
+            **self._place(BEFORE["train"] if left is None else self._reached(left, training.seconds), left),
             losses={name: _finite(value) for name, value in training.losses.items()},
             psnr=_finite(training.psnr),
             splats=training.counts,
@@ -91,27 +90,29 @@ class Reporter:
         if len(self._curve) > CURVE_ROWS:
             self._curve = self._curve[::2]
 
-    def _place(self, step: str) -> dict[str, Any]:
-        """Where a step stands in the run; the time left from the shares alone, once training is behind."""
-        begins = STARTS[step]
-        spent = time.monotonic() - self._begun
-        left = round(spent * (1 - begins) / begins, 1) if begins >= STARTS["export"] else None
-        return {"step": step, "progress": begins, "eta_seconds": left}
+    def _left(self, training: Progress) -> float | None:
+        """Seconds to the run's end: the rest of training at its pace so far, and what comes after it."""
+        if training.done < 0.01:
+            return None
+        whole_training = training.seconds / training.done
+        self._after = AFTER_SECONDS + AFTER_SHARE * whole_training
+        return whole_training - training.seconds + self._after
+
+    def _reached(self, left: float, trained: float = 0.0) -> float:
+        """The share of the whole time that has passed; training before a resume counts too."""
+        spent = max(time.monotonic() - self._begun, trained)
+        return spent / (spent + left)
+
+    def _place(self, progress: float, left: float | None) -> dict[str, Any]:
+        """Progress, which never falls, and the time left."""
+        self._progress = max(self._progress, min(progress, 0.99))
+        return {"progress": round(self._progress, 4), "eta_seconds": None if left is None else round(left, 1)}
 
     def _write_preview(self, name: str, picture: np.ndarray) -> None:
         self._previews.mkdir(exist_ok=True)
         partial = self._previews / f".{name}"
         partial.write_bytes(webp(shrunk(picture, PREVIEW_SIDE)))
         os.replace(partial, self._previews / f"{name}.webp")
-
-
-def _left(training: Progress) -> float | None:
-    """Seconds to the run's end: the rest of training at its pace so far, then the steps after it by their share."""
-    if training.done < 0.01:
-        return None
-    whole_training = training.seconds / training.done
-    after = whole_training * (1 - STARTS["export"]) / (STARTS["export"] - STARTS["train"])
-    return round(whole_training - training.seconds + after, 1)
 
 
 def _finite(value: float | None) -> float | None:

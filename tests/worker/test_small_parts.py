@@ -17,7 +17,7 @@ from mgsr.cli.events import Event
 from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
 from worker.attempt import joined
-from worker.reporting import CURVE_ROWS, STARTS, Reporter
+from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
 
@@ -39,9 +39,9 @@ def training(iteration: int, total: int = 1000, **more: Any) -> Event:
 def test_training_as_a_person_sees_it(tmp_path: Path) -> None:
     (told,) = report(tmp_path, [training(500)])
     assert (told["stage"], told["iteration"], told["total"], told["psnr"]) == ("alone", 500, 1000, 20.0)
-    assert STARTS["train"] < told["progress"] < STARTS["export"]
-    # 5 of 10 seconds of training are left, and as large a part of the rest as the shares say.
-    assert 5.0 < told["eta_seconds"] < 5.0 + 10.0 * (1 - STARTS["export"]) / (STARTS["export"] - STARTS["train"]) + 0.1
+    # 5 of 10 seconds of training are left, then the steps after it.
+    assert told["eta_seconds"] == 5.0 + AFTER_SECONDS + AFTER_SHARE * 10.0
+    assert abs(told["progress"] - 5.0 / (5.0 + told["eta_seconds"])) < 1e-3
     assert told["curve"] == [{"seconds": 5.0, "stage": "alone", "iteration": 500, "loss": 0.75, "psnr": 20.0}]
 
 
@@ -69,10 +69,16 @@ def test_previews_are_files_at_once(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "previews").iterdir()] == ["render.webp"]
 
 
-def test_steps_rise(tmp_path: Path) -> None:
-    told = report(tmp_path, [Event(step, f"the step {step}") for step in STARTS])
+def test_progress_rises_and_the_time_left_falls(tmp_path: Path) -> None:
+    before = [Event(step, f"the step {step}") for step in BEFORE]
+    after = [Event(step, f"the step {step}") for step in AFTER]
+    # Its pace falls to a third on the way: progress waits then, and does not go back.
+    paces = [training(i, total=100, seconds=i * (0.1 if i < 50 else 0.3)) for i in (5, 20, 45, 50, 60, 100)]
+    told = report(tmp_path, [*before, *paces, *after])
     shares = [entry["progress"] for entry in told]
-    assert shares == sorted(shares) and told[-1]["text"] == "the step report"
+    assert shares == sorted(shares) and shares[-1] <= 0.99 and told[-1]["text"] == "the step report"
+    left = [entry["eta_seconds"] for entry in told[-len(AFTER) :]]
+    assert left == sorted(left, reverse=True) and left[-1] > 0
 
 
 def test_curves_of_two_attempts_are_one() -> None:

@@ -4,21 +4,44 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from mgsr.errors import ConfigError
+import torch
+
+from mgsr.errors import ConfigError, GpuError
+from mgsr.native.cuda.launcher import cuda_launcher
 
 
 class Device(StrEnum):
-    """auto: the best that this version can use."""
+    """auto: a card where there is a usable one, else the processor."""
 
     AUTO = "auto"
     CPU = "cpu"
     CUDA = "cuda"
 
+    @property
+    def torch(self) -> torch.device:
+        """For tensors; of several cards, torch's current one (CUDA_VISIBLE_DEVICES chooses which there are)."""
+        return torch.device(self.value)
+
 
 def pick_device(name: str) -> Device:
-    """The device to use. Raises ConfigError for an unknown name, and for cuda, which this version can't use."""
+    """The device to use, cpu or cuda.
+
+    Raises ConfigError for an unknown name, and where cuda is asked for and torch sees no card; GpuError for a card that
+    can't be used (auto falls back to the processor then).
+    """
     if name not in tuple(Device):
         raise ConfigError(f"--device {name}: expected one of {', '.join(Device)}")
-    if name == Device.CUDA:
-        raise ConfigError("--device cuda: this version has no CUDA kernels; use --device cpu or auto")
-    return Device.CPU
+    if name == Device.CPU:
+        return Device.CPU
+    if not torch.cuda.is_available():
+        if name == Device.AUTO:
+            return Device.CPU
+        built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
+        raise ConfigError(f"--device cuda: this torch {built}; install torch for CUDA, or use --device cpu or auto")
+    try:
+        cuda_launcher(torch.cuda.current_device())
+    except GpuError:
+        if name == Device.CUDA:
+            raise
+        return Device.CPU
+    return Device.CUDA

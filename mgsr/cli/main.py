@@ -69,52 +69,68 @@ def train(
 
 @app.command()
 def mesh(
-    scene: SceneArgument, out: OutOption, preset: PresetOption = "standard", settings: SetOption = None
+    scene: SceneArgument,
+    out: OutOption,
+    preset: PresetOption = "standard",
+    device: DeviceOption = "auto",
+    settings: SetOption = None,
 ) -> None:
     """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
         config = make_config(preset, overrides=settings or [])
+        from mgsr.cli.device import pick_device
         from mgsr.cli.outputs import read_models, write_mesh
         from mgsr.cli.pipeline import make_mesh
         from mgsr.data.readers import load_scene
 
+        chosen = pick_device(device)
         loaded = load_scene(scene, config.data)
-        surface = make_mesh(read_models(out, loaded), loaded, config)
+        surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config)
         write_mesh(out, surface, loaded)
         print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
 
 
 @app.command()
-def render(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
+def render(
+    scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None
+) -> None:
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
+        from mgsr.cli.device import pick_device
         from mgsr.cli.outputs import RENDERS, read_models, write_renders
         from mgsr.cli.rendering import render_views
         from mgsr.data.readers import load_scene
 
+        chosen = pick_device(device)
         loaded = load_scene(scene, config.data)
-        write_renders(out, list(render_views(read_models(out, loaded), loaded.test, config)), loaded)
+        models = read_models(out, loaded).to(chosen.torch)
+        write_renders(out, list(render_views(models, loaded.test, config)), loaded)
         print(f"{out / RENDERS}: {len(loaded.test)} views")
 
 
 @app.command()
-def evaluate(scene: SceneArgument, out: OutOption, settings: SetOption = None) -> None:
+def evaluate(
+    scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None
+) -> None:
     """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
     with refusals():
         config = make_config(overrides=settings or [])
-        print(json.dumps(_scores(scene, out, config), indent=2))
+        print(json.dumps(_scores(scene, out, device, config), indent=2))
 
 
-def _scores(scene: Path, out: Path, config: Config) -> dict[str, Any]:
+def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, Any]:
+    from mgsr.cli.device import pick_device
     from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
     from mgsr.cli.outputs import MESH, read_mesh, read_models
     from mgsr.cli.rendering import render_views
     from mgsr.data.readers import load_scene
     from mgsr.report.data import finite
 
+    chosen = pick_device(device)
     loaded = load_scene(scene, config.data)
-    scores = image_scores(list(render_views(read_models(out, loaded), loaded.test, config)), loaded)
+    models = read_models(out, loaded).to(chosen.torch)
+    scores = image_scores(list(render_views(models, loaded.test, config)), loaded)
     if (out / MESH).is_file():
         scores |= surface_scores(read_mesh(out), find_truth(loaded), loaded)
     plain: dict[str, Any] = finite(scores)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
+
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 
@@ -14,6 +16,11 @@ class Models:
 
     surfels: SurfelModel | None
     volumes: VolumeModel | None
+
+    def to(self, device: torch.device) -> Models:
+        """The same on a device."""
+        surfels = None if self.surfels is None else self.surfels.to(device)
+        return Models(surfels, None if self.volumes is None else self.volumes.to(device))
 
     @property
     def counts(self) -> dict[str, int]:

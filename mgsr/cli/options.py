@@ -22,7 +22,7 @@ SceneArgument = Annotated[
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
 PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]
 MethodOption = Annotated[str, typer.Option(help=f"Which branches: {', '.join(METHODS)}.", metavar="METHOD")]
-DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda (not in this version).", metavar="DEVICE")]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda (an NVIDIA card; docs/cuda.md).", metavar="DEVICE")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.", min=0)]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in OUT, if there is one.")]
 SetOption = Annotated[

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mgsr.cli import outputs
 from mgsr.cli.clock import StepClock
-from mgsr.cli.device import pick_device
+from mgsr.cli.device import Device, pick_device
 from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
 from mgsr.cli.events import Event, EventCallback, ignore
 from mgsr.cli.facts import run_report, scene_line
@@ -65,15 +65,15 @@ def run_scene(
     resume: go on from the checkpoint in `out`, if there is one. should_stop: looked at between iterations and between
     steps. deadline: seconds of training after which it ends where it is.
 
-    Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, and Cancelled once should_stop says so
-    (the checkpoint then holds what was trained).
+    Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
+    says so (the checkpoint then holds what was trained).
     """
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
     start = _start(scene, config, step)
-    trained = _train(scene, start, config, out, step, resume, deadline)
-    models = Models(trained.surfels, trained.volumes)
+    trained = _train(scene, start, config, out, step, chosen, resume, deadline)
+    models = Models(trained.surfels, trained.volumes).to(chosen.torch)
     with step("render", f"rendering {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
         outputs.write_renders(out, rendered, scene)
@@ -102,10 +102,10 @@ def train_only(
     should_stop: StopCheck = never,
 ) -> TrainResult:
     """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors."""
-    pick_device(device)
+    chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    return _train(scene, _start(scene, config, step), config, out, step, resume)
+    return _train(scene, _start(scene, config, step), config, out, step, chosen, resume)
 
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
@@ -144,6 +144,7 @@ def _train(
     config: Config,
     out: Path,
     step: Steps,
+    device: Device,
     resume: bool,
     deadline: float | None = None,
 ) -> TrainResult:
@@ -158,6 +159,7 @@ def _train(
             checkpoint_path=out / outputs.CHECKPOINT,
             resume=resume,
             deadline=deadline,
+            device=device.torch,
         )
     with step("export", "writing the splats"):
         outputs.write_models(out, Models(trained.surfels, trained.volumes), scene)

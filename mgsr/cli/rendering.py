@@ -116,4 +116,4 @@ def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind:
 
 
 def _numpy(image: Tensor) -> np.ndarray:
-    return image.numpy()
+    return image.cpu().numpy()

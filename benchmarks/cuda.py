@@ -1,0 +1,205 @@
+"""Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported:
+
+    python benchmarks/cuda.py [--sizes 20k/256 100k/800 500k/1080p 1M/1080p] [--runs 20] [--json FILE]
+
+Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's own
+clock, with the modes of one size alternating; and the memory at its highest. `3d` and
+`2d` send a gradient to the colour alone, and so do `gsplat 3d` and `gsplat 2d`; `dual` is the 3D branch's two opacities with
+weight and depth in one pass, and `gsplat 3d twice` what two passes of gsplat need for the two colours. `ratio` is the time
+of both passes over that of the gsplat row of the same kind. `--device cpu` times the kernels of the processor instead.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.ops.surfels import rasterize_surfels
+from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
+
+try:
+    import gsplat
+except ImportError:
+    gsplat = None
+
+SIZES = ("20k/256", "100k/800", "500k/1080p", "1M/1080p")
+Render = Callable[[], list[Tensor]]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A ball of splats: leaves means, quats, scales, opacities, colors; a camera that sees it whole."""
+
+    leaves: tuple[Tensor, ...]
+    reflected: Reflected
+    camera: Camera
+    background: Tensor
+
+
+@dataclass(frozen=True)
+class Row:
+    """Median times in ms; peak memory in MiB."""
+
+    size: str
+    mode: str
+    forward: float
+    backward: float
+    both: float
+    memory: float
+
+
+def make_scene(size: str, device: torch.device) -> Scene:
+    """Splats whose number and size resemble a trained object's: they cover the ball some ten times over."""
+    count, picture = parse(size)
+    width, height = picture
+    g = torch.Generator().manual_seed(0)
+    means = torch.randn(count, 3, generator=g)
+    means = means / means.norm(dim=1, keepdim=True) * torch.rand(count, 1, generator=g).pow(0.2)
+    spacing = math.sqrt(4 * math.pi / count)
+    tensors = (
+        means,
+        torch.randn(count, 4, generator=g),
+        spacing * (0.3 + torch.rand(count, 3, generator=g)),
+        0.05 + 0.9 * torch.rand(count, generator=g),
+        torch.rand(count, 3, generator=g),
+    )
+    leaves = tuple(t.to(device).requires_grad_() for t in tensors)
+    light = (torch.rand(count, generator=g), torch.rand(count, 3, generator=g), torch.rand(count, generator=g))
+    reflected = Reflected(*(t.to(device).requires_grad_() for t in light))
+    focal = 1.25 * height
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    pose = np.eye(4)
+    pose[2, 3] = 3.0
+    return Scene(leaves, reflected, Camera(K, pose, width, height), torch.zeros(3, device=device))
+
+
+def parse(size: str) -> tuple[int, tuple[int, int]]:
+    """20k/256 is 20,000 splats on 256 x 256 pixels; 1080p is 1920 x 1080."""
+    count, picture = size.split("/")
+    number = float(count.rstrip("kM")) * {"k": 1e3, "M": 1e6}.get(count[-1], 1)
+    return int(number), (1920, 1080) if picture == "1080p" else (int(picture), int(picture))
+
+
+def our_modes(scene: Scene) -> dict[str, Render]:
+    means, quats, scales, opacities, colors = scene.leaves
+    view = (scene.camera, scene.background)
+
+    def volumes() -> list[Tensor]:
+        return [rasterize_volumes(*scene.leaves, *view, None, VolumeOptions(depth=False)).color]
+
+    def surfels() -> list[Tensor]:
+        return [rasterize_surfels(means, quats, scales[:, :2].contiguous(), opacities, colors, *view).color]
+
+    def dual() -> list[Tensor]:
+        out = rasterize_volumes(*scene.leaves, *view, scene.reflected)
+        return [out.color, out.reflected, out.weight, out.depth]
+
+    return {"3d": volumes, "2d": surfels, "dual": dual}
+
+
+def gsplat_modes(scene: Scene) -> dict[str, Render]:
+    if gsplat is None or not scene.background.is_cuda:
+        return {}
+    means, quats, scales, opacities, colors = scene.leaves
+    device = means.device
+    pose = torch.tensor(scene.camera.cam_from_world, dtype=torch.float32, device=device)[None]
+    K = torch.tensor(scene.camera.K, dtype=torch.float32, device=device)[None]
+    size = {"width": scene.camera.width, "height": scene.camera.height, "packed": False}
+
+    def volumes(opacities: Tensor = opacities, colors: Tensor = colors) -> Tensor:
+        return gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
+
+    def surfels() -> list[Tensor]:
+        return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors, pose, K, **size)[0]]
+
+    def twice() -> list[Tensor]:
+        return [volumes(), volumes(scene.reflected.opacities, scene.reflected.colors)]
+
+    return {"gsplat 3d": lambda: [volumes()], "gsplat 2d": surfels, "gsplat 3d twice": twice}
+
+
+def time_once(render: Render, device: torch.device) -> tuple[float, float]:
+    """Milliseconds of forward and of backward."""
+    if device.type == "cpu":
+        begin = time.perf_counter()
+        images = render()
+        middle = time.perf_counter()
+        torch.autograd.backward(images, [torch.ones_like(image) for image in images])
+        return (middle - begin) * 1e3, (time.perf_counter() - middle) * 1e3
+    begin_event, middle_event, end_event = (torch.cuda.Event(enable_timing=True) for _ in range(3))
+    torch.cuda.synchronize()
+    begin_event.record()
+    images = render()
+    middle_event.record()
+    torch.autograd.backward(images, [torch.ones_like(image) for image in images])
+    end_event.record()
+    torch.cuda.synchronize()
+    return begin_event.elapsed_time(middle_event), middle_event.elapsed_time(end_event)
+
+
+def measure(size: str, runs: int, device: torch.device) -> list[Row]:
+    """The rows of one size; two runs of each mode are not counted."""
+    scene = make_scene(size, device)
+    modes = our_modes(scene) | gsplat_modes(scene)
+    times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in modes}
+    memory: dict[str, float] = {}
+    for run in range(runs + 2):
+        for mode, render in modes.items():
+            if device.type == "cuda":
+                torch.cuda.reset_peak_memory_stats()
+            spent = time_once(render, device)
+            for leaf in (*scene.leaves, *scene.reflected):
+                leaf.grad = None
+            memory[mode] = torch.cuda.max_memory_allocated() / 2**20 if device.type == "cuda" else math.nan
+            if run >= 2:
+                times[mode].append(spent)
+    return [_row(size, mode, rows, memory[mode]) for mode, rows in times.items()]
+
+
+def _row(size: str, mode: str, rows: list[tuple[float, float]], memory: float) -> Row:
+    forward, backward = zip(*rows, strict=True)
+    both = [a + b for a, b in rows]
+    return Row(size, mode, *(statistics.median(column) for column in (forward, backward, both)), memory)
+
+
+def table(rows: list[Row]) -> list[str]:
+    """Lines of Markdown."""
+    yardsticks = {"3d": "gsplat 3d", "2d": "gsplat 2d", "dual": "gsplat 3d twice"}
+    found = {(row.size, row.mode): row.both for row in rows}
+    lines = ["| size | mode | forward ms | backward ms | both ms | memory MiB | ratio |", "|---|---|---|---|---|---|---|"]
+    for row in rows:
+        other = found.get((row.size, yardsticks.get(row.mode, "")))
+        ratio = "" if other is None else f"{row.both / other:.2f}"
+        times = f"{row.forward:.3f} | {row.backward:.3f} | {row.both:.3f}"
+        lines.append(f"| {row.size} | {row.mode} | {times} | {row.memory:.0f} | {ratio} |")
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", nargs="+", default=list(SIZES))
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    rows = [row for size in args.sizes for row in measure(size, args.runs, torch.device(args.device))]
+    print("\n".join(table(rows)))
+    if gsplat is None:
+        print("\ngsplat can't be imported here: no row of its own, no ratios")
+    if args.json is not None:
+        args.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""An iteration of training touches one device and never waits for it.
+
+Torch's meta device stands in for a card: an operation that mixes it with the processor's tensors fails there, and so
+does everything that would bring a value to the host (float, bool, item, cpu, numpy, a mask's count).
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import pytest
+import torch
+
+from mgsr.config import Config, make_config
+from mgsr.native.cuda import tiles
+from mgsr.native.cuda.launcher import use_launcher
+from mgsr.training.plan import Plan, make_plan
+from mgsr.training.stages import Stage
+from tests.training.ball import ball_points, ball_scene
+
+META = torch.device("meta")
+
+
+class NoLauncher:
+    """Runs nothing and notes what it was asked for."""
+
+    def __init__(self) -> None:
+        self.launched: list[str] = []
+
+    def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
+        assert blocks >= 0 and threads > 0
+        self.launched.append(kernel)
+
+
+@pytest.fixture
+def launcher(monkeypatch: pytest.MonkeyPatch) -> NoLauncher:
+    """With the one number that a rendering waits for, its count of pairs, put in by hand."""
+    monkeypatch.setattr(tiles, "read_later", lambda scalar: lambda: 1000)
+    return NoLauncher()
+
+
+def plan_on_meta(config: Config, masked: bool) -> Plan:
+    return make_plan(ball_scene(24, train=3, test=1, masked=masked), ball_points(80), config, META)
+
+
+def iterate(stage: Stage) -> None:
+    """As Trainer._iterate and _update do between two densifications."""
+    view = stage.views[0]
+    step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
+    loss = torch.stack(list(step.terms.values())).sum()
+    loss.backward()
+    for branch in stage.branches:
+        branch.step(0.5)
+        for seen in step.seen:
+            if seen.branch is branch:
+                branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight)
+    if stage.convergence is not None:
+        stage.convergence.converged(loss.detach(), 1, False)
+    assert loss.device == META
+
+
+@pytest.mark.parametrize("masked", [True, False])
+@pytest.mark.parametrize("overrides", [[], ["surfels.distortion_weight=1.0"], ["depth_tv_weight=0.1"]])
+def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, overrides: list[str]) -> None:
+    settings = [f"volumes.{o}" if o.startswith("depth_tv") else o for o in overrides]
+    plan = plan_on_meta(make_config("standard", "mgsr", 0, settings), masked)
+    with use_launcher(launcher):
+        for stage in plan.stages:
+            iterate(stage)
+    for branch in plan.branches:
+        assert all(tensor.device == META for tensor in branch.model.parameters().values())
+        assert branch.densify_state.seen.device == META
+    expected = {"adam_update", "statistics_gather", "image_loss", "tiles_sum", "harmonics_backward_3"}
+    assert expected <= set(launcher.launched)
+
+
+@pytest.mark.parametrize("method", ["2dgs", "3dgs"])
+def test_single_branches_too(launcher: NoLauncher, method: str) -> None:
+    plan = plan_on_meta(make_config("high", method, 0, []), masked=True)
+    with use_launcher(launcher):
+        for stage in plan.stages:
+            iterate(stage)

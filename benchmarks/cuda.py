@@ -2,11 +2,11 @@
 
     python benchmarks/cuda.py [--sizes 20k/256 100k/800 500k/1080p 1M/1080p] [--runs 20] [--json FILE]
 
-Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's own
-clock, with the modes of one size alternating; and the memory at its highest. `3d` and
-`2d` send a gradient to the colour alone, and so do `gsplat 3d` and `gsplat 2d`; `dual` is the 3D branch's two opacities with
-weight and depth in one pass, and `gsplat 3d twice` what two passes of gsplat need for the two colours. `ratio` is the time
-of both passes over that of the gsplat row of the same kind. `--device cpu` times the kernels of the processor instead.
+Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's
+own clock, with the modes of one size alternating; and the memory at its highest. `3d` and `2d` send a gradient to the
+colour alone, and so do `gsplat 3d` and `gsplat 2d`; `dual` is the 3D branch's two opacities with weight and depth in
+one pass, and `gsplat 3d twice` what two passes of gsplat need for the two colours. `ratio` is the time of both passes
+over that of the gsplat row of the same kind. `--device cpu` times the kernels of the processor instead.
 """
 
 from __future__ import annotations
@@ -177,7 +177,10 @@ def table(rows: list[Row]) -> list[str]:
     """Lines of Markdown."""
     yardsticks = {"3d": "gsplat 3d", "2d": "gsplat 2d", "dual": "gsplat 3d twice"}
     found = {(row.size, row.mode): row.both for row in rows}
-    lines = ["| size | mode | forward ms | backward ms | both ms | memory MiB | ratio |", "|---|---|---|---|---|---|---|"]
+    lines = [
+        "| size | mode | forward ms | backward ms | both ms | memory MiB | ratio |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for row in rows:
         other = found.get((row.size, yardsticks.get(row.mode, "")))
         ratio = "" if other is None else f"{row.both / other:.2f}"

@@ -1,0 +1,191 @@
+"""One training on a card, of a scene that was packed into one file on another machine:
+
+    python benchmarks/cuda_training.py pack ../shared/data/scenes/nefertiti_hdr_800 scene.npz
+    python benchmarks/cuda_training.py run scene.npz OUT --preset high [--device cuda] [--profile 100]
+
+`pack` reads the scene and chooses its starting points, which needs OpenImageIO; `pack ball` takes the tests' textured
+ball instead. `run` needs torch, numpy, SciPy and plyfile alone. It leaves splats_2d.ply and splats_3d.ply in OUT, from
+which `mgsr mesh SCENE -o OUT` makes the mesh anywhere, and training.json: seconds, iterations, splats, PSNR of the test
+views, and, with --profile, the part of an iteration's wall time in which the card's kernels ran, over that many
+iterations of a last stage begun anew.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.profiler import ProfilerActivity
+from torch.profiler import profile as record
+
+from mgsr.config import Config, make_config
+from mgsr.data.camera import Camera
+from mgsr.data.scene import Scene, Similarity, View
+from mgsr.export.splats import write_splats
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.training.evaluate import mean_psnr
+from mgsr.training.plan import StartingPoints, make_plan
+from mgsr.training.progress import Progress, TrainResult
+from mgsr.training.run import train
+from mgsr.training.views import plain_background, prepare_views
+
+BALL = "ball"
+
+
+class PackedPoints:
+    """Starting points as `train` takes them."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
+        self.positions, self.colors = arrays["positions"], arrays["colors"]
+        self.normals = arrays.get("normals")
+
+
+def pack(path: Path, packed: Path, preset: str) -> None:
+    """Everything that training reads of a scene, in one .npz."""
+    scene, start = ball() if str(path) == BALL else read(path, make_config(preset))
+    arrays: dict[str, Any] = {"positions": start.positions, "colors": start.colors}
+    if start.normals is not None:
+        arrays["normals"] = start.normals
+    arrays |= {"scale": scene.user_from_scene.scale, "offset": scene.user_from_scene.offset, "name": scene.name}
+    for part, views in (("train", scene.train), ("test", scene.test)):
+        arrays[f"{part}_names"] = np.array([view.name for view in views])
+        arrays[f"{part}_images"] = np.stack([view.image for view in views])
+        arrays[f"{part}_K"] = np.stack([view.camera.K for view in views])
+        arrays[f"{part}_poses"] = np.stack([view.camera.cam_from_world for view in views])
+        if all(view.alpha is not None for view in views):
+            arrays[f"{part}_alphas"] = np.stack([view.alpha for view in views if view.alpha is not None])
+    np.savez_compressed(packed, **arrays)
+    print(f"{packed}: {packed.stat().st_size / 2**20:.1f} MiB")
+
+
+def read(path: Path, config: Config) -> tuple[Scene, StartingPoints]:
+    """A scene and its starting points, as a run has them."""
+    from mgsr.data.readers import load_scene
+    from mgsr.start.starting_points import starting_points
+
+    scene = load_scene(path, config.data)
+    most = max(config.train.surfels.max_start, config.train.volumes.max_start)
+    return scene, starting_points(scene, most, config.seed)
+
+
+def ball() -> tuple[Scene, StartingPoints]:
+    """The tests' textured ball, for a machine without any scene."""
+    from tests.training.ball import ball_points, ball_scene
+
+    return ball_scene(size=256, train=40, test=4), ball_points(20000)
+
+
+def unpack(packed: Path) -> tuple[Scene, PackedPoints]:
+    """What `pack` wrote."""
+    arrays = dict(np.load(packed))
+    views = {part: _views(arrays, part) for part in ("train", "test")}
+    similarity = Similarity(float(arrays["scale"]), arrays["offset"])
+    name = str(arrays["name"])
+    return Scene(name, packed, "packed", views["train"], views["test"], None, similarity), PackedPoints(arrays)
+
+
+def _views(arrays: dict[str, np.ndarray], part: str) -> list[View]:
+    images, alphas = arrays[f"{part}_images"], arrays.get(f"{part}_alphas")
+    height, width = images.shape[1:3]
+    return [
+        View(
+            str(name),
+            Camera(arrays[f"{part}_K"][i], arrays[f"{part}_poses"][i], width, height),
+            images[i],
+            None if alphas is None else alphas[i],
+        )
+        for i, name in enumerate(arrays[f"{part}_names"])
+    ]
+
+
+def run(packed: Path, out: Path, config: Config, device: torch.device, profile: int) -> dict[str, Any]:
+    """Train, measure, and write the splats and training.json."""
+    scene, start = unpack(packed)
+    result = train(scene, start, config, progress=report, device=device)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, model in (("splats_2d.ply", result.surfels), ("splats_3d.ply", result.volumes)):
+        if model is not None:
+            arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
+            write_splats(out / name, arrays, scene.user_from_scene)
+    facts = measured(scene, result, config, device)
+    if profile and device.type == "cuda":
+        facts["kernel_share"] = kernel_share(scene, start, config, device, profile)
+    (out / "training.json").write_text(json.dumps(facts, indent=1))
+    return facts
+
+
+def report(progress: Progress) -> None:
+    """One line now and then."""
+    if progress.iteration % 1000 == 0 or progress.iteration == progress.total:
+        counts = ", ".join(f"{count} {name}" for name, count in progress.counts.items())
+        print(
+            f"{progress.seconds:7.1f} s  {progress.stage} {progress.iteration}/{progress.total}  {counts}", flush=True
+        )
+
+
+def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
+    """Seconds, iterations, splats and the test views' PSNR of each branch."""
+    views = prepare_views(scene.test, scene.masked, device=device)
+    background = plain_background(config.train.background)
+    models: dict[str, SurfelModel | VolumeModel | None] = {"surfels": result.surfels, "volumes": result.volumes}
+    present = {name: model.to(device) for name, model in models.items() if model is not None}
+    return {
+        "scene": scene.name,
+        "preset": config.preset,
+        "device": torch.cuda.get_device_name() if device.type == "cuda" else "cpu",
+        "seconds": result.seconds,
+        "stages": {stage.name: [stage.iterations, stage.seconds] for stage in result.stages},
+        "splats": {name: len(model) for name, model in present.items()},
+        "psnr": {name: mean_psnr(model, views, background) for name, model in present.items()},
+    }
+
+
+def kernel_share(scene: Scene, start: PackedPoints, config: Config, device: torch.device, count: int) -> float:
+    """The part of the wall time of `count` iterations of the last stage, from its start, in which kernels ran."""
+    plan = make_plan(scene, start, config, device)
+    stage = plan.stages[-1]
+
+    def iterate(i: int) -> None:
+        view = stage.views[i % len(stage.views)]
+        step = stage.compute(view, (0.0, 0.0, 0.0), i)
+        torch.stack(list(step.terms.values())).sum().backward()
+        for branch in stage.branches:
+            branch.step(0.5)
+
+    for i in range(20):
+        iterate(i)
+    torch.cuda.synchronize()
+    with record(activities=[ProfilerActivity.CUDA]) as recorded:
+        begin = time.perf_counter()
+        for i in range(count):
+            iterate(i)
+        torch.cuda.synchronize()
+        wall = time.perf_counter() - begin
+    return sum(event.self_device_time_total for event in recorded.key_averages()) * 1e-6 / wall
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("action", choices=("pack", "run"))
+    parser.add_argument("source", type=Path, help="pack: the scene; run: the packed file")
+    parser.add_argument("target", type=Path, help="pack: the file to write; run: the folder of the results")
+    parser.add_argument("--preset", default="high")
+    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--device", default="cuda")
+    parser.add_argument("--profile", type=int, default=0, metavar="ITERATIONS")
+    args = parser.parse_args()
+    if args.action == "pack":
+        pack(args.source, args.target, args.preset)
+        return
+    config = make_config(args.preset, overrides=args.settings)
+    print(json.dumps(run(args.source, args.target, config, torch.device(args.device), args.profile), indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""The launch helper against a driver that only prints what it is asked for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cuda_shim.launcher import HERE
+
+PROGRAM = """
+import ctypes, contextlib, sys
+from pathlib import Path
+import torch
+from mgsr.errors import GpuError
+from mgsr.native.cuda import launcher
+from mgsr.native.cuda.launcher import CudaLauncher
+
+class Stream:
+    cuda_stream = 0x7F00
+
+class Params(ctypes.Structure):
+    _fields_ = (("first", ctypes.c_int64), ("second", ctypes.c_int32))
+
+torch.cuda.init = lambda: None
+torch.cuda.get_device_capability = lambda device: (9, 0)
+torch.cuda.current_stream = lambda device: Stream
+torch.cuda.device = lambda device: contextlib.nullcontext()
+# The compiler asks a driver more than this one knows, and is tested elsewhere.
+launcher.compile_family = lambda family, arch: Path(sys.argv[1]).read_bytes()
+card = CudaLauncher(0)
+card.launch("adam", "adam_update", 7, 128, Params(4242, 1))
+card.launch("adam", "adam_update", 8, 64, Params(-1, 1))
+card.launch("adam", "adam_update", 0, 64, Params(5, 1))
+try:
+    card.launch("adam", "refused", 1, 32, Params(0, 0))
+except GpuError as error:
+    print(error, flush=True)
+"""
+
+
+def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
+    pytest.importorskip("cuda.core", reason="NEEDS NVRTC: pip install 'mgsr[cuda]'")
+    from mgsr.native.cuda.compiler import compile_family
+
+    driver, cubin = tmp_path / "libcuda.so.1", tmp_path / "adam.cubin"
+    subprocess.run(["gcc", "-shared", "-fPIC", str(HERE / "fake_driver.c"), "-o", str(driver)], check=True)
+    cubin.write_bytes(compile_family("adam", "sm_90", tmp_path / "cache"))
+    environment = os.environ | {"LD_LIBRARY_PATH": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+    program = [sys.executable, "-c", PROGRAM, str(cubin)]
+    done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
+    assert sorted(done.stdout.splitlines()) == [
+        "launch 0x1234 blocks 7 1 1 threads 128 1 1 shared 0 stream 0x7f00 first parameter 4242 extra 0",
+        "launch 0x1234 blocks 8 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter -1 extra 0",
+        "load ELF",
+        "refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
+    ]

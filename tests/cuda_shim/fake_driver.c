@@ -1,0 +1,78 @@
+/* A libcuda.so.1 that prints what it is asked for, so that the launch helper can be tested without a card. A kernel whose
+   name is "refused" does not launch. */
+#include <stdint.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { kOk = 0, kInvalidValue = 1, kNotSupported = 801, kRefusedKernel = 0x666, kKernel = 0x1234, kLibrary = 0x77 };
+
+static int launch(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared,
+                  void* stream, void** params, void** extra) {
+  if ((uintptr_t)kernel == kRefusedKernel) return kInvalidValue;
+  printf("launch %p blocks %u %u %u threads %u %u %u shared %u stream %p first parameter %lld extra %d\n", kernel, gx, gy, gz, bx,
+         by, bz, shared, stream, *(long long*)params[0], extra != NULL);
+  return kOk;
+}
+
+static int init(unsigned flags) { return flags == 0 ? kOk : kInvalidValue; }
+
+static int version(int* number) {
+  *number = 13000;
+  return kOk;
+}
+
+static int error_name(int error, const char** text) {
+  *text = error == kInvalidValue ? "CUDA_ERROR_INVALID_VALUE" : "CUDA_ERROR_UNKNOWN";
+  return kOk;
+}
+
+static int error_string(int error, const char** text) {
+  *text = error == kInvalidValue ? "invalid argument" : "unknown error";
+  return kOk;
+}
+
+static int load(void** library, const char* code, void* a, void* b, unsigned n, void* c, void* d, unsigned m) {
+  (void)a, (void)b, (void)n, (void)c, (void)d, (void)m;
+  printf("load %.3s\n", code + 1);
+  *library = (void*)(uintptr_t)kLibrary;
+  return kOk;
+}
+
+static int get_kernel(void** kernel, void* library, const char* name) {
+  if ((uintptr_t)library != kLibrary) return kInvalidValue;
+  *kernel = (void*)(uintptr_t)(strcmp(name, "refused") == 0 ? kRefusedKernel : kKernel);
+  return kOk;
+}
+
+static int unload(void* library) { return (uintptr_t)library == kLibrary ? kOk : kInvalidValue; }
+
+static int not_supported(void) { return kNotSupported; }
+
+int cuGetProcAddress_v2(const char* name, void** function, int driver, uint64_t flags, int* status) {
+  static const struct {
+    const char* name;
+    void* function;
+  } known[] = {
+      {"cuInit", (void*)init},
+      {"cuDriverGetVersion", (void*)version},
+      {"cuGetErrorName", (void*)error_name},
+      {"cuGetErrorString", (void*)error_string},
+      {"cuLaunchKernel", (void*)launch},
+      {"cuLibraryLoadData", (void*)load},
+      {"cuLibraryGetKernel", (void*)get_kernel},
+      {"cuLibraryUnload", (void*)unload},
+      {"cuGetProcAddress", (void*)cuGetProcAddress_v2},
+  };
+  (void)driver, (void)flags;
+  *function = (void*)not_supported;
+  for (size_t i = 0; i < sizeof(known) / sizeof(known[0]); ++i)
+    if (strcmp(name, known[i].name) == 0) *function = known[i].function;
+  if (status) *status = 0;
+  return kOk;
+}
+
+int cuGetProcAddress(const char* name, void** function, int driver, uint64_t flags) {
+  return cuGetProcAddress_v2(name, function, driver, flags, NULL);
+}
+
+int cuDriverGetVersion(int* number) { return version(number); }

@@ -126,8 +126,9 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx: Any, *v_outputs: Tensor | None):
         images = ctx.saved_tensors
         v_images = [v if v is None else plain(v) for v in v_outputs]
-        v_splats = [torch.zeros_like(t) for t in ctx.splats[:-1]]
-        v_means2d = ctx.splats[0].new_zeros(len(ctx.splats[0]), 2)
+        new_like = torch.zeros_like if ctx.kernels is _surfels else torch.empty_like  # CUDA kernels write all of it
+        v_splats = [new_like(t) for t in ctx.splats[:-1]]
+        v_means2d = new_like(ctx.splats[0][:, :2], memory_format=torch.contiguous_format)
         ctx.kernels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
         ctx.stats.v_means2d = v_means2d
         v_background = None

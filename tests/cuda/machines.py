@@ -23,12 +23,17 @@ class Machine:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Within the block, operations on `device` run as CUDA kernels."""
+        """Within the block, operations on `device` run as CUDA kernels; under the shim, torch.empty gives NaN and the
+        largest integers, so that what reads before it writes comes to light."""
         if self.order is None:
             yield
             return
-        with use_launcher(ShimLauncher(self.order)):
-            yield
+        torch.use_deterministic_algorithms(True)
+        try:
+            with use_launcher(ShimLauncher(self.order)):
+                yield
+        finally:
+            torch.use_deterministic_algorithms(False)
 
 
 CPU = torch.device("cpu")

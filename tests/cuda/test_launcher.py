@@ -28,13 +28,24 @@ class Params(ctypes.Structure):
 torch.cuda.init = lambda: None
 torch.cuda.get_device_capability = lambda device: (9, 0)
 torch.cuda.current_stream = lambda device: Stream
-torch.cuda.device = lambda device: contextlib.nullcontext()
+torch.cuda.current_device = lambda: current[0]
+
+@contextlib.contextmanager
+def device(index):
+    current[:] = [index]
+    print(f"device {index}", flush=True)
+    yield
+
+current = [0]
+torch.cuda.device = device
 # The compiler asks a driver more than this one knows, and is tested elsewhere.
 launcher.compile_family = lambda family, arch: Path(sys.argv[1]).read_bytes()
 card = CudaLauncher(0)
 card.launch("adam", "adam_update", 7, 128, Params(4242, 1))
 card.launch("adam", "adam_update", 8, 64, Params(-1, 1))
 card.launch("adam", "adam_update", 0, 64, Params(5, 1))
+current[0] = 3
+card.launch("adam", "adam_update", 9, 32, Params(6, 1))
 try:
     card.launch("adam", "refused", 1, 32, Params(0, 0))
 except GpuError as error:
@@ -53,8 +64,10 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     program = [sys.executable, "-c", PROGRAM, str(cubin)]
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     assert sorted(done.stdout.splitlines()) == [
+        "device 0",
         "launch 0x1234 blocks 7 1 1 threads 128 1 1 shared 0 stream 0x7f00 first parameter 4242 extra 0",
         "launch 0x1234 blocks 8 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter -1 extra 0",
+        "launch 0x1234 blocks 9 1 1 threads 32 1 1 shared 0 stream 0x7f00 first parameter 6 extra 0",
         "load ELF",
         "refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
     ]

@@ -73,6 +73,9 @@ class CudaLauncher:
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
         if not blocks:
             return
+        if torch.cuda.current_device() != self._device:  # asked first, since the guard costs more
+            with torch.cuda.device(self._device):
+                return self.launch(family, kernel, blocks, threads, params)
         function = self._kernels.get((family, kernel)) or self._load(family, kernel)
         addresses = (ctypes.c_void_p * 1)(ctypes.addressof(params))
         stream = torch.cuda.current_stream(self._device).cuda_stream
@@ -85,8 +88,7 @@ class CudaLauncher:
         from cuda.core import ObjectCode
 
         if family not in self._modules:
-            with torch.cuda.device(self._device):
-                self._modules[family] = ObjectCode.from_cubin(compile_family(family, self._arch), name=family)
+            self._modules[family] = ObjectCode.from_cubin(compile_family(family, self._arch), name=family)
         handle = self._modules[family].get_kernel(kernel).handle
         function = self._kernels[family, kernel] = self._driver.CUfunction(int(handle))
         return function

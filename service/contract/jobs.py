@@ -142,7 +142,8 @@ class Jobs:
         return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
 
     def sweep_uploads(self) -> None:
-        """Remove archives that no job names, left by services that were killed while they received them."""
+        """Remove archives that no job names, whole or not, left by services that were killed while they received."""
+        self.store.delete_unfinished("uploads", STALE_UPLOAD)
         for entry in self.store.entries("uploads"):
             job = entry.key.removeprefix("uploads/").partition(".")[0]
             if time.time() - entry.modified.timestamp() < STALE_UPLOAD:

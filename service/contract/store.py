@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import AsyncIterator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -83,6 +84,16 @@ class Store:
             self.delete(entry.key)
         if self.folder is not None:
             shutil.rmtree(self.folder / prefix, ignore_errors=True)
+
+    def delete_unfinished(self, prefix: str, age: float) -> None:
+        """Remove what processes that were killed while they wrote have left in a folder, older than `age` seconds.
+        (A bucket has a lifecycle rule for it.)"""
+        if self.folder is None:
+            return
+        for path in (self.folder / prefix).glob("*#*"):  # so obstore names a file until it is whole
+            with suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime > age:
+                    path.unlink()
 
     def entries(self, prefix: str) -> Iterator[Entry]:
         """Every object under the folder `prefix`, in no order."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +11,8 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.contract.jobs import STALE_UPLOAD, Jobs
+from service.contract.store import Store
 from tests.service.hostile import RawRequest
 from tests.service.stack import TINY_OPTIONS, Stack
 from tests.worker.archives import MALICIOUS, zip_of
@@ -216,3 +219,23 @@ def test_two_submits_at_the_same_moment_are_one_job(strict: Stack, tiny_archive:
     job = answers[0].json()["id"]
     strict.finished(job)
     assert len(list((strict.folder / f"store/jobs/{job}/attempts").iterdir())) == 1
+
+
+def test_what_a_killed_service_was_receiving_is_swept(tmp_path: Path) -> None:
+    """Not at once: another service may be receiving it. After hours, and only that."""
+    with Stack(tmp_path, workers=0) as stack:
+        kept = stack.submitted(zip_of(("a.bin", b"kept")), TINY_OPTIONS)
+        with RawRequest(stack.port, ZIP, "Content-Length: 20000000") as request:
+            request.send(b"PK\x03\x04" + bytes(12 << 20))
+            time.sleep(0.5)
+            stack.kill("api")
+    (tmp_path / "store/uploads" / f"{'0' * 32}.{'1' * 32}").write_bytes(b"whole, but of no job")
+    uploads = tmp_path / "store/uploads"
+    assert len(list(uploads.iterdir())) == 3
+    jobs = Jobs(Store(str(tmp_path / "store"), 1.0))
+    jobs.sweep_uploads()
+    assert len(list(uploads.iterdir())) == 3
+    for path in uploads.iterdir():
+        os.utime(path, (time.time() - 2 * STALE_UPLOAD,) * 2)
+    jobs.sweep_uploads()
+    assert [path.name.split(".")[0] for path in uploads.iterdir()] == [kept]

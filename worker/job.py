@@ -23,6 +23,8 @@ from service.contract.options import JobOptions
 
 # The pipe to the worker.
 EVENTS_FD = 3
+# The worker that watches, and the API of a laptop, answer first.
+NICE = 5
 
 
 class JobSpec(BaseModel):
@@ -54,6 +56,7 @@ def main() -> None:
     """Run the job that the environment names."""
     die_with_parent(int(os.environ["MGSR_JOB_PARENT"]))
     _first_to_go()
+    os.nice(NICE)
     spec = JobSpec.model_validate_json(Path(os.environ["MGSR_JOB"]).read_text())
     result = _run(spec)
     partial = spec.result.with_suffix(".partial")

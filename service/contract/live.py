@@ -10,8 +10,13 @@ from redis import Redis
 EVENTS_KEPT = 2000
 LIVE_SECONDS = 7 * 86400
 
-# Both only as long as the lease is this worker's.
-_RENEW = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('pexpire', KEYS[1], ARGV[2]) end return 0"
+# One step each: between two, a lease could run out or change hands.
+_TAKE = """
+local holder = redis.call('get', KEYS[1])
+if holder and holder ~= ARGV[1] then return 0 end
+redis.call('set', KEYS[1], ARGV[1], 'PX', ARGV[2])
+return 1
+"""
 _RELEASE = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('del', KEYS[1]) end return 0"
 
 
@@ -40,18 +45,12 @@ class Live:
 
     def __init__(self, redis: Redis) -> None:
         self.redis = redis
-        self._renew = redis.register_script(_RENEW)
+        self._take = redis.register_script(_TAKE)
         self._release = redis.register_script(_RELEASE)
 
     def take_lease(self, job: str, holder: str, seconds: float) -> bool:
-        """Take the job's lease if it is free, or `holder`'s already."""
-        return bool(self.redis.set(lease_key(job), holder, nx=True, px=round(seconds * 1000))) or self.renew_lease(
-            job, holder, seconds
-        )
-
-    def renew_lease(self, job: str, holder: str, seconds: float) -> bool:
-        """Whether the lease still was the holder's; it then lasts for `seconds` from now."""
-        return bool(self._renew(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
+        """Take the job's lease if it is free, or `holder`'s already; it then lasts for `seconds` from now."""
+        return bool(self._take(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
 
     def release_lease(self, job: str, holder: str) -> None:
         """Give the lease back, if it is the holder's."""

@@ -55,7 +55,7 @@ class Settings(BaseSettings):
     job_memory: ByteSize = Field(default_factory=lambda: ByteSize(int(machine_memory() * 0.8)))
     checkpoint_seconds: float = 20.0  # between two checkpoints
     stop_grace: float = 20.0  # that a job has to write its checkpoint before it is killed
-    lease: float = 10.0  # after which a worker that says nothing counts as dead
+    lease: float = 15.0  # after which a worker that says nothing counts as dead
     max_attempts: int = 6  # that die, of one submit or retry, before the job counts as failed
     publish_patience: float = 900.0  # that a worker tries to bring results to a store that doesn't answer
 

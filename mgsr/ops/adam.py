@@ -41,7 +41,10 @@ class FusedAdam:
         self.params: dict[str, torch.Tensor] = {}
         self.lrs = dict(lrs)
         self.betas, self.epsilon = betas, epsilon
-        self._scales = {name: scale.detach().contiguous().reshape(-1) for name, scale in (lr_scales or {}).items()}
+        self._scales = {
+            name: scale.detach().to(params[name].device).contiguous().reshape(-1)
+            for name, scale in (lr_scales or {}).items()
+        }
         self._first: dict[str, torch.Tensor] = {}
         self._second: dict[str, torch.Tensor] = {}
         self._steps = dict.fromkeys(params, 0)

@@ -42,7 +42,7 @@ def image_loss(
     """
     sizes = check_tensors(image=(image, "H W 3"), target=(target, "H W 3"))
     if mask is not None:
-        check_tensors(sizes, mask=(mask, "H W"))
+        check_tensors(sizes, image=(image, "H W 3"), mask=(mask, "H W"))
     if not 0 <= l1_weight <= 1:
         raise TensorError(f"l1_weight: expected 0..1, got {l1_weight}")
     whole = (0, sizes["H"], 0, sizes["W"])

@@ -32,7 +32,7 @@ def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor 
     shape = "H W" if values.ndim == 2 else "H W C"
     sizes = check_tensors(values=(values, shape), guide=(guide, "H W 3"))
     if mask is not None:
-        check_tensors(sizes, mask=(mask, "H W"))
+        check_tensors(sizes, values=(values, shape), mask=(mask, "H W"))
     return _EdgeAwareTv.apply(values.unsqueeze(-1) if values.ndim == 2 else values, guide, mask)
 
 

@@ -95,6 +95,7 @@ def rasterize_volumes(
     if reflected is not None:
         check_tensors(
             sizes,
+            means=(means, "N 3"),
             refl_opacities=(reflected.opacities, "N"),
             refl_colors=(reflected.colors, "N 3"),
             weights=(reflected.weights, "N"),

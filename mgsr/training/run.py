@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.errors import GpuError
 from mgsr.training.checkpoint import fingerprint
 from mgsr.training.plan import StartingPoints, make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult
 from mgsr.training.threads import one_torch_thread
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
+
+
+@contextmanager
+def refused_without_memory() -> Iterator[None]:
+    """A card whose memory is too small inside, as a GpuError that says what to do."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise GpuError(
+            f"the card's memory does not hold this training ({error}): use smaller images (max_side=...) or fewer "
+            "splats (max_count=...), or --device cpu"
+        ) from error
 
 
 def train(
@@ -40,7 +54,7 @@ def train(
     CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be used, or without
     memory for the scene).
     """
-    with one_torch_thread():
+    with one_torch_thread(), refused_without_memory():
         trainer = Trainer(
             make_plan(scene, start, config, device),
             config.train,

@@ -12,8 +12,12 @@ import pytest
 import torch
 
 from mgsr.config import Config, make_config
+from mgsr.errors import TensorError
 from mgsr.native.cuda import tiles
 from mgsr.native.cuda.launcher import use_launcher
+from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.ops.image_loss import image_loss
+from mgsr.ops.tv import edge_aware_tv
 from mgsr.training.plan import Plan, make_plan
 from mgsr.training.stages import Stage
 from tests.training.ball import ball_points, ball_scene
@@ -80,3 +84,15 @@ def test_single_branches_too(launcher: NoLauncher, method: str) -> None:
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)
+
+
+def test_tensors_of_two_devices_are_refused() -> None:
+    """A kernel would read the processor's addresses as the card's."""
+    image, plane, here = torch.zeros(4, 5, 3, device=META), torch.zeros(4, 5, device=META), torch.zeros(4, 5)
+    camera = ball_scene(24, train=3, test=1).train[0].camera.resized(5, 4)
+    with pytest.raises(TensorError, match="mask: expected device meta"):
+        image_loss(image, image, mask=here)
+    with pytest.raises(TensorError, match="mask: expected device meta"):
+        edge_aware_tv(plane, image, here)
+    with pytest.raises(TensorError, match="alpha: expected device meta"):
+        depth_to_normals(plane, camera, here)

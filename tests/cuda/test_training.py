@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from mgsr.errors import GpuError
 from mgsr.gaussians.order import morton_order
 from mgsr.training.branch import Branch
 from mgsr.training.run import train
@@ -71,3 +72,12 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
     with machine.running():
         result = train(scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device)
     assert result.surfels is not None
+
+
+def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(branch: Branch, progress: float) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
+
+    monkeypatch.setattr(Branch, "step", full)
+    with pytest.raises(GpuError, match=r"80\.00 GiB.*max_side"):
+        train(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK))

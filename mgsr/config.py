@@ -66,8 +66,11 @@ class MeshConfig:
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    flash_ratio: float | None = 0.8  # shading by a light on the camera refines the mesh if it leaves at most this share
-    # of what one colour for all views leaves; none is off
+    shading_ratio: float | None = (
+        0.85  # shading by a flash on the camera, or by mirrored surroundings, refines the mesh
+    )
+    # if it leaves at most this share of what one brightness a point leaves; none is off
+    shading_reach: float = 40.0  # pixels; the shape larger than this is not shading's
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen
@@ -348,9 +351,7 @@ ABLATIONS: dict[str, dict[str, str]] = {
 }
 
 
-def make_config(
-    preset: str = "standard", method: str = "mgsr", seed: int = 0, overrides: Sequence[str] = ()
-) -> Config:
+def make_config(preset: str = "standard", method: str = "mgsr", seed: int = 0, overrides: Sequence[str] = ()) -> Config:
     """One run's settings from a preset, a method and ``key=value`` overrides, applied in that order.
 
     A key is a field's full path (``train.mutual.depth_weight``) or any part of it that names one field alone

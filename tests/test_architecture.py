@@ -14,10 +14,11 @@ ROOT = Path(__file__).resolve().parents[1]
 
 # A part imports from rows below its own, and from itself. The same table stands in docs/architecture.md.
 LAYERS = (
-    ("checks", "config", "errors", "open3d_library"),
+    ("checks", "config", "errors", "open3d_library", "parallel"),
     ("native",),
     ("data",),
     ("geometry",),
+    ("shading",),
     ("start", "ops"),
     ("gaussians",),
     ("render",),

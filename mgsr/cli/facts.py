@@ -56,7 +56,12 @@ def run_report(
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
-        other={"input": _input(scene, start, path), "settings": asdict(config), "machine": _machine()}
+        other={
+            "input": _input(scene, start, path),
+            "light": str(mesh.light),
+            "settings": asdict(config),
+            "machine": _machine(),
+        }
         | {name: value for name, value in scores.items() if name not in known},
         **known,
     )

@@ -34,6 +34,13 @@ def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int)
     return normals
 
 
+def spread(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
+    """Values [V,...] averaged over the surface around, like a Gaussian of `reach` edges (by diffusion)."""
+    for _ in range(round(4 * reach**2)):  # a step spreads by half an edge along each of the two axes
+        values = values + 0.5 * (laplacian @ values)
+    return values
+
+
 def smooth_displacements(
     laplacian: sparse.csr_matrix, wanted: np.ndarray, weights: np.ndarray, reach: float
 ) -> np.ndarray:
@@ -59,12 +66,20 @@ def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np
 
 
 def bend_to_normals(
-    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, wanted: np.ndarray, sure: np.ndarray, strength: float
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    wanted: np.ndarray,
+    sure: np.ndarray,
+    strength: float,
+    hold: np.ndarray,
+    offsets: np.ndarray,
 ) -> np.ndarray:
     """The displacements [V] along the vertex normals [V,3] after which the edges lie across the wanted normals [V,3].
 
-    They minimise sum x^2 + strength * sum over edges (component of the edge along its mean wanted normal)^2; edges
-    count where both ends are sure [V] bool.
+    They minimise sum hold (x - offsets)^2 + strength * sum over edges (component of the edge along its mean wanted
+    normal)^2; edges count where both ends are sure [V] bool. hold, offsets [V]: what the positions themselves want, and
+    how much, which must be more than nothing.
     """
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     sides = np.unique(np.sort(sides, axis=1), axis=0)
@@ -76,8 +91,8 @@ def bend_to_normals(
     places = (np.concatenate([row, row]), np.concatenate([first, second]))
     slopes = sparse.coo_matrix((shares, places), (len(first), len(vertices))).tocsr()
     tilt = ((vertices[second] - vertices[first]) * across).sum(1)
-    matrix = (sparse.identity(len(vertices)) + strength * (slopes.T @ slopes)).tocsr()
-    return _solve(matrix, -strength * (slopes.T @ tilt))
+    matrix = (sparse.diags(hold) + strength * (slopes.T @ slopes)).tocsr()
+    return _solve(matrix, hold * offsets - strength * (slopes.T @ tilt))
 
 
 def _plate(laplacian: sparse.csr_matrix, weights: np.ndarray, reach: float) -> sparse.csr_matrix:

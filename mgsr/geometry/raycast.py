@@ -43,6 +43,14 @@ class PixelHits:
         return self.face != NO_FACE
 
 
+@dataclass(frozen=True)
+class NearestPlaces:
+    """Places on a mesh: face [P] uint32, and barycentric [P,3] float32, the shares of the face's corners."""
+
+    face: np.ndarray
+    barycentric: np.ndarray
+
+
 class RayCaster:
     """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting."""
 
@@ -75,6 +83,13 @@ class RayCaster:
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
         return PixelHits(np.where(face != NO_FACE, depth, 0), face, shares)
+
+    def nearest(self, points: np.ndarray) -> NearestPlaces:
+        """The places of the mesh that lie nearest to the points [P,3]."""
+        found = self._scene.compute_closest_points(load_open3d().core.Tensor(np.ascontiguousarray(points, np.float32)))
+        uv = found["primitive_uvs"].numpy()
+        shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
+        return NearestPlaces(found["primitive_ids"].numpy(), shares)
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float) -> np.ndarray:
         """Which of the points [P,3] lie inside the camera's image with nothing between; [P] bool.

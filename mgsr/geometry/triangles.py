@@ -8,6 +8,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+Triangles = tuple[np.ndarray, np.ndarray]  # vertices [V,3], faces [F,3]
+
 
 @dataclass(frozen=True)
 class Topology:
@@ -30,9 +32,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals [V,3] float32, the area-weighted mean of the faces around; 0 for a vertex without a face."""
     crosses = face_crosses(vertices, faces)
     corners = faces.ravel()
-    sums = np.stack(
-        [np.bincount(corners, np.repeat(crosses[:, axis], 3), len(vertices)) for axis in range(3)], axis=1
-    )
+    sums = np.stack([np.bincount(corners, np.repeat(crosses[:, axis], 3), len(vertices)) for axis in range(3)], axis=1)
     return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
 
 
@@ -65,8 +65,15 @@ def topology(vertices: np.ndarray, faces: np.ndarray) -> Topology:
     return Topology(len(vertices), len(faces), pieces, len(rim), len(np.unique(loops)))
 
 
-def keep_faces(vertices: np.ndarray, faces: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def keep_faces(vertices: np.ndarray, faces: np.ndarray, keep: np.ndarray) -> Triangles:
     """The mesh of the faces where keep [F] is True, without the vertices that no face uses any more."""
     faces = faces[keep]
     used, inverse = np.unique(faces, return_inverse=True)
     return vertices[used], inverse.reshape(-1, 3)
+
+
+def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """The mesh without faces that repeat a vertex, have no area or are not finite."""
+    areas = np.linalg.norm(face_crosses(vertices, faces), axis=1)
+    a, b, c = faces.T
+    return keep_faces(vertices, faces, (a != b) & (b != c) & (c != a) & np.isfinite(areas) & (areas > 1e-14))

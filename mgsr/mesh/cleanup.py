@@ -1,18 +1,15 @@
-"""What is done to a raw surface: pull it into the silhouettes, drop what no camera sees, orient and decimate it."""
+"""What is done to a raw surface: pull it into the silhouettes, drop what no camera sees, and orient it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import fast_simplification
 import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
+from mgsr.geometry.triangles import Triangles, boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
 from mgsr.mesh.consistency import Hull
-
-Triangles = tuple[np.ndarray, np.ndarray]  # vertices [V,3], faces [F,3]
 
 
 def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: float, reach: float) -> Triangles:
@@ -25,13 +22,6 @@ def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: 
         # At a silhouette the normal lies in the image plane, so the excess there is the distance along the normal.
         moved[outside] += inwards * hull.excess(moved[outside], margin)[:, None]
     return keep_faces(moved, faces, (excess <= reach)[faces].all(1))
-
-
-def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """The mesh without faces that repeat a vertex, have no area or are not finite."""
-    areas = np.linalg.norm(face_crosses(vertices, faces), axis=1)
-    a, b, c = faces.T
-    return keep_faces(vertices, faces, (a != b) & (b != c) & (c != a) & np.isfinite(areas) & (areas > 1e-14))
 
 
 def seen_sides(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], gap: float) -> np.ndarray:
@@ -104,13 +94,3 @@ def close_loops(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     sums = np.stack([np.bincount(loops, vertices[rim[:, 0], axis]) for axis in range(3)], axis=1)
     fan = np.column_stack([rim[:, 1], rim[:, 0], len(vertices) + loops])
     return np.concatenate([vertices, sums / counts[:, None]]), np.concatenate([faces, fan])
-
-
-def decimate(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> Triangles:
-    """The mesh reduced to about `face_count` faces by quadric edge collapse; unchanged if it has no more."""
-    if len(faces) <= face_count:
-        return vertices, faces
-    points, triangles = fast_simplification.simplify(
-        vertices.astype(np.float32), faces.astype(np.int32), target_count=face_count
-    )
-    return drop_degenerate(points.astype(np.float64), triangles.astype(np.int64))

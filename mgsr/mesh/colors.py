@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
+from mgsr.parallel import map_ahead
 
 SPREAD = 0.1  # a colour this far from the others' mean counts half
 ROUNDS = 2
@@ -28,9 +28,7 @@ def vertex_colors(
 
     A view shows a vertex that faces it and lies within `tolerance` pixel footprints of its depth.
     """
-    looks = list(
-        map_ahead(lambda view: _look(vertices, normals, view, min_alpha, tolerance), views, threads)
-    )
+    looks = list(map_ahead(lambda view: _look(vertices, normals, view, min_alpha, tolerance), views, threads))
     mean, total = _blend(looks, len(vertices), None)
     for _ in range(ROUNDS):
         mean, _ = _blend(looks, len(vertices), mean)

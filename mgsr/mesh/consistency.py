@@ -10,10 +10,10 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 
 from mgsr.data.silhouettes import Silhouette
-from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
+from mgsr.parallel import map_ahead
 
 REACH = 2.0  # noise of the depth must find its mean, but not a neighbouring surface
 

@@ -10,18 +10,19 @@ from mgsr.config import Extractor, MeshConfig
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.decimate import decimate
+from mgsr.geometry.outlines import find_outline, fit_outlines
+from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
-from mgsr.mesh.flash import refine_by_flash
-from mgsr.mesh.outlines import fit_outlines
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.refine import Light, refine_by_shading
 
 
 def extract_mesh(
@@ -35,7 +36,8 @@ def extract_mesh(
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
-    photographs: the training views; if a flash on the camera lit them, their shading refines the mesh.
+    photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
+    their shading, it refines the mesh.
     threads: cores to use; None is all of them.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -55,7 +57,7 @@ def _rules(config: MeshConfig) -> PixelRules:
 
 def _by_poisson(
     views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int | None
-) -> cleanup.Triangles:
+) -> Triangles:
     cell = cell_size(_extent(views, config), config.poisson_depth)
     points = gather_points(views, max(config.cell * cell, size), _rules(config), threads)
     if config.consistency is not None:
@@ -85,7 +87,7 @@ def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
 
 def _by_tsdf(
     views: Sequence[SurfaceView], config: MeshConfig, size: float, hull: Hull | None, threads: int | None
-) -> cleanup.Triangles:
+) -> Triangles:
     return tsdf_surface(views, config.voxel * size, config.truncation, config.min_weight, _rules(config))
 
 
@@ -105,27 +107,33 @@ def _finish(
         vertices, faces = cleanup.pull_into_hull(
             vertices, faces, hull, config.hull_margin or 0, config.hull_reach * size
         )
-    vertices, faces = cleanup.drop_degenerate(vertices, faces)
+    vertices, faces = drop_degenerate(vertices, faces)
     _require_faces(faces, "no pixel's surface survived the fusion", config)
     vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
     sides = cleanup.seen_sides(vertices, faces, [view.camera for view in views], gap=size)
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
-    if silhouettes and config.outline_smoothing is not None:
-        vertices = fit_outlines(vertices, faces, silhouettes, config.outline_smoothing)
-    if photographs and config.flash_ratio is not None:
-        vertices = refine_by_flash(vertices, faces, photographs, config.flash_ratio, threads)
+    outlines = [find_outline(silhouette) for silhouette in silhouettes]
+    if outlines and config.outline_smoothing is not None:
+        vertices = fit_outlines(vertices, faces, outlines, config.outline_smoothing)
+    light = Light.UNKNOWN
+    if photographs and config.shading_ratio is not None:
+        refined = refine_by_shading(
+            vertices, faces, photographs, outlines, config.shading_ratio, config.shading_reach, _ROUNDS, threads
+        )
+        vertices, light = refined.vertices, refined.light
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:
-        vertices, faces = cleanup.decimate(vertices, faces, config.max_faces)
+        vertices, faces = decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
     tolerance = config.consistency or _COLOR_TOLERANCE
     colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
-    return SurfaceMesh(vertices, faces, normals, colors)
+    return SurfaceMesh(vertices, faces, normals, colors, light)
 
 
+_ROUNDS = 3  # of reading the photographs and bending the surface
 _COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 

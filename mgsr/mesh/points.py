@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsr.mesh.parallel import map_ahead
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.views import SurfaceView
+from mgsr.parallel import map_ahead
 
 
 @dataclass(frozen=True)

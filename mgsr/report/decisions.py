@@ -17,10 +17,15 @@ STOPS = {
 STARTS = {
     "capture": ("of the capture's own", "they came with the cameras"),
     "hull": (
-        "on the visual hull, carved where the photographs agree on a deeper place",
-        "the masks bound the object, and the capture brought too few points of it",
+        "on the visual hull, carved by the photographs",
+        "the masks bound the object; patches that agree on a deeper place, and shading, tell its hollows",
     ),
     "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
+}
+LIGHTS = {
+    "flash": ("a flash on the camera", "it explains how a point's brightness changes from view to view"),
+    "surroundings": ("mirrored surroundings", "one map of them explains how a point changes from view to view"),
+    "unknown": ("not used", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
@@ -44,7 +49,7 @@ def tell_decisions(data: ReportData) -> list[Decision]:
     given: dict[str, Any] = data.other.get("input") or {}
     mesh: dict[str, Any] = (data.other.get("settings") or {}).get("mesh") or {}
     told = [Decision("Method", data.method, METHODS.get(data.method, "as asked for"))]
-    return [*told, *_about_input(given), *_about_stages(data), *_about_surface(data, mesh)]
+    return [*told, *_about_input(given), *_about_stages(data), *_about_surface(data, mesh), *_about_light(data)]
 
 
 def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
@@ -76,3 +81,8 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
     if data.mesh is not None and data.mesh.boundary_edges:
         left = "left open" if not mesh.get("close_holes") else "some could not be closed"
         yield Decision("Holes", left, "where no view showed a surface, none is invented")
+
+
+def _about_light(data: ReportData) -> Iterator[Decision]:
+    if data.other.get("light") in LIGHTS:
+        yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import torch.nn.functional as functional
-from scipy import sparse
 from torch import Tensor
 
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.images import reduce_area
 from mgsr.data.scene import View
-from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, umbrella
+from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, spread, umbrella
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import vertex_normals
 
@@ -51,10 +50,8 @@ def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View
     pixel = pixel_size([look.camera for look in looks], vertices.mean(axis=0))
     chosen = _frontal_views(RayCaster(vertices, faces), vertices, normals, looks, gap=pixel)
     agreement = _agreement(vertices, normals, looks, chosen, pixel, noise)
-    wanted, sure = _deeper(_pooled(agreement, laplacian, POOL * pixel / edge_length(vertices, faces)))
-    moves = smooth_displacements(
-        laplacian, np.where(sure, wanted * pixel, 0), np.where(sure, 1, STAY), SPREAD
-    )
+    wanted, sure = _deeper(spread(agreement, laplacian, POOL * pixel / edge_length(vertices, faces)))
+    moves = smooth_displacements(laplacian, np.where(sure, wanted * pixel, 0), np.where(sure, 1, STAY), SPREAD)
     return vertices + np.clip(moves, OFFSETS[0] * pixel, 0)[:, None] * normals
 
 
@@ -179,13 +176,6 @@ def _normalised(values: Tensor, slopes: Tensor, noise: float) -> Tensor:
     variance = left.square().sum((0, 3)) / points
     scaled = left / (points * (variance + noise**2)).sqrt()[None, ..., None]
     return scaled.permute(1, 2, 0, 3).flatten(2)
-
-
-def _pooled(agreement: np.ndarray, laplacian: sparse.csr_matrix, edges: float) -> np.ndarray:
-    """The agreement [V,D] averaged over the surface around, like a Gaussian of `edges` edges (by diffusion)."""
-    for _ in range(round(4 * edges**2)):  # a step spreads by half an edge along each of the two axes
-        agreement = agreement + 0.5 * (laplacian @ agreement)
-    return agreement
 
 
 def _deeper(agreement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

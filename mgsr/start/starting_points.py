@@ -12,6 +12,8 @@ from mgsr.data.hull import Hull, carve, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.errors import SceneError
+from mgsr.geometry.outlines import find_outline
+from mgsr.shading.refine import refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.view_colors import seen_colors
 
@@ -19,6 +21,9 @@ RESOLUTION = 128
 
 # Masks are reduced to this side: a grid of RESOLUTION voxels then has about two pixels a voxel.
 MASK_SIDE = 400
+
+# A hull's large shape is wrong too, so shading may change more of it than of a trained surface.
+SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS = 0.85, 80.0, 5
 
 # With fewer points than this of its own, a masked scene does better with its hull.
 MIN_POINTS = 500
@@ -50,7 +55,8 @@ def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
     """Points to start from. The same seed gives the same points.
 
     At most `count` of the capture's own points (COLMAP), in a masked scene only those inside all masks; else `count`
-    points on the visual hull of the masks, carved deeper where the photographs agree on it, spread evenly; else
+    points on the visual hull of the masks, carved deeper where the photographs agree on it and bent to their shading,
+    spread evenly; else
     `count` points in the unit ball.
     """
     generator = np.random.default_rng(seed)
@@ -99,6 +105,8 @@ def _hull_points(
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
     vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
     vertices = carve_by_color(vertices, faces, views)
+    rims = [find_outline(outline) for outline in outlines]
+    vertices = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS).vertices
     positions, normals = _sample(vertices, faces, count, generator)
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)

@@ -59,6 +59,9 @@ def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
     wanted = np.stack([-slope, 0 * slope, np.ones_like(slope)], axis=1) / np.sqrt(1 + slope**2)[:, None]
     up = np.tile([0.0, 0.0, 1.0], (len(flat), 1))
     sure = np.ones(len(flat), bool)
-    moves = bend_to_normals(flat, faces, up, wanted, sure, strength=1e4)
+    hold, still = np.ones(len(flat)), np.zeros(len(flat))
+    moves = bend_to_normals(flat, faces, up, wanted, sure, 1e4, hold, still)
     assert np.abs(moves - wave).max() < 0.002
-    assert not bend_to_normals(flat, faces, up, wanted, ~sure, strength=1e4).any()
+    assert not bend_to_normals(flat, faces, up, wanted, ~sure, 1e4, hold, still).any()
+    lifted = bend_to_normals(flat, faces, up, wanted, sure, 1e4, hold, still + 0.3)
+    np.testing.assert_allclose(lifted, moves + 0.3, atol=0.002)  # slopes say nothing of the height

@@ -17,6 +17,12 @@ def test_every_stage_says_why_it_ended() -> None:
     assert told["Masks"].choice == "used" and told["Holes"].choice == "left open"
 
 
+def test_the_light_is_told() -> None:
+    sample = sample_report()
+    told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
+    assert [each.choice for each in told if each.what.startswith("Shading")] == ["a flash on the camera"]
+
+
 def test_a_runs_own_decisions_stay() -> None:
     own = [Decision("Seed", "0", "asked for")]
     assert with_decisions(replace(sample_report(), decisions=own)).decisions == own

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
 from mgsr.geometry.raycast import RayCaster
@@ -51,32 +51,32 @@ def find_outline(silhouette: Silhouette) -> Outline:
 
 
 def fit_outlines(
-    vertices: np.ndarray, faces: np.ndarray, silhouettes: Sequence[Silhouette], smoothing: float, rounds: int = 2
+    vertices: np.ndarray, faces: np.ndarray, outlines: Sequence[Outline], smoothing: float, rounds: int = 2
 ) -> np.ndarray:
-    """The vertices [V,3] moved along their normals so that the mesh's outlines fall on the silhouettes'.
+    """The vertices [V,3] moved along their normals so that the mesh's outlines fall on the masks'.
 
-    smoothing: over about how many pixels of the silhouettes a correction spreads.
+    smoothing: over about how many pixels of the masks a correction spreads.
     """
-    outlines = [find_outline(silhouette) for silhouette in silhouettes]
     laplacian = umbrella(faces, len(vertices))
+    pixel = pixel_size([outline.camera for outline in outlines], vertices.mean(axis=0))
     for _ in range(rounds):
         normals = vertex_normals(vertices, faces)
-        sums, weights, pixel = _gather(vertices, faces, normals, outlines)
-        held = np.minimum(weights, 1)
-        wanted = sums / np.maximum(weights, 1e-9) * held / (held + STAY)
+        wanted, touched = outline_gaps(vertices, faces, normals, outlines)
+        held = np.minimum(touched, 1)
         reach = smoothing * pixel / edge_length(vertices, faces)
-        moves = smooth_displacements(laplacian, wanted, held + STAY, reach)
+        moves = smooth_displacements(laplacian, wanted * held / (held + STAY), held + STAY, reach)
         limit = SEARCH * pixel
         vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
     return smooth_vertices(vertices, faces, ROUGHNESS)
 
 
-def _gather(
+def outline_gaps(
     vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, outlines: Sequence[Outline]
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Per vertex the weighted sum of the wanted displacements and the sum of the weights [V]; a pixel's size."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far [V] the vertices should move along their normals [V,3] for the mesh's outlines to fall on the masks', and
+    how many points of outlines [V] say so; 0 where none does."""
     caster = RayCaster(vertices, faces)
-    sums, weights, pixels = np.zeros(len(vertices)), np.zeros(len(vertices)), []
+    sums, touched = np.zeros(len(vertices)), np.zeros(len(vertices))
     for outline in outlines:
         rims = _rims(caster, outline)
         corners = faces[rims.faces]
@@ -84,23 +84,21 @@ def _gather(
         good = facing > FACING
         shares, corners = rims.shares[good], corners[good]
         wanted = (rims.gaps * facing)[good, None] * shares
-        np.add.at(sums, corners, wanted)
-        np.add.at(weights, corners, shares)
-        pixels.append(rims.pixel)
-    return sums, weights, float(np.median(pixels)) if pixels else 0.0
+        sums += np.bincount(corners.ravel(), wanted.ravel(), len(vertices))
+        touched += np.bincount(corners.ravel(), shares.ravel(), len(vertices))
+    return sums / np.maximum(touched, 1e-9), touched
 
 
 @dataclass(frozen=True)
 class _Rims:
     """Where the mesh ends beside [Q] outline points: the face, the point's barycentric shares [Q,3] on it, the world
     direction out of the mask [Q,3] and the distance [Q] from there to the outline, positive outwards, in the scene's
-    unit. pixel: a pixel's mean size there."""
+    unit."""
 
     faces: np.ndarray
     shares: np.ndarray
     outwards: np.ndarray
     gaps: np.ndarray
-    pixel: float
 
 
 def _rims(caster: RayCaster, outline: Outline) -> _Rims:
@@ -118,5 +116,4 @@ def _rims(caster: RayCaster, outline: Outline) -> _Rims:
         hits.barycentric[found, last],
         outwards,
         -(steps[last] + STEP / 2) * sizes,
-        float(sizes.mean()) if len(sizes) else 0.0,
     )

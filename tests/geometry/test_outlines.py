@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mgsr.data.silhouettes import Silhouette, signed_distance
+from mgsr.geometry.outlines import find_outline, fit_outlines
 from mgsr.geometry.raycast import RayCaster
-from mgsr.mesh.outlines import find_outline, fit_outlines
 from tests.mesh.shapes import ball, cameras_around
 
 RADIUS = 0.7
@@ -41,7 +41,7 @@ def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
 @pytest.mark.parametrize("off", [-0.02, 0.02])
 def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
     mesh = ball(RADIUS + off)
-    fitted = fit_outlines(mesh.vertices, mesh.faces, covered(RADIUS), smoothing=2.0)
+    fitted = fit_outlines(mesh.vertices, mesh.faces, [find_outline(one) for one in covered(RADIUS)], smoothing=2.0)
     error = np.linalg.norm(fitted, axis=1) - RADIUS
     # A pixel is 0.024; some vertices are touched by no outline and follow the others.
     assert abs(error.mean()) < 0.001
@@ -50,5 +50,5 @@ def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
 
 def test_what_no_outline_reaches_stays() -> None:
     mesh = ball(RADIUS - 0.3)  # far more than the search reaches
-    fitted = fit_outlines(mesh.vertices, mesh.faces, covered(RADIUS), smoothing=2.0)
+    fitted = fit_outlines(mesh.vertices, mesh.faces, [find_outline(one) for one in covered(RADIUS)], smoothing=2.0)
     np.testing.assert_allclose(fitted, mesh.vertices, atol=1e-3)  # but for the smoothing

@@ -1,0 +1,101 @@
+"""Normals from gloss: each point is tilted until what it mirrors of the surroundings explains how it changes from view
+to view. The tilts are searched on a grid, as lamps make the surroundings too uneven for steps along a slope."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from mgsr.geometry.displace import mean_normals, spread
+from mgsr.parallel import map_ahead
+from mgsr.shading.explained import MIN_READINGS, Explained
+from mgsr.shading.readings import Readings
+from mgsr.shading.surroundings import Surroundings, fit_surroundings, look_up
+
+LIMIT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
+OUTLIER = 3.0  # deviations at which a reading counts half
+OWN = 0.02  # cost of a tilt by 10 degrees, in mean costs of the readings
+CHUNK = 1000  # points at a time, so that their readings stay in the cache
+
+
+def explain_by_mirroring(
+    readings: Readings,
+    normals: np.ndarray,
+    laplacian: sparse.csr_matrix,
+    reach: float,
+    still: np.ndarray,
+    threads: int | None,
+) -> Explained:
+    """What one map of mirrored surroundings says of the normals [P,3] of a mesh's vertices.
+
+    laplacian: the mesh's (`umbrella`). reach: edges over which the readings of neighbours are put together.
+    still [P] in 0..1: how little a point's own normal may change.
+    """
+    own = mean_normals(normals, laplacian, rounds=1)
+    surroundings = fit_surroundings(readings, own)
+    sure = readings.counts >= MIN_READINGS
+    tilts = np.tan(np.radians(np.arange(-LIMIT, LIMIT + STEP / 2, STEP)))
+    first, second = _tangents(own)
+    costs = _costs(readings, surroundings, np.stack([first, second, own], axis=1), tilts, threads)
+    costs = spread(costs, laplacian, reach)
+    squares = tilts[:, None] ** 2 + tilts[None] ** 2
+    costs += OWN * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
+    across, along = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
+    change = across[:, None] * first + along[:, None] * second
+    wanted = normals + (1 - still)[:, None] * change
+    return Explained(wanted / np.linalg.norm(wanted, axis=1, keepdims=True).clip(1e-9), sure)
+
+
+def _tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    first = np.cross(axis, normals)
+    first /= np.linalg.norm(first, axis=1, keepdims=True).clip(1e-9)
+    return first, np.cross(normals, first)
+
+
+def _costs(
+    readings: Readings, surroundings: Surroundings, frames: np.ndarray, tilts: np.ndarray, threads: int | None
+) -> np.ndarray:
+    """What is left unexplained [P,T*T] at each tilt of the third axis of the frames [P,3,3] along the others."""
+    table, outlier = surroundings.table(), OUTLIER * surroundings.deviation + 1e-9
+    parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
+    costs = map_ahead(lambda part: _part(readings.at(part), table, frames[part], tilts, outlier), parts, threads)
+    return np.concatenate(list(costs))
+
+
+def _part(readings: Readings, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float) -> np.ndarray:
+    along = np.einsum("pai,pki->apk", frames, readings.towards).astype(np.float32)
+    eye = [readings.towards[..., axis] for axis in range(3)]
+    total = np.maximum(readings.weights.sum(axis=1), 1e-9)[:, None]
+    costs = np.empty((len(frames), len(tilts) ** 2), np.float32)
+    for column, (first, second) in enumerate((first, second) for first in tilts for second in tilts):
+        tilted = (first * frames[:, 0] + second * frames[:, 1] + frames[:, 2]).astype(np.float32)
+        length = 1 + first**2 + second**2
+        twice = np.float32(2 / length) * (np.float32(first) * along[0] + np.float32(second) * along[1] + along[2])
+        shown = look_up(table, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
+        left = readings.brightness - shown
+        left -= (readings.weights * left).sum(axis=1, keepdims=True) / total
+        squares = (left / outlier) ** 2
+        costs[:, column] = (readings.weights * squares / (1 + squares)).sum(axis=1)
+    return costs
+
+
+def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The tilts [P] along both axes where costs [P,T,T] are lowest, between the steps by a parabola."""
+    count, side = len(costs), len(tilts)
+    place = costs.reshape(count, -1).argmin(axis=1)
+    row, column, index = place // side, place % side, np.arange(count)
+    here = costs[index, row, column]
+    rows = [costs[index, np.clip(row + shift, 0, side - 1), column] for shift in (-1, 1)]
+    columns = [costs[index, row, np.clip(column + shift, 0, side - 1)] for shift in (-1, 1)]
+    steps = np.arange(side)
+    return tuple(
+        np.interp(steps[at] + _vertex(before, here, after), steps, tilts)
+        for at, (before, after) in ((row, rows), (column, columns))
+    )
+
+
+def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Where a parabola through three neighbours is lowest, in steps from the middle."""
+    bend = np.maximum(before + after - 2 * here, 1e-12)
+    return np.clip((before - after) / (2 * bend), -0.5, 0.5)

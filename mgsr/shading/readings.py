@@ -1,0 +1,94 @@
+"""How bright each point of a surface is in the photographs that see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from mgsr.data.scene import View
+from mgsr.geometry.raycast import RayCaster
+from mgsr.parallel import map_ahead
+
+MIN_COS = 0.25  # of the tilt; what is seen more grazing is left out
+SOLID = 0.97  # of alpha; pixels under it mix object and background
+CLIPPED = 0.98  # of the brightest channel; pixels above it hide how bright they were
+PHOTOGRAPHS = 64  # that are looked at, spread over all; more tell little more
+KEPT = 24  # readings of a point, those that see it most frontal
+
+
+@dataclass(frozen=True)
+class Readings:
+    """At P points, each in at most K photographs, float32: towards [P,K,3], unit directions to the camera; distances
+    [P,K] to it; brightness [P,K], the mean of the channels in linear light; weights [P,K], the cosine of the tilt where
+    the point is seen and the pixel is of use, else 0."""
+
+    towards: np.ndarray
+    distances: np.ndarray
+    brightness: np.ndarray
+    weights: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """How many photographs tell of each point, [P]."""
+        return (self.weights > 0).sum(axis=1)
+
+    def at(self, points: np.ndarray) -> Readings:
+        """The readings of some of the points, by their indices."""
+        return Readings(self.towards[points], self.distances[points], self.brightness[points], self.weights[points])
+
+
+def read_photographs(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray,
+    photographs: Sequence[View],
+    gap: float,
+    threads: int | None = None,
+) -> Readings:
+    """The photographs' brightness at the vertices [V,3] of a mesh. gap: how far a vertex may lie behind the mesh."""
+    caster = RayCaster(vertices, faces)
+    chosen = np.unique(np.linspace(0, len(photographs) - 1, PHOTOGRAPHS).round().astype(int))
+    views = [photographs[index] for index in chosen]
+    parts = list(map_ahead(lambda view: _read(caster, view, vertices, normals, gap), views, threads))
+    readings = Readings(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
+    if len(views) <= KEPT:
+        return readings
+    best = np.argpartition(readings.weights, -KEPT, axis=1)[:, -KEPT:]
+    rows = np.arange(len(vertices))[:, None]
+    return Readings(*(array[rows, best] for array in _arrays(readings)))
+
+
+def linear_light(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """A photograph's brightness [H,W] float32 in linear light, and 1 where it may be used, else 0."""
+    srgb = view.image.astype(np.float32) / 255
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).mean(axis=-1)
+    usable = srgb.max(axis=-1) <= CLIPPED
+    if view.alpha is not None:
+        usable &= view.alpha >= SOLID * 255
+    return linear, usable.astype(np.float32)
+
+
+def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
+    return readings.towards, readings.distances, readings.brightness, readings.weights
+
+
+def _read(
+    caster: RayCaster, view: View, points: np.ndarray, normals: np.ndarray, gap: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """One photograph's column of the readings."""
+    offsets = (view.camera.center - points).astype(np.float32)
+    distances = np.linalg.norm(offsets, axis=1)
+    towards = offsets / distances[:, None]
+    cosines = (towards * normals).sum(1)
+    index = np.flatnonzero(cosines > MIN_COS)
+    index = index[caster.sees(view.camera, points[index] + normals[index] * gap, gap)]
+    light, usable = linear_light(view)
+    pixels, _ = view.camera.project(points[index])
+    places = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
+    brightness, weights = np.zeros((2, len(points)), np.float32)
+    brightness[index] = map_coordinates(light, places, order=1, mode="nearest")
+    weights[index] = cosines[index] * (map_coordinates(usable, places, order=1, mode="nearest") > 0.99)
+    return towards, distances, brightness, weights

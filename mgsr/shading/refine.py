@@ -1,0 +1,157 @@
+"""A surface bent to the normals that the photographs' shading tells.
+
+Two kinds of light are tried: a flash on the camera, and surroundings that stand still and are mirrored. Where neither
+explains the photographs, the surface stays. Normals know the small shape best and positions the large (Nehab and
+others 2005), and the masks' outlines hold the surface where they touch it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy import sparse
+
+from mgsr.data.camera import pixel_size
+from mgsr.data.scene import View
+from mgsr.geometry.decimate import decimate
+from mgsr.geometry.displace import bend_to_normals, edge_length, mean_normals, smooth_displacements, spread, umbrella
+from mgsr.geometry.outlines import Outline, outline_gaps
+from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import face_crosses, vertex_normals
+from mgsr.shading.explained import Explained
+from mgsr.shading.flash import explain_by_flash, flash_ratio
+from mgsr.shading.mirroring import explain_by_mirroring
+from mgsr.shading.readings import Readings, read_photographs
+from mgsr.shading.surroundings import fit_surroundings
+
+EDGE = 1.5  # pixels; the mesh is worked on with edges about this long, finer ones know no more
+MAX_FACES = 60_000  # of the mesh that is worked on
+TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
+STAY = 0.05  # how much any other does
+OUTLINE_SMOOTHING = 3.0  # pixels over which what the outlines say is smoothed
+POOL = 2.5  # pixels over which the readings of neighbours are put together
+CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it shows too little of each of its tilts
+
+
+class Light(StrEnum):
+    """flash: on the camera; surroundings: standing still, mirrored by the surface; unknown: neither explains enough."""
+
+    FLASH = "flash"
+    SURROUNDINGS = "surroundings"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class Refined:
+    """vertices [V,3], moved where the light is known; ratios: what each kind of light left unexplained at first,
+    against one brightness a point."""
+
+    vertices: np.ndarray
+    light: Light
+    ratios: dict[Light, float]
+
+
+def refine_by_shading(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    photographs: Sequence[View],
+    outlines: Sequence[Outline],
+    max_ratio: float,
+    reach: float,
+    rounds: int,
+    threads: int | None = None,
+) -> Refined:
+    """The vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
+
+    outlines: the masks', which hold the surface; none without masks.
+    max_ratio: the largest share that the light may leave unexplained.
+    reach: pixels; shape larger than this is left as it is, but for what the outlines say.
+    """
+    pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
+    coarse, triangles = _coarser(vertices, faces, EDGE * pixel)
+    work = _Work(triangles, umbrella(triangles, len(coarse)), photographs, outlines, pixel, threads)
+    readings, normals = work.read(coarse)
+    ratios = {
+        Light.FLASH: flash_ratio(readings, normals),
+        Light.SURROUNDINGS: fit_surroundings(readings, normals).ratio,
+    }
+    light = min(ratios, key=lambda kind: ratios[kind])
+    if not ratios[light] <= max_ratio:
+        return Refined(vertices, Light.UNKNOWN, ratios)
+    moved = coarse
+    for _ in range(rounds):
+        readings, normals = work.read(moved)
+        explained = work.explain(light, moved, readings, normals)
+        moved = work.bend(moved, normals, explained, reach)
+    return Refined(vertices + _carried(coarse, triangles, moved - coarse, vertices), light, ratios)
+
+
+@dataclass(frozen=True)
+class _Work:
+    """The mesh that is worked on, but for its vertices, and what it is held against."""
+
+    faces: np.ndarray
+    laplacian: sparse.csr_matrix
+    photographs: Sequence[View]
+    outlines: Sequence[Outline]
+    pixel: float
+    threads: int | None
+
+    def read(self, vertices: np.ndarray) -> tuple[Readings, np.ndarray]:
+        """The photographs at the vertices, and the vertices' normals [V,3]."""
+        normals = vertex_normals(vertices, self.faces).astype(np.float64)
+        return read_photographs(vertices, self.faces, normals, self.photographs, self.pixel, self.threads), normals
+
+    def explain(self, light: Light, vertices: np.ndarray, readings: Readings, normals: np.ndarray) -> Explained:
+        """What the light says of the normals."""
+        if light is Light.FLASH:
+            return explain_by_flash(readings, normals)
+        reach = POOL * self.pixel / edge_length(vertices, self.faces)
+        still = _near_sharp_edges(vertices, self.laplacian, normals, self.pixel, reach)
+        return explain_by_mirroring(readings, normals, self.laplacian, reach, still, self.threads)
+
+    def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: Explained, reach: float) -> np.ndarray:
+        """The vertices moved to fit the normals, the outlines and their own places."""
+        offsets, touched = outline_gaps(vertices, self.faces, normals, self.outlines)
+        held = np.minimum(touched, 1)
+        edge = edge_length(vertices, self.faces)
+        offsets = smooth_displacements(self.laplacian, offsets, held + 1e-3, OUTLINE_SMOOTHING * self.pixel / edge)
+        strength = STAY * (reach * self.pixel / (2 * np.pi * edge)) ** 2
+        moves = bend_to_normals(
+            vertices,
+            self.faces,
+            normals,
+            explained.normals,
+            explained.sure,
+            strength,
+            hold=STAY + TOUCHED * held,
+            offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
+        )
+        return vertices + moves[:, None] * normals
+
+
+def _near_sharp_edges(
+    vertices: np.ndarray, laplacian: sparse.csr_matrix, normals: np.ndarray, pixel: float, reach: float
+) -> np.ndarray:
+    """1 at vertices beside a sharp convex edge, 0 far from all, [V]."""
+    steps = laplacian @ vertices
+    length = np.sqrt(np.maximum((laplacian @ (vertices**2)).sum(1) - 2 * (vertices * steps).sum(1), 1e-20))
+    smooth = mean_normals(normals, laplacian, rounds=1)
+    bend = -(steps * smooth).sum(1) * 4 / length**2 * pixel
+    sharp = (spread(bend[:, None], laplacian, 0.7)[:, 0] > CONVEX).astype(float)
+    return np.clip(4 * spread(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
+
+
+def _coarser(vertices: np.ndarray, faces: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """The mesh with edges of about this length or longer."""
+    area = np.linalg.norm(face_crosses(vertices, faces), axis=1).sum() / 2
+    return decimate(vertices, faces, min(MAX_FACES, max(1000, round(area / (0.433 * edge**2)))))
+
+
+def _carried(vertices: np.ndarray, faces: np.ndarray, moves: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The moves [V,3] of a mesh's vertices at the points [P,3] beside it."""
+    nearest = RayCaster(vertices, faces).nearest(points)
+    return (moves[faces[nearest.face]] * nearest.barycentric[..., None]).sum(axis=1)

@@ -1,0 +1,143 @@
+"""The surroundings as a surface mirrors them, blurred by its gloss: one map over all directions.
+
+Under light that stands still, what a point of an object shows is its own steady brightness, whatever matte paint makes
+of the light, plus what it mirrors, which depends on the mirrored direction alone when the gloss is the same all over.
+So all points together tell one map, and how a single point's brightness changes from view to view tells its normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.ndimage import map_coordinates
+from scipy.sparse.linalg import LinearOperator, cg
+
+from mgsr.shading.readings import Readings
+
+HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
+CELLS = 64  # a side of the table, which looks a direction up to 2 degrees
+POINTS = 6000  # whose readings make the map
+SMOOTHNESS = 0.002  # weight of the map's squared steps beside the readings
+ROUNDS = 3  # of least squares with new weights
+OUTLIER = 3.0  # deviations at which a reading counts half
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the readings from it, in linear light; ratio: of
+    that to their deviation from one brightness a point."""
+
+    light: np.ndarray
+    deviation: float
+    ratio: float
+
+    def table(self) -> np.ndarray:
+        """The light in the cells of the cube [-1,1]^3, flat [CELLS^3] float32: `look_up` needs no angles."""
+        middles = (np.arange(CELLS, dtype=np.float32) + 0.5) * (2 / CELLS) - 1
+        cells = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
+        rows, columns = _places(cells / np.linalg.norm(cells, axis=-1, keepdims=True))
+        wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
+        return map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
+
+
+def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """The light [...] in unit directions with these components [...], from a `Surroundings.table`."""
+    x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
+    return table[(x * CELLS + y) * CELLS + z]
+
+
+def fit_surroundings(readings: Readings, normals: np.ndarray, seed: int = 0) -> Surroundings:
+    """The map that explains the readings best on a surface with these normals [P,3], by robust least squares."""
+    points, seen = _well_read(readings, seed)
+    towards, brightness, weights = readings.towards[points], readings.brightness[points], readings.weights[points]
+    owners = np.nonzero(seen)[0]
+    own, eye = normals[points][owners], towards[seen]
+    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
+    equations = _Equations(rows, brightness[seen].astype(float), owners)
+    given = weights[seen].astype(float)
+    light, current = np.zeros(rows.shape[1]), given
+    for _ in range(ROUNDS):
+        light = equations.solve(current, light)
+        left = equations.left(light, current)
+        spread = 1.4826 * np.median(np.abs(left)) + 1e-9
+        current = given / (1 + (left / (OUTLIER * spread)) ** 2)
+    deviation = _deviation(left, given)
+    plain = _deviation(equations.left(np.zeros_like(light), given), given)
+    return Surroundings(light.reshape(HEIGHT, WIDTH).astype(np.float32), deviation, deviation / max(plain, 1e-9))
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """brightness [Q] = rows [Q,cells] @ light + what is the point's own, the same in all readings of an owner [Q]."""
+
+    rows: sparse.csr_matrix
+    brightness: np.ndarray
+    owners: np.ndarray
+
+    def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
+        smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * _steps_squared()
+        turned = self.rows.T.tocsr()
+
+        def apply(light: np.ndarray) -> np.ndarray:
+            return turned @ (weights * self._without_own(self.rows @ light, weights)) + smooth @ light + 1e-6 * light
+
+        size = self.rows.shape[1]
+        right = turned @ (weights * self._without_own(self.brightness, weights))
+        return cg(LinearOperator((size, size), matvec=apply, dtype=float), right, x0=start, rtol=1e-3, maxiter=100)[0]
+
+    def left(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        return self._without_own(self.brightness - self.rows @ light, weights)
+
+    def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        means = np.bincount(self.owners, weights * values) / np.maximum(np.bincount(self.owners, weights), 1e-12)
+        return values - means[self.owners]
+
+
+def _well_read(readings: Readings, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Some points that several photographs see, by index, and which of their readings count [points,K] bool."""
+    points = np.flatnonzero(readings.counts >= 3)
+    if len(points) > POINTS:
+        points = np.sort(np.random.default_rng(seed).choice(points, POINTS, replace=False))
+    return points, readings.weights[points] > 0
+
+
+def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where directions [...,3] fall on the map: row -0.5 to HEIGHT-0.5 and column -0.5 to WIDTH-0.5."""
+    polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
+    return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
+
+
+def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
+    """The matrix [Q,HEIGHT*WIDTH] that reads the map in directions [Q,3], bilinear."""
+    rows, columns = _places(directions)
+    top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
+    down, along = rows - top, columns - first
+    cells, shares = [], []
+    for row, row_share in ((top, 1 - down), (top + 1, down)):
+        for column, column_share in ((first, 1 - along), (first + 1, along)):
+            cells.append(np.clip(row, 0, HEIGHT - 1) * WIDTH + column % WIDTH)
+            shares.append(row_share * column_share)
+    places = (np.tile(np.arange(len(rows)), 4), np.concatenate(cells))
+    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), HEIGHT * WIDTH)).tocsr()
+
+
+def _steps_squared() -> sparse.csr_matrix:
+    """The quadratic form of the differences of neighbouring cells; the map closes around the azimuth."""
+    cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    pairs = np.concatenate(
+        [
+            np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], 1),
+            np.stack([cells[:-1].ravel(), cells[1:].ravel()], 1),
+        ]
+    )
+    count = len(pairs)
+    ends = (np.tile(np.arange(count), 2), pairs.T.ravel())
+    steps = sparse.coo_matrix((np.repeat([1.0, -1.0], count), ends), (count, cells.size)).tocsr()
+    return (steps.T @ steps).tocsr()
+
+
+def _deviation(left: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.sqrt((weights * left * left).sum() / max(weights.sum(), 1e-12)))

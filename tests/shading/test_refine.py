@@ -1,0 +1,133 @@
+"""Shading by a flash and by mirrored surroundings, on a ball with ripples that the starting mesh lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.data.scene import View
+from mgsr.geometry.displace import umbrella
+from mgsr.geometry.outlines import find_outline
+from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.geometry.triangles import vertex_normals
+from mgsr.shading.mirroring import explain_by_mirroring
+from mgsr.shading.readings import read_photographs
+from mgsr.shading.refine import Light, Refined, refine_by_shading
+from mgsr.shading.surroundings import fit_surroundings, look_up
+from tests.mesh.shapes import ball, cameras_around, silhouettes_of
+
+RADIUS = 0.7
+SIDE = 128
+LAMPS = np.array([[0.6, 0.2, 0.77], [-0.7, 0.5, -0.5], [0.1, -0.95, 0.3]])
+
+Shade = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # paint, normal, offset to the eye -> linear light
+
+
+def rippled() -> trimesh.Trimesh:
+    mesh = ball(RADIUS)
+    x, y, z = mesh.vertices.T / RADIUS
+    ripples = 0.009 * np.sin(14 * x) * np.sin(14 * y) * np.cos(14 * z)
+    return trimesh.Trimesh(mesh.vertices * (1 + ripples)[:, None], mesh.faces, process=False)
+
+
+def flash(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """A lamp on the camera, with a highlight."""
+    distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
+    cosine = np.clip((normal * offset).sum(-1) / distance, 0, 1)
+    return (0.05 + 6 / distance**2 * cosine)[..., None] * paint + 0.5 * (cosine**60)[..., None]
+
+
+def matte(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """A lamp that stands still."""
+    return (0.05 + np.clip(normal @ np.array([0.3, 0.5, 0.81]), 0, 1))[..., None] * paint
+
+
+def glossy(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """The same, on varnish that mirrors three wide lamps."""
+    eye = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    mirrored = 2 * (eye * normal).sum(-1, keepdims=True) * normal - eye
+    return 0.5 * matte(paint, normal, offset) + lamps(mirrored)[..., None]
+
+
+def lamps(directions: np.ndarray) -> np.ndarray:
+    """The surroundings' light [...] in directions [...,3]."""
+    return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
+
+
+def photographs(mesh: trimesh.Trimesh, shade: Shade) -> list[View]:
+    """What cameras around see of the mesh in two paints, in sRGB of 8 bits."""
+    normals, views = vertex_normals(mesh.vertices, mesh.faces), []
+    caster = RayCaster(mesh.vertices, mesh.faces)
+    for index, camera in enumerate(cameras_around(40, side=SIDE)):
+        y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+        hits = caster.cast_pixels(camera, np.stack([x, y], axis=-1))
+        corners = mesh.faces[np.where(hits.mask, hits.face, 0)]
+        normal = (normals[corners] * hits.barycentric[..., None]).sum(2)
+        offsets = -pixel_rays(camera) * hits.depth[..., None]
+        paint = np.where(np.sin(9 * (camera.center - offsets)[..., :1]) > 0, [0.6, 0.4, 0.2], [0.2, 0.4, 0.5])
+        light = np.clip(shade(paint, normal, offsets), 0, 1) * hits.mask[..., None]
+        srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+        image, alpha = np.round(255 * srgb).astype(np.uint8), (hits.mask * 255).astype(np.uint8)
+        views.append(View(str(index), camera, image, alpha))
+    return views
+
+
+def refine(shade: Shade) -> Refined:
+    """The smooth ball held against photographs of the rippled one."""
+    smooth, views = ball(RADIUS), photographs(rippled(), shade)
+    outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
+    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, reach=20.0, rounds=3)
+
+
+def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
+    """Mean angle in degrees between the vertex normals of both."""
+    found, true = (vertex_normals(places, truth.faces) for places in (vertices, truth.vertices))
+    return float(np.degrees(np.arccos(np.clip((found * true).sum(1), -1, 1))).mean())
+
+
+@pytest.mark.parametrize(("shade", "light"), [(flash, Light.FLASH), (glossy, Light.SURROUNDINGS)])
+def test_ripples_come_out(shade: Shade, light: Light) -> None:
+    truth, smooth = rippled(), ball(RADIUS)
+    refined = refine(shade)
+    assert refined.light is light
+    assert tilt_error(smooth.vertices, truth) > 2.5
+    assert tilt_error(refined.vertices, truth) < 0.75 * tilt_error(smooth.vertices, truth)
+    radii = [np.linalg.norm(places, axis=1) for places in (truth.vertices, smooth.vertices, refined.vertices)]
+    before, after = (np.abs(found - radii[0]).mean() for found in radii[1:])
+    assert after < 0.9 * before
+
+
+def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:
+    refined = refine(matte)
+    assert refined.light is Light.UNKNOWN
+    np.testing.assert_array_equal(refined.vertices, ball(RADIUS).vertices)
+
+
+def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
+    mesh = ball(RADIUS)
+    normals = vertex_normals(mesh.vertices, mesh.faces).astype(float)
+    readings = read_photographs(mesh.vertices, mesh.faces, normals, photographs(mesh, glossy), gap=0.01)
+    found = fit_surroundings(readings, normals)
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    difference = look_up(found.table(), *directions.T.astype(np.float32)) - lamps(directions)
+    assert np.std(difference) < 0.15 * np.std(lamps(directions))
+    assert found.ratio < 0.5
+
+
+def test_tilted_normals_are_turned_back() -> None:
+    mesh = ball(RADIUS)
+    true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
+    readings = read_photographs(mesh.vertices, mesh.faces, true, photographs(mesh, glossy), gap=0.01)
+    wave = np.sin(8 * mesh.vertices[:, 2] / RADIUS)  # to and fro, so that the map itself stays where it is
+    tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    still, laplacian = np.zeros(len(true)), umbrella(mesh.faces, len(true))
+    explained = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=still, threads=1)
+    errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1)))for n in (tilted, explained.normals)]
+    assert errors[1].mean() < 0.6 * errors[0].mean()
+    kept = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
+    np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)

@@ -133,7 +133,7 @@ def _finish(
     return SurfaceMesh(vertices, faces, normals, colors, light)
 
 
-_ROUNDS = 3  # of reading the photographs and bending the surface
+_ROUNDS = 4  # of reading the photographs and bending the surface
 _COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 

@@ -27,8 +27,7 @@ from mgsr.shading.mirroring import explain_by_mirroring
 from mgsr.shading.readings import Readings, read_photographs
 from mgsr.shading.surroundings import fit_surroundings
 
-EDGE = 1.5  # pixels; the mesh is worked on with edges about this long, finer ones know no more
-MAX_FACES = 60_000  # of the mesh that is worked on
+MAX_FACES = 150_000  # of the mesh that is worked on
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
 OUTLINE_SMOOTHING = 3.0  # pixels over which what the outlines say is smoothed
@@ -42,6 +41,11 @@ class Light(StrEnum):
     FLASH = "flash"
     SURROUNDINGS = "surroundings"
     UNKNOWN = "unknown"
+
+
+# Pixels; the mesh is worked on with edges about this long. A flash tells each point's normal by itself, while mirrored
+# surroundings need the readings of neighbours, so finer edges would show nothing more.
+EDGES = {Light.FLASH: 1.0, Light.SURROUNDINGS: 1.5}
 
 
 @dataclass(frozen=True)
@@ -71,22 +75,22 @@ def refine_by_shading(
     reach: pixels; shape larger than this is left as it is, but for what the outlines say.
     """
     pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
-    coarse, triangles = _coarser(vertices, faces, EDGE * pixel)
-    work = _Work(triangles, umbrella(triangles, len(coarse)), photographs, outlines, pixel, threads)
-    readings, normals = work.read(coarse)
-    ratios = {
-        Light.FLASH: flash_ratio(readings, normals),
-        Light.SURROUNDINGS: fit_surroundings(readings, normals).ratio,
-    }
+
+    def mesh_for(light: Light) -> tuple[_Work, np.ndarray]:
+        places, triangles = _coarser(vertices, faces, EDGES[light] * pixel)
+        laplacian = umbrella(triangles, len(places))
+        return _Work(triangles, laplacian, photographs, outlines, pixel, threads), places
+
+    ratios = _ratios(*mesh_for(Light.SURROUNDINGS))
     light = min(ratios, key=lambda kind: ratios[kind])
     if not ratios[light] <= max_ratio:
         return Refined(vertices, Light.UNKNOWN, ratios)
+    work, coarse = mesh_for(light)
     moved = coarse
     for _ in range(rounds):
         readings, normals = work.read(moved)
-        explained = work.explain(light, moved, readings, normals)
-        moved = work.bend(moved, normals, explained, reach)
-    return Refined(vertices + _carried(coarse, triangles, moved - coarse, vertices), light, ratios)
+        moved = work.bend(moved, normals, work.explain(light, moved, readings, normals), reach)
+    return Refined(vertices + _carried(coarse, work.faces, moved - coarse, vertices), light, ratios)
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,15 @@ class _Work:
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
         return vertices + moves[:, None] * normals
+
+
+def _ratios(work: _Work, vertices: np.ndarray) -> dict[Light, float]:
+    """What each kind of light leaves unexplained on the mesh as it is."""
+    readings, normals = work.read(vertices)
+    return {
+        Light.FLASH: flash_ratio(readings, normals),
+        Light.SURROUNDINGS: fit_surroundings(readings, normals).ratio,
+    }
 
 
 def _near_sharp_edges(

@@ -29,7 +29,7 @@ TINY: dict[str, Any] = {
     "train.surfels.max_start": 600,
     "mesh.poisson_depth": 5,
     "mesh.outline_smoothing": None,
-    "mesh.flash_ratio": None,
+    "mesh.shading_ratio": None,
 }
 TINY_OPTIONS: dict[str, Any] = {"preset": "draft", "method": "2dgs", "settings": TINY}
 # Minutes of work, for tests that stop it.

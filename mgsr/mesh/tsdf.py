@@ -17,7 +17,7 @@ BLOCK = 16  # voxels along a block's edge
 def tsdf_surface(
     views: Sequence[SurfaceView], voxel: float, truncation: float, min_weight: float, rules: PixelRules
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V,3] and faces [F,3], counter-clockwise from outside; both empty where no voxel was seen.
+    """Vertices [V,3] and faces [F,3], counter-clockwise from outside; both empty where no surface was seen.
 
     voxel: the grid's spacing in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must
     have been seen.
@@ -27,7 +27,13 @@ def tsdf_surface(
         _integrate(grid, view, voxel, truncation, rules)
     if grid.hashmap().size() == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
+    try:
+        mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
+    except RuntimeError as error:
+        # Where the surface has no vertex, Open3D trips over the colours that it does not have either.
+        if "SetVertexColors" not in str(error):
+            raise
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
 
 

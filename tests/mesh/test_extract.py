@@ -118,6 +118,8 @@ def test_empty_meshes_say_why(views: list[SurfaceView]) -> None:
         extract_mesh(views, replace(CONFIG, radius=0.1))
     with pytest.raises(MeshError, match="empty mesh"):
         extract_mesh(views, replace(CONFIG, extractor=Extractor.TSDF, radius=0.1))
+    with pytest.raises(MeshError, match="empty mesh"):  # no voxel is seen by the two views that it takes
+        extract_mesh(views[:1], replace(CONFIG, extractor=Extractor.TSDF))
     with pytest.raises(MeshError, match=r"normal of a surface view: expected \[96, 96, 3\]"):
         replace(views[0], normal=views[0].normal[:5])
 

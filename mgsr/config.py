@@ -309,6 +309,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "volumes.densify.max_count": "8000",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
+        "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
     "standard": {},  # 5 minutes
     "high": {  # 20 minutes

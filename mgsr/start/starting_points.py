@@ -23,7 +23,7 @@ RESOLUTION = 128
 MASK_SIDE = 400
 
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface.
-SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS = 0.85, 80.0, 5
+SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS = 0.85, 80.0, 4
 
 # With fewer points than this of its own, a masked scene does better with its hull.
 MIN_POINTS = 500

@@ -298,7 +298,7 @@ class Config:
 
 # What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing.
 PRESETS: dict[str, dict[str, str]] = {
-    "draft": {  # 60 seconds
+    "draft": {  # about a minute
         "warmup.surfel_iterations": "250",
         "warmup.volume_iterations": "350",
         "mutual.iterations": "300",
@@ -311,8 +311,8 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
-    "standard": {},  # 5 minutes
-    "high": {  # 20 minutes
+    "standard": {},  # about five minutes
+    "high": {  # meant for 20 minutes, not measured yet
         "warmup.surfel_iterations": "4000",
         "warmup.volume_iterations": "6000",
         "mutual.iterations": "8000",

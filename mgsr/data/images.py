@@ -81,6 +81,11 @@ def _read_pixels(path: Path, source: str) -> np.ndarray:
     return _encode_srgb(pixels) if is_float else pixels
 
 
+def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
+    """sRGB values 0..1 as linear light (IEC 61966-2-1)."""
+    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+
+
 def _encode_srgb(linear: np.ndarray) -> np.ndarray:
     """8-bit sRGB from linear light, by IEC 61966-2-1; alpha (the last of 2 or 4 channels) is left linear."""
     light = np.clip(np.nan_to_num(linear), 0, 1)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
 
 
@@ -84,11 +85,6 @@ def write_glb(
     ]
     body = b"".join(array.tobytes() for array, *_ in arrays)
     path.write_bytes(_glb(_gltf(arrays, _node_matrix(middle, up)), body))
-
-
-def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
-    """sRGB values 0..1 as linear light (IEC 61966-2-1)."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 def _node_matrix(middle: np.ndarray, up: UpAxis) -> list[float]:

@@ -36,6 +36,14 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
 
 
+def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors [V,3] each that are square to the unit normals [V,3] and to each other; 0 where those are."""
+    axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    across = np.cross(axis, normals)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return across, np.cross(normals, across)
+
+
 def face_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.ndarray]:
     """How many connected pieces the faces form, and each face's piece [F]; faces are joined by shared vertices."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])

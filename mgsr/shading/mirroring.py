@@ -7,6 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from mgsr.geometry.displace import mean_normals, spread
+from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
 from mgsr.shading.explained import MIN_READINGS, Explained
 from mgsr.shading.readings import Readings
@@ -35,7 +36,7 @@ def explain_by_mirroring(
     surroundings = fit_surroundings(readings, own)
     sure = readings.counts >= MIN_READINGS
     tilts = np.tan(np.radians(np.arange(-LIMIT, LIMIT + STEP / 2, STEP)))
-    first, second = _tangents(own)
+    first, second = tangents(own)
     costs = _costs(readings, surroundings, np.stack([first, second, own], axis=1), tilts, threads)
     costs = spread(costs, laplacian, reach)
     squares = tilts[:, None] ** 2 + tilts[None] ** 2
@@ -44,13 +45,6 @@ def explain_by_mirroring(
     change = across[:, None] * first + along[:, None] * second
     wanted = normals + (1 - still)[:, None] * change
     return Explained(wanted / np.linalg.norm(wanted, axis=1, keepdims=True).clip(1e-9), sure)
-
-
-def _tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    first = np.cross(axis, normals)
-    first /= np.linalg.norm(first, axis=1, keepdims=True).clip(1e-9)
-    return first, np.cross(normals, first)
 
 
 def _costs(

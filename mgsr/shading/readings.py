@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
@@ -61,10 +62,10 @@ def read_photographs(
     return Readings(*(array[rows, best] for array in _arrays(readings)))
 
 
-def linear_light(view: View) -> tuple[np.ndarray, np.ndarray]:
+def _linear_light(view: View) -> tuple[np.ndarray, np.ndarray]:
     """A photograph's brightness [H,W] float32 in linear light, and 1 where it may be used, else 0."""
     srgb = view.image.astype(np.float32) / 255
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4).mean(axis=-1)
+    linear = srgb_to_linear(srgb).mean(axis=-1)
     usable = srgb.max(axis=-1) <= CLIPPED
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
@@ -85,7 +86,7 @@ def _read(
     cosines = (towards * normals).sum(1)
     index = np.flatnonzero(cosines > MIN_COS)
     index = index[caster.sees(view.camera, points[index] + normals[index] * gap, gap)]
-    light, usable = linear_light(view)
+    light, usable = _linear_light(view)
     pixels, _ = view.camera.project(points[index])
     places = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
     brightness, weights = np.zeros((2, len(points)), np.float32)

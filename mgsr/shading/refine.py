@@ -50,12 +50,10 @@ EDGES = {Light.FLASH: 1.0, Light.SURROUNDINGS: 1.5}
 
 @dataclass(frozen=True)
 class Refined:
-    """vertices [V,3], moved where the light is known; ratios: what each kind of light left unexplained at first,
-    against one brightness a point."""
+    """vertices [V,3], moved where the light is known."""
 
     vertices: np.ndarray
     light: Light
-    ratios: dict[Light, float]
 
 
 def refine_by_shading(
@@ -81,16 +79,18 @@ def refine_by_shading(
         laplacian = umbrella(triangles, len(places))
         return _Work(triangles, laplacian, photographs, outlines, pixel, threads), places
 
-    ratios = _ratios(*mesh_for(Light.SURROUNDINGS))
+    work, coarse = mesh_for(Light.SURROUNDINGS)
+    ratios = _ratios(work, coarse)
     light = min(ratios, key=lambda kind: ratios[kind])
     if not ratios[light] <= max_ratio:
-        return Refined(vertices, Light.UNKNOWN, ratios)
-    work, coarse = mesh_for(light)
+        return Refined(vertices, Light.UNKNOWN)
+    if light is Light.FLASH:
+        work, coarse = mesh_for(light)
     moved = coarse
     for _ in range(rounds):
         readings, normals = work.read(moved)
         moved = work.bend(moved, normals, work.explain(light, moved, readings, normals), reach)
-    return Refined(vertices + _carried(coarse, work.faces, moved - coarse, vertices), light, ratios)
+    return Refined(vertices + _carried(coarse, work.faces, moved - coarse, vertices), light)
 
 
 @dataclass(frozen=True)

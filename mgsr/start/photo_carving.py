@@ -18,11 +18,11 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.images import reduce_area
+from mgsr.data.images import reduce_area, srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, spread, umbrella
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.triangles import tangents, vertex_normals
 
 MAX_SIDE = 400  # images are reduced to this side
 OFFSETS = np.arange(-8.0, 1.5)  # pixels along the outward normal
@@ -73,15 +73,11 @@ def _look(view: View) -> _Look:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         image = reduce_area(image.astype(np.float32), camera.width, camera.height)
         solid = reduce_area(solid.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
-    red, green, blue = np.moveaxis(_linear(image.astype(np.float32) / 255), -1, 0)
+    red, green, blue = np.moveaxis(srgb_to_linear(image.astype(np.float32) / 255), -1, 0)
     channels = np.stack([(red - green) / 2**0.5, (red + green - 2 * blue) / 6**0.5])
     inside = solid > SOLID * 255
     packed = np.concatenate([channels, inside[None]]).astype(np.float32)
     return _Look(camera, torch.from_numpy(packed), _noise(channels, inside))
-
-
-def _linear(srgb: np.ndarray) -> np.ndarray:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0) + 0.055) / 1.055) ** 2.4)
 
 
 def _noise(channels: np.ndarray, inside: np.ndarray) -> float:
@@ -145,10 +141,7 @@ def _patch_grid() -> tuple[np.ndarray, Tensor]:
 
 def _tangent_points(normals: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """The patches' points [V,P,3] relative to their centres, in the tangent planes."""
-    axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
-    across = np.cross(axis, normals)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    along = np.cross(normals, across)
+    across, along = tangents(normals)
     return grid[:, :1] * across[:, None] + grid[:, 1:] * along[:, None]
 
 

@@ -10,8 +10,9 @@ import pytest
 import trimesh
 from plyfile import PlyData
 
+from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.mesh_files import UpAxis, srgb_to_linear, write_glb, write_ply
+from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

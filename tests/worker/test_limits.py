@@ -92,7 +92,7 @@ def test_a_process_that_a_stranger_kills_is_started_again(limited: Stack, tiny_a
     begun = time.monotonic()
     while (seen := limited.wait_for(job, "running", "queued"))["attempt"] != 2 or seen["step"] != "train":
         time.sleep(0.1)
-    assert time.monotonic() - begun < 90  # with a start of the process on a busy machine
+    assert time.monotonic() - begun < 30
     limited.http.delete(f"/jobs/{job}")
     limited.wait_for(job, "cancelled")
 

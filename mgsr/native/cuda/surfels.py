@@ -6,7 +6,6 @@ import ctypes
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from mgsr.native.cuda import tiles
@@ -14,12 +13,14 @@ from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
+    PROJECTED,
     SPLAT_THREADS,
     TILE_PIXELS,
     TileLists,
     Tiles,
-    list_tiles,
+    project,
     refusing,
+    splat_blocks,
     sum_pairs,
 )
 from mgsr.native.cuda.view import Camera, camera_struct
@@ -45,7 +46,7 @@ class Splats(ctypes.Structure):
 
 
 class ProjectParams(ctypes.Structure):
-    _fields_ = (("in", Splats), *pointers("records", "outlines", "depths", "tile_counts", "radii"))
+    _fields_ = (("in", Splats), *PROJECTED)
 
 
 class BlendParams(ctypes.Structure):
@@ -108,7 +109,9 @@ class SurfelKernels:
         """Render into the images and radii given, and return what `backward` takes."""
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, radii = arguments[13:19], arguments[19]
-        records, outlines, lists = self._project(_splats_struct(splats, view), radii)
+        records, outlines, lists = project(
+            self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii
+        )
         kind = "plain" if images[5] is None else "distortion"
         transmittance, reached = radii.new_empty(lists.height, lists.width), lists.ranges.new_empty(lists.tiles)
         moments = None if images[5] is None else radii.new_empty(lists.height, lists.width, 2)
@@ -138,16 +141,7 @@ class SurfelKernels:
         sums = sum_pairs(self._launcher, lists, pairs)
         arrays = (pointer(t) for t in (frame.records, sums, lists.tile_counts, *v_splats))
         gradients = GradientParams(_splats_struct(splats, view), *arrays)
-        self._launcher.launch("surfels", "surfels_gradients", _blocks(len(splats[0])), SPLAT_THREADS, gradients)
-
-    def _project(self, splats: Splats, radii: Tensor) -> tuple[Tensor, Tensor, TileLists]:
-        count = splats.count
-        records, outlines = radii.new_empty(count, tiles.RECORD_FLOATS), radii.new_empty(count, tiles.OUTLINE_FLOATS)
-        depths, tile_counts = radii.new_empty(count), radii.new_empty(count, dtype=torch.int32)
-        params = ProjectParams(splats, *(pointer(t) for t in (records, outlines, depths, tile_counts, radii)))
-        self._launcher.launch("surfels", "surfels_project", _blocks(count), SPLAT_THREADS, params)
-        lists = list_tiles(self._launcher, depths, outlines, tile_counts, splats.width, splats.height)
-        return records, outlines, lists
+        self._launcher.launch("surfels", "surfels_gradients", splat_blocks(len(splats[0])), SPLAT_THREADS, gradients)
 
     def _prepare_pixels(self, kind: str, frame: Frame, images: Any, v_images: Any) -> Tensor:
         color, _, depth, _, normal, _ = images
@@ -156,10 +150,6 @@ class SurfelKernels:
         params = PixelParams(frame.lists.struct(), *(pointer(t) for t in arrays))
         self._launcher.launch("surfels", f"surfels_pixels_{kind}", frame.lists.tiles, TILE_PIXELS, params)
         return planes
-
-
-def _blocks(splats: int) -> int:
-    return -(-splats // SPLAT_THREADS)
 
 
 def _splats_struct(splats: Any, view: Any) -> Splats:

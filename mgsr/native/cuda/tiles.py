@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -92,6 +93,30 @@ class TileLists:
         """For the kernels' parameters; its tensors must outlive the launch."""
         arrays = (pointer(t) for t in (self.ranges, self.entries, self.bucket_ends))
         return Tiles(self.width, self.height, -(-self.width // TILE), self.tiles, *arrays)
+
+
+# What every projection writes: the end of its params struct, after the splats.
+PROJECTED = pointers("records", "outlines", "depths", "tile_counts", "radii")
+
+
+def project(
+    launcher: Launcher, family: str, params: Callable[..., ctypes.Structure], splats: Any, radii: Tensor
+) -> tuple[Tensor, Tensor, TileLists]:
+    """Run a family's projection of its splats struct into radii [N]: records, outlines and the lists of the tiles.
+
+    params: the family's struct of the splats and PROJECTED.
+    """
+    count = splats.count
+    records, outlines = radii.new_empty(count, RECORD_FLOATS), radii.new_empty(count, OUTLINE_FLOATS)
+    depths, tile_counts = radii.new_empty(count), radii.new_empty(count, dtype=torch.int32)
+    arrays = (pointer(t) for t in (records, outlines, depths, tile_counts, radii))
+    launcher.launch(family, f"{family}_project", splat_blocks(count), SPLAT_THREADS, params(splats, *arrays))
+    return records, outlines, list_tiles(launcher, depths, outlines, tile_counts, splats.width, splats.height)
+
+
+def splat_blocks(splats: int) -> int:
+    """Blocks of SPLAT_THREADS, a thread a splat."""
+    return -(-splats // SPLAT_THREADS)
 
 
 def list_tiles(

@@ -6,7 +6,6 @@ import ctypes
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from mgsr.native.cuda import tiles
@@ -14,12 +13,14 @@ from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
+    PROJECTED,
     SPLAT_THREADS,
     TILE_PIXELS,
     TileLists,
     Tiles,
-    list_tiles,
+    project,
     refusing,
+    splat_blocks,
     sum_pairs,
 )
 from mgsr.native.cuda.view import Camera, camera_struct
@@ -46,7 +47,7 @@ class Splats(ctypes.Structure):
 
 
 class ProjectParams(ctypes.Structure):
-    _fields_ = (("in", Splats), *pointers("records", "outlines", "depths", "tile_counts", "radii"))
+    _fields_ = (("in", Splats), *PROJECTED)
 
 
 class BlendParams(ctypes.Structure):
@@ -105,7 +106,8 @@ class VolumeKernels:
             arguments[16:21],
             arguments[21],
         )
-        records, lists = self._project(_splats_struct(splats, view), radii)
+        splats_struct = _splats_struct(splats, view)
+        records, _, lists = project(self._launcher, "volumes", ProjectParams, splats_struct, radii)
         kind, transmittance = _kind(splats), background.new_empty(lists.height, lists.width)
         reached, states = lists.ranges.new_empty(lists.tiles), None
         with refusing(lists.pairs):
@@ -131,17 +133,8 @@ class VolumeKernels:
         sums = sum_pairs(self._launcher, lists, pairs)
         arrays = (frame.records, frame.radii, sums, lists.tile_counts, *v_splats)
         gradients = GradientParams(_splats_struct(splats, view), *(pointer(t) for t in arrays))
-        blocks = -(-len(splats[0]) // SPLAT_THREADS)
+        blocks = splat_blocks(len(splats[0]))
         self._launcher.launch("volumes", "volumes_gradients", blocks, SPLAT_THREADS, gradients)
-
-    def _project(self, splats: Splats, radii: Tensor) -> tuple[Tensor, TileLists]:
-        count = splats.count
-        records, outlines = radii.new_empty(count, tiles.RECORD_FLOATS), radii.new_empty(count, tiles.OUTLINE_FLOATS)
-        depths, tile_counts = radii.new_empty(count), radii.new_empty(count, dtype=torch.int32)
-        arrays = (records, outlines, depths, tile_counts, radii)
-        params = ProjectParams(splats, *(pointer(t) for t in arrays))
-        self._launcher.launch("volumes", "volumes_project", -(-count // SPLAT_THREADS), SPLAT_THREADS, params)
-        return records, list_tiles(self._launcher, depths, outlines, tile_counts, splats.width, splats.height)
 
     def _prepare_pixels(self, kind: str, frame: Frame, images: Any, v_images: Any) -> Tensor:
         color, _, depth, reflected, weight = images

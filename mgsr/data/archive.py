@@ -1,79 +1,247 @@
-"""A zipped scene, unpacked without letting it write anywhere else."""
+"""An archived scene, unpacked without letting it write anywhere else, fill the disk or leave anything behind."""
 
 from __future__ import annotations
 
 import atexit
+import gzip
+import lzma
+import os
 import shutil
 import stat
+import tarfile
 import tempfile
 import zipfile
 import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import IO, Any
 
 from mgsr.errors import SceneError
+
+ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst", ".7z", ".rar")
 
 # Far above any capture that a run could use; it stops archives that are made to fill the disk.
 MAX_BYTES = 32 << 30
 MAX_MEMBERS = 100_000
+# Photographs hardly shrink; small archives may be as compressible as they like (masks are).
+MAX_RATIO = 200
+RATIO_FROM = 256 << 20
 
+_LONGEST_NAME = 255
+_LONGEST_PATH = 1000
+_CHUNK = 1 << 20
+# Between two files of a tar stream only their headers come; those that claim more were made to fill the memory.
+_HEADER_BYTES = 4 << 20
 _JUNK = {"__MACOSX", ".DS_Store", "Thumbs.db"}
+_DAMAGE = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    lzma.LZMAError,
+    gzip.BadGzipFile,
+    EOFError,
+    ValueError,
+    NotImplementedError,
+    OverflowError,
+)
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A file of an archive and how to read it, or a folder (None)."""
+
+    name: str
+    open: Callable[[], IO[bytes]] | None
 
 
 def unpack(archive: Path, target: Path | None = None) -> Path:
-    """The folder with the archive's files: `target`, or else one that is removed when this process ends.
+    """The folder with the archive's files: `target`, which must not hold anything, or else one that is removed when
+    this process ends. zip, tar, tar.gz and tar.zst, told apart by their content.
 
-    Raises SceneError naming the member for absolute paths, '..', links, encrypted or damaged members.
+    Raises SceneError naming the member for names that are absolute, have '..' or control characters, are too long or
+    come twice (also where only their case differs), for links and devices, encrypted or damaged members, and for
+    archives that unpack to too much. Then nothing is left behind.
     """
+    folder = target or _temporary_folder()
+    if folder.is_dir() and any(folder.iterdir()):
+        raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
     try:
-        with zipfile.ZipFile(archive) as opened:
-            members = [member for member in opened.infolist() if not _is_junk(member)]
-            places = [_checked_place(archive, member) for member in members]
-            _check_size(archive, members)
-            folder = target or _temporary_folder()
-            for member, place in zip(members, places, strict=True):
-                _write(archive, opened, member, folder / place)
-    except (zipfile.BadZipFile, NotImplementedError) as error:
-        raise SceneError(f"{archive.name}: not a zip archive that can be read: {error}; make it again") from error
+        with _opened(archive) as members:
+            _write_all(archive, members, folder)
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if isinstance(error, _DAMAGE):
+            raise SceneError(f"{archive.name}: damaged or not an archive: {error}; make it again") from error
+        raise
     return folder
 
 
-def _checked_place(archive: Path, member: zipfile.ZipInfo) -> PurePosixPath:
-    name = member.filename.replace("\\", "/")
+def archive_stem(path: Path) -> str:
+    """The archive's name without what says that it is one."""
+    suffix = next((end for end in sorted(ARCHIVE_SUFFIXES, key=len)[::-1] if path.name.lower().endswith(end)), "")
+    return path.name[: len(path.name) - len(suffix)] or path.name
+
+
+@contextmanager
+def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
+    """The archive's members, junk left out."""
+    with archive.open("rb") as file:
+        head = file.read(512)
+        file.seek(0)
+        if head.startswith(b"PK"):
+            with zipfile.ZipFile(file) as opened:
+                yield _zip_members(archive, opened)
+        elif head.startswith(b"\x1f\x8b"):
+            with gzip.GzipFile(fileobj=file) as plain:
+                yield _tar_members(archive, plain)
+        elif head.startswith(b"\x28\xb5\x2f\xfd"):
+            yield _tar_members(archive, _zstd_reader(file))
+        elif head[257:262] == b"ustar":
+            yield _tar_members(archive, file)
+        else:
+            raise SceneError(f"{archive.name}: expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst")
+
+
+def _zstd_reader(file: IO[bytes]) -> Any:
+    import zstandard  # late: few archives need it
+
+    # 128 MiB is the window up to which the format asks every program to go.
+    return _Zstd(zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(file))
+
+
+class _Zstd:
+    """Reads zstd with the errors that the other archives have."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def read(self, count: int) -> bytes:
+        import zstandard
+
+        try:
+            data: bytes = self._stream.read(count)
+        except zstandard.ZstdError as error:
+            raise EOFError(str(error)) from error
+        return data
+
+
+class _Gauge:
+    """Counts what a stream gives, against what may come before the next file's content."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.left: float = _HEADER_BYTES
+
+    def read(self, count: int) -> bytes:
+        data: bytes = self._stream.read(count)
+        self.left -= len(data)
+        if self.left < 0:
+            raise tarfile.ReadError(f"a header of more than {_HEADER_BYTES} bytes")
+        return data
+
+
+def _zip_members(archive: Path, opened: zipfile.ZipFile) -> Iterator[_Member]:
+    for member in opened.infolist():
+        kind = stat.S_IFMT(member.external_attr >> 16)
+        if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise _refused(archive, member.filename, "is a link or a special file; put the file in")
+        if member.flag_bits & 1:
+            raise _refused(archive, member.filename, "is encrypted; archive it without a password")
+        # zipfile cuts names at a NUL byte; what stood after it was meant for another reader.
+        if "\0" in member.orig_filename:
+            raise _refused(archive, member.orig_filename, "has control characters in its name; rename it")
+        yield _Member(member.filename, None if member.is_dir() else lambda member=member: opened.open(member))  # type: ignore[misc]
+
+
+def _tar_members(archive: Path, stream: Any) -> Iterator[_Member]:
+    gauge = _Gauge(stream)
+    with tarfile.open(fileobj=gauge, mode="r|") as opened:  # type: ignore[call-overload]
+        for member in opened:
+            opened.members = []  # else the names of many members pile up in memory
+            if member.isdir():
+                yield _Member(member.name, None)
+            elif member.isreg() and not member.issparse():
+                gauge.left = float("inf")
+                yield _Member(member.name, lambda member=member: opened.extractfile(member))  # type: ignore[misc]
+            else:
+                raise _refused(archive, member.name, "is a link or a special file; put the file in")
+            gauge.left = _HEADER_BYTES
+
+
+def _write_all(archive: Path, members: Iterator[_Member], folder: Path) -> None:
+    budget = _Budget(archive)
+    taken: dict[str, str] = {}
+    for member in members:
+        budget.count_member(member.name)
+        place = _checked_place(archive, member.name)
+        if _JUNK & set(place.parts) or not place.parts:
+            continue
+        if member.open is None:
+            _make_folder(archive, member.name, folder / place)
+            continue
+        other = taken.setdefault(str(place).casefold(), member.name)
+        if other is not member.name:
+            raise _refused(archive, member.name, f"has the name of {other!r}, or differs in case only; rename one")
+        _write(archive, member, folder / place, budget)
+
+
+def _checked_place(archive: Path, text: str) -> PurePosixPath:
+    name = text.replace("\\", "/")
     place = PurePosixPath(name)
-    if place.is_absolute() or ".." in place.parts or ":" in place.parts[0]:
-        raise SceneError(f"{archive.name}: member {member.filename!r} points outside the archive; refused")
-    kind = stat.S_IFMT(member.external_attr >> 16)
-    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
-        raise SceneError(f"{archive.name}: member {member.filename!r} is a link or a special file; put the file in")
-    if member.flag_bits & 1:
-        raise SceneError(f"{archive.name}: member {member.filename!r} is encrypted; archive it without a password")
+    if place.is_absolute() or ".." in place.parts or (place.parts and ":" in place.parts[0]):
+        raise _refused(archive, text, "points outside the archive; refused")
+    if len(name) > _LONGEST_PATH or any(len(os.fsencode(part)) > _LONGEST_NAME for part in place.parts):
+        raise _refused(archive, text[:80], f"has a name longer than {_LONGEST_NAME} bytes; rename it")
+    if any(ord(letter) < 32 or ord(letter) == 127 for letter in name):
+        raise _refused(archive, text, "has control characters in its name; rename it")
     return place
 
 
-def _check_size(archive: Path, members: list[zipfile.ZipInfo]) -> None:
-    total = sum(member.file_size for member in members)
-    if total > MAX_BYTES or len(members) > MAX_MEMBERS:
-        raise SceneError(
-            f"{archive.name}: unpacks to {len(members)} files of {total / 2**30:.1f} GiB; "
-            f"at most {MAX_MEMBERS} files of {MAX_BYTES / 2**30:.0f} GiB are taken"
-        )
+class _Budget:
+    """Counts what really comes out of an archive, whatever it declares."""
+
+    def __init__(self, archive: Path) -> None:
+        self._archive, self._packed = archive, archive.stat().st_size
+        self._members = self._bytes = 0
+
+    def count_member(self, name: str) -> None:
+        self._members += 1
+        if self._members > MAX_MEMBERS:
+            raise _refused(self._archive, name, f"is one too many: at most {MAX_MEMBERS} files are taken")
+
+    def count_bytes(self, name: str, count: int) -> None:
+        self._bytes += count
+        if self._bytes > MAX_BYTES:
+            raise _refused(self._archive, name, f"makes it unpack to more than {MAX_BYTES} bytes, the limit")
+        if self._bytes > RATIO_FROM and self._bytes > MAX_RATIO * self._packed:
+            raise _refused(self._archive, name, f"makes it unpack to over {MAX_RATIO} times its size, the limit")
 
 
-def _write(archive: Path, opened: zipfile.ZipFile, member: zipfile.ZipInfo, place: Path) -> None:
+def _make_folder(archive: Path, name: str, place: Path) -> None:
     try:
-        if member.is_dir():
-            place.mkdir(parents=True, exist_ok=True)
-            return
-        place.parent.mkdir(parents=True, exist_ok=True)
-        # zipfile never gives more bytes than the member declares, so _check_size holds for what is written.
-        with opened.open(member) as source, open(place, "wb") as sink:
-            shutil.copyfileobj(source, sink)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as error:
-        raise SceneError(f"{archive.name}: member {member.filename!r} can't be unpacked: {error}") from error
+        place.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise _refused(archive, name, "is a folder and a file; rename one") from error
 
 
-def _is_junk(member: zipfile.ZipInfo) -> bool:
-    return bool(_JUNK & set(PurePosixPath(member.filename).parts)) or not PurePosixPath(member.filename).parts
+def _write(archive: Path, member: _Member, place: Path, budget: _Budget) -> None:
+    assert member.open is not None, "folders have nothing to write"
+    _make_folder(archive, member.name, place.parent)
+    try:
+        with member.open() as source, open(place, "xb") as sink:
+            while chunk := source.read(_CHUNK):
+                budget.count_bytes(member.name, len(chunk))
+                sink.write(chunk)
+    except FileExistsError as error:
+        raise _refused(archive, member.name, "is a folder and a file; rename one") from error
+    except (*_DAMAGE, RuntimeError) as error:
+        raise _refused(archive, member.name, f"can't be unpacked: {error}") from error
+
+
+def _refused(archive: Path, name: str, what: str) -> SceneError:
+    return SceneError(f"{archive.name}: member {name!r} {what}")
 
 
 def _temporary_folder() -> Path:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.data.lens import Lens
+from mgsr.data.lens import AnyLens
 from mgsr.data.scene import PointCloud
 
 
@@ -42,15 +42,17 @@ class Photo:
     source: str
     mask: Path | None = None
     split: Split | None = None
-    lens: Lens | None = None
+    lens: AnyLens | None = None
 
 
 @dataclass(frozen=True)
 class Capture:
-    """All photographs of a scene, and points of its surface in the user's frame where the files have them."""
+    """All photographs of a scene, points of its surface in the user's frame where the files have them, and notes for
+    the person: what the files have and the reader left out."""
 
     photos: list[Photo]
     points: PointCloud | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

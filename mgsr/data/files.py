@@ -1,18 +1,24 @@
-"""Files of a capture: JSON, paths that must stay inside the scene's folder, and the names of views."""
+"""Files of a capture: JSON, paths that must stay inside the scene's folder, masks, and the names of views."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from mgsr.errors import SceneError
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif")
 MASK_SUFFIXES = (".png", ".jpg", ".jpeg")
+MASK_FOLDERS = ("masks", "mask")
+
+# What file systems take; longer names come from damaged or hostile files.
+_LONGEST_NAME = 255
+_LONGEST_PATH = 4000
 
 
 def read_json(path: Path) -> Any:
@@ -21,8 +27,25 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except json.JSONDecodeError as error:
         raise SceneError(f"{path.name}: not valid JSON at line {error.lineno}: {error.msg}; mend the file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path.name}: can't be read as text: {error}") from error
+    except RecursionError as error:
+        raise SceneError(f"{path.name}: JSON nested too deep to be a capture; export it again") from error
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path.name}: can't be read as JSON text: {error}; export it again") from error
+
+
+def number(values: Mapping[str, Any], name: str, source: str) -> float:
+    """values[name] as a float. Raises SceneError naming `source` for what is no finite number."""
+    value = values.get(name)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
+        raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}")
+    return float(value)
+
+
+def _finite(value: float) -> bool:
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # JSON's whole numbers have no limit
+        return False
 
 
 def inside(root: Path, text: Any, source: str) -> Path:
@@ -32,7 +55,10 @@ def inside(root: Path, text: Any, source: str) -> Path:
     """
     if not isinstance(text, str) or not text.strip():
         raise SceneError(f"{source}: expected the path of an image, got {text!r}")
-    path = Path(os.path.normpath(root / text.replace("\\", "/")))
+    text = text.replace("\\", "/")
+    if "\0" in text or len(text) > _LONGEST_PATH or any(len(part.encode()) > _LONGEST_NAME for part in text.split("/")):
+        raise SceneError(f"{source}: {text[:80]!r}...: no file can have this name; mend the file")
+    path = Path(os.path.normpath(root / text))
     if not path.is_relative_to(os.path.normpath(root)):
         raise SceneError(f"{source}: {text} lies outside the scene's folder; put it inside and use a relative path")
     return path
@@ -52,18 +78,63 @@ def find_image(root: Path, text: Any, source: str) -> Path:
 
 
 def find_mask(root: Path, image: Path) -> Path | None:
-    """The mask of an image in `root`/masks: the same name with .png or .jpg in place of, or after, its extension.
+    """The mask of an image in `root`/masks or `root`/mask, or beside the image as RealityCapture has it.
 
-    The image's folders below the folder of all images count where masks/ has them too (``masks/left/0001.png``).
+    In the folder: the image's name with .png or .jpg in place of, or after, its extension, also with _mask or .mask
+    before (``0001.png``, ``0001.jpg.png``, ``0001_mask.png``, ``0001.mask.png``); beside it: the last two alone. The
+    image's folders below the folder of all images count where masks/ has them too (``masks/left/0001.png``).
     """
+    marked = (image.stem + "_mask", image.stem + ".mask", image.name + ".mask")
     parts = image.relative_to(root).parts
-    for first in range(len(parts)):
-        place = root.joinpath("masks", *parts[first:-1])
-        for name in (image.stem, image.name):
-            for suffix in MASK_SUFFIXES:
-                if (mask := place / (name + suffix)).is_file():
-                    return mask
-    return None
+    for folder in MASK_FOLDERS:
+        if not (root / folder).is_dir():
+            continue
+        for first in range(len(parts)):
+            found = _first_mask(root.joinpath(folder, *parts[first:-1]), (image.stem, image.name, *marked))
+            if found and found != image:
+                return found
+    return _first_mask(image.parent, marked[1:])
+
+
+def _first_mask(place: Path, names: Sequence[str]) -> Path | None:
+    paths = (place / (name + suffix) for name in names for suffix in MASK_SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def images_below(root: Path) -> list[Path]:
+    """Every image file in the folder and below, without those of the mask folders, hidden folders and masks beside
+    images; sorted."""
+    found = []
+    for folder, inner, names in os.walk(root):
+        inner[:] = sorted(name for name in inner if name not in MASK_FOLDERS and not name.startswith((".", "__")))
+        found += [Path(folder, name) for name in sorted(names) if _is_image(name)]
+    return found
+
+
+def _is_image(name: str) -> bool:
+    path = PurePosixPath(name)
+    return path.suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and not path.stem.endswith(".mask")
+
+
+class ImageIndex:
+    """The photographs below a folder, found by the names that programs give them: with or without folders and
+    extension, in any case."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._by_name: dict[str, list[Path]] = {}
+        for path in images_below(root):
+            for name in (path.name.lower(), path.stem.lower()):
+                self._by_name.setdefault(name, []).append(path)
+
+    def find(self, label: str, source: str) -> Path | None:
+        """The photograph of that name, or None. Raises SceneError where several folders have one."""
+        name = PurePosixPath(label.replace("\\", "/")).name.lower()
+        found = sorted(set(self._by_name.get(name, [])))
+        if len(found) > 1:
+            both = ", ".join(str(path.relative_to(self._root)) for path in found[:2])
+            raise SceneError(f"{source}: {label!r} may be {both}; leave one image of each name in the folder")
+        return found[0] if found else None
 
 
 def view_names(images: Sequence[Path]) -> list[str]:

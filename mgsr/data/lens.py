@@ -1,98 +1,156 @@
-"""Lens distortion, and photographs resampled as a pinhole camera would have taken them."""
+"""Lenses: where each kind of distortion puts a ray on the photograph.
+
+Every lens maps a ray (x, y, 1) to a place (x, y) that K then takes to pixels.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-import torch
 
-from mgsr.errors import SceneError
+Coordinates = tuple[np.ndarray, np.ndarray]
+
+
+class AnyLens(Protocol):
+    """What all lenses have in common. They are frozen, so that equal lenses share their work."""
+
+    @property
+    def flat(self) -> bool:
+        """Whether this lens changes nothing."""
+
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """Where the lens puts the rays (x, y, 1), arrays that broadcast; NaN for rays that it can't show."""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Radial (k1, k2) and tangential (p1, p2) distortion of OpenCV's model, on coordinates over depth."""
+    """Brown's polynomial as OpenCV writes it, with more terms where files have them.
+
+    k1, k2, then `higher`: factors of r^2, r^4, r^6...; p1, p2: tangential; divisor: the factors of r^2, r^4, r^6 in the
+    denominator (OpenCV's k4, k5, k6); prism: OpenCV's s1..s4; skew: what y adds to x at the end, both over the focal
+    length in x. fisheye: the polynomial acts on the ray's angle (Kannala and Brandt 2006) and not on its tangent.
+    """
 
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    higher: tuple[float, ...] = ()
+    divisor: tuple[float, ...] = ()
+    prism: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    skew: float = 0.0
+    fisheye: bool = False
 
     @property
     def flat(self) -> bool:
         """Whether this lens changes nothing."""
-        return self == Lens()
+        terms = (self.k1, self.k2, self.p1, self.p2, *self.higher, *self.divisor, *self.prism, self.skew)
+        return not self.fisheye and not any(terms)
 
-    def distort(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the lens puts the points (x, y, 1): OpenCV's calib3d documentation, "Detailed Description"."""
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """OpenCV's calib3d documentation, "Detailed Description"; for fisheyes its section "Fisheye camera model"."""
+        if self.fisheye:
+            x, y = _by_angle(x, y)
         r2 = x * x + y * y
-        radial = 1 + self.k1 * r2 + self.k2 * r2 * r2
+        radial = 1 + _polynomial(r2, (self.k1, self.k2, *self.higher))
+        if any(self.divisor):
+            radial = radial / (1 + _polynomial(r2, self.divisor))
         dx = 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x)
         dy = self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y
-        return x * radial + dx, y * radial + dy
+        if any(self.prism):
+            dx = dx + _polynomial(r2, self.prism[:2])
+            dy = dy + _polynomial(r2, self.prism[2:])
+        bent_x, bent_y = x * radial + dx, y * radial + dy
+        return (bent_x + self.skew * bent_y, bent_y) if self.skew else (bent_x, bent_y)
 
 
 @dataclass(frozen=True)
-class Undistortion:
-    """How to resample one photograph: source pixel coordinates [h,w] for each pixel, and the pinhole's K."""
+class FieldOfViewLens:
+    """One angle, radians (Devernay and Faugeras 2001)."""
 
-    source_x: np.ndarray
-    source_y: np.ndarray
-    K: np.ndarray
+    omega: float
+    flat: bool = False
 
-
-def undistortion(lens: Lens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-    """The largest pinhole image with the photograph's focal lengths of which the photograph shows every pixel.
-
-    The borders that it doesn't show are cut off, so that no part of MGSR meets pixels that nobody saw.
-    Raises SceneError naming `source` if nothing is left.
-    """
-    # float32 places a pixel to a thousandth, and takes half the time of float64.
-    x = ((np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]).astype(np.float32)
-    y = ((np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]).astype(np.float32)
-    bent_x, bent_y = lens.distort(x[None, :], y[:, None])
-    source_x, source_y = bent_x * K[0, 0] + K[0, 2], bent_y * K[1, 1] + K[1, 2]
-    seen = (source_x >= 0) & (source_x <= width) & (source_y >= 0) & (source_y <= height)
-    rows, cols = _trim(seen & _unfolded(source_x, source_y))
-    if rows.stop - rows.start < 2 or cols.stop - cols.start < 2:
-        raise SceneError(f"{source}: the lens distortion {lens} leaves no usable image; check its numbers")
-    pinhole = K.copy()
-    pinhole[:2, 2] -= cols.start, rows.start
-    return Undistortion(source_x[rows, cols], source_y[rows, cols], pinhole)
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """Radii r to atan(2 r tan(omega / 2)) / omega."""
+        r = np.maximum(np.hypot(x, y), 1e-12)
+        factor = np.arctan(2 * r * math.tan(self.omega / 2)) / (self.omega * r)
+        return x * factor, y * factor
 
 
-def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
-    """The undistorted image [h,w,C] float32 of a photograph [H,W,C] float32, by bicubic interpolation."""
-    height, width = image.shape[:2]
-    grid = np.stack([how.source_x * (2 / width) - 1, how.source_y * (2 / height) - 1], axis=-1)
-    # scipy.ndimage's cubic spline gives the same to a grey level and takes ten times as long.
-    sampled = torch.nn.functional.grid_sample(
-        torch.from_numpy(image).permute(2, 0, 1)[None],
-        torch.from_numpy(grid.astype(np.float32))[None],
-        mode="bicubic",
-        padding_mode="border",
-        align_corners=False,
-    )
-    return np.ascontiguousarray(sampled[0].permute(1, 2, 0).numpy())
+@dataclass(frozen=True)
+class DivisionLens:
+    """One factor; undistorted = distorted / (1 + k r^2), with the distorted radius r (Fitzgibbon 2001)."""
+
+    k: float
+
+    @property
+    def flat(self) -> bool:
+        """Whether this lens changes nothing."""
+        return self.k == 0
+
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """The quadratic equation's root that goes over into r at k = 0."""
+        with np.errstate(invalid="ignore"):
+            factor = 2 / (1 + np.sqrt(1 - 4 * self.k * (x * x + y * y)))
+        return x * factor, y * factor
 
 
-def _unfolded(source_x: np.ndarray, source_y: np.ndarray) -> np.ndarray:
-    """Where the mapping keeps its orientation: polynomials fold back over themselves far from the centre."""
-    turn = np.diff(source_x, axis=1)[1:] * np.diff(source_y, axis=0)[:, 1:]
-    shear = np.diff(source_x, axis=0)[:, 1:] * np.diff(source_y, axis=1)[1:]
-    return np.pad(turn > shear, ((1, 0), (1, 0)), mode="edge")
+@dataclass(frozen=True)
+class UnifiedLens:
+    """The enhanced unified camera model (Khomutenko, Garcia and Martinet 2016)."""
+
+    alpha: float
+    beta: float
+
+    @property
+    def flat(self) -> bool:
+        """Whether this lens changes nothing."""
+        return self.alpha == 0
+
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """The ray over alpha times its distance on the ellipsoid and 1 - alpha times its depth."""
+        factor = 1 / (self.alpha * np.sqrt(self.beta * (x * x + y * y) + 1) + 1 - self.alpha)
+        return x * factor, y * factor
 
 
-def _trim(good: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a large rectangle with a border of good pixels: the worst side is cut until all are."""
-    top, bottom, left, right = 0, good.shape[0], 0, good.shape[1]
-    while bottom - top > 1 and right - left > 1:
-        inner = good[top:bottom, left:right]
-        bad = [1 - side.mean() for side in (inner[0], inner[-1], inner[:, 0], inner[:, -1])]
-        worst = int(np.argmax(bad))
-        if bad[worst] == 0:
-            break
-        top, bottom = top + (worst == 0), bottom - (worst == 1)
-        left, right = left + (worst == 2), right - (worst == 3)
-    return slice(top, bottom), slice(left, right)
+@dataclass(frozen=True)
+class AriaLens:
+    """Fisheye with six radial, two tangential and four prism terms (Project Aria's "Fisheye624")."""
+
+    radial: tuple[float, ...]
+    tangential: tuple[float, float]
+    prism: tuple[float, float, float, float]
+    flat: bool = False
+
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """Radial terms on the ray's angle; the others on what comes of that."""
+        x, y = _by_angle(x, y)
+        factor = 1 + _polynomial(x * x + y * y, self.radial)
+        x, y = x * factor, y * factor
+        r2 = x * x + y * y
+        across = 2 * (x * self.tangential[0] + y * self.tangential[1])
+        dx = across * x + self.tangential[0] * r2 + _polynomial(r2, self.prism[:2])
+        dy = across * y + self.tangential[1] * r2 + _polynomial(r2, self.prism[2:])
+        return x + dx, y + dy
+
+
+def _by_angle(x: np.ndarray, y: np.ndarray) -> Coordinates:
+    """Rays with their angle to the axis, radians, as length."""
+    r = np.maximum(np.hypot(x, y), 1e-12)
+    factor = np.arctan(r) / r
+    return x * factor, y * factor
+
+
+def _polynomial(r2: np.ndarray, factors: tuple[float, ...]) -> np.ndarray:
+    """factors[0] r^2 + factors[1] r^4 + ..., by Horner's rule."""
+    used = len(factors)
+    while used > 1 and factors[used - 1] == 0:
+        used -= 1
+    total: np.ndarray | float = 0.0
+    for factor in reversed(factors[:used]):
+        total = (total + factor) * r2
+    return np.asarray(total)

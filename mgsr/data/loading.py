@@ -1,9 +1,10 @@
-"""Photographs to views: decoded in parallel, reduced, undistorted, with their masks settled."""
+"""Photographs to views: decoded in parallel, turned, reduced, undistorted, with their masks settled."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -12,10 +13,18 @@ import numpy as np
 from mgsr.config import DataConfig, Masks
 from mgsr.data.camera import Camera
 from mgsr.data.capture import Photo
-from mgsr.data.images import composite_on_white, read_image, read_mask, reduce_area, to_uint8
-from mgsr.data.lens import resample, undistortion
+from mgsr.data.images import Picture, composite_on_white, read_mask, read_picture, reduce_area, to_uint8, upright
+from mgsr.data.masks import fitted_mask, inverted_masks
+from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
+from mgsr.data.undistortion import Undistorter, resample
 from mgsr.errors import SceneError
+
+# Called with the number of photographs that are loaded and of all.
+LoadProgress = Callable[[int, int], None]
+
+# Seconds between two calls of it.
+_REPORT_EVERY = 2.0
 
 
 @dataclass(frozen=True)
@@ -27,18 +36,42 @@ class LoadedView:
     cut_out: bool
 
 
-def load_views(photos: Sequence[Photo], names: Sequence[str], config: DataConfig) -> list[LoadedView]:
-    """Every photograph, decoded; in the order given. Raises SceneError for the first that can't be used."""
+@dataclass(frozen=True)
+class _Tools:
+    """What the loading of all photographs shares."""
+
+    config: DataConfig
+    undistort: Undistorter
+    pixels: PixelStore
+
+
+def load_views(
+    photos: Sequence[Photo], names: Sequence[str], config: DataConfig, progress: LoadProgress | None = None
+) -> list[LoadedView]:
+    """Every photograph, decoded once; in the order given. At most as many as there are threads are in work at a time,
+    beside the finished ones. Raises SceneError for the first that can't be used."""
+    tools = _Tools(config, Undistorter(), PixelStore())
+    loaded: list[LoadedView] = []
+    reported = time.monotonic()
     # Decoding and resampling let go of the interpreter lock; more threads than that only cost memory.
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
-        return list(pool.map(lambda photo, name: _load(photo, name, config), photos, names))
+        try:
+            for item in pool.map(lambda photo, name: _load(photo, name, tools), photos, names):
+                loaded.append(item)
+                if progress is not None and time.monotonic() - reported > _REPORT_EVERY:
+                    reported = time.monotonic()
+                    progress(len(loaded), len(photos))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # else a bad first photograph is told after all others are decoded
+            raise
+    return loaded
 
 
 def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> tuple[list[View], list[View]]:
     """The views with masks if `masks` allows and every training view has one, else all without.
 
     Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are put on white.
-    Raises SceneError under Masks.REQUIRE.
+    Raises SceneError under Masks.REQUIRE, and for masks that are white around the object.
     """
     bare = next((item.view.name for item in train if item.view.alpha is None), None)
     solid = all(item.view.alpha is None or item.view.alpha.min() == 255 for item in train)
@@ -46,6 +79,11 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
         missing = f"view {bare!r} has none" if bare is not None else "every mask is white all over"
         raise SceneError(f"masks=require: {missing}; add alpha channels or a masks/ folder, or use masks=auto")
     keep = masks is not Masks.OFF and bare is None and not solid
+    if keep and inverted_masks([item.view.alpha for item in train if item.view.alpha is not None]):
+        raise SceneError(
+            "the masks are inverted: white around the object and black on it; make them white on the object, or run "
+            "with masks=off"
+        )
     settle = _keep_alpha if keep else _drop_alpha
     return [settle(item) for item in train], [settle(item) for item in test]
 
@@ -61,20 +99,37 @@ def _drop_alpha(item: LoadedView) -> View:
     return replace(view, alpha=None)
 
 
-def _load(photo: Photo, name: str, config: DataConfig) -> LoadedView:
-    colors, own_alpha = read_image(photo.image, photo.source)
-    height, width = colors.shape[:2]
+def _load(photo: Photo, name: str, tools: _Tools) -> LoadedView:
+    picture = read_picture(photo.image, photo.source)
+    mask = read_mask(photo.mask, photo.source) if photo.mask and tools.config.masks is not Masks.OFF else None
+    picture, mask = _turned(picture, mask, photo)
+    height, width = picture.colors.shape[:2]
+    if mask is not None:
+        mask = fitted_mask(mask, width, height, photo)
     camera = _camera(photo, width, height)
-    mask = read_mask(photo.mask, photo.source) if photo.mask and config.masks is not Masks.OFF else None
-    if mask is not None and mask.shape != (height, width):
-        raise SceneError(
-            f"mask {photo.mask}: {mask.shape[1]}x{mask.shape[0]} pixels, but its image has {width}x{height}; "
-            "give the mask the image's size"
-        )
-    view = View(name, camera, colors, _both(own_alpha, mask))
-    if max(width, height) > config.max_side or photo.lens is not None:
-        view = _resampled(view, photo, config.max_side, premultiply=own_alpha is not None)
-    return LoadedView(view, cut_out=own_alpha is not None)
+    view = View(name, camera, picture.colors, _both(picture.alpha, mask))
+    if max(width, height) > tools.config.max_side or photo.lens is not None:
+        view = _resampled(view, photo, tools, premultiply=picture.alpha is not None)
+    held = replace(
+        view,
+        image=tools.pixels.hold(view.image),
+        alpha=None if view.alpha is None else tools.pixels.hold(view.alpha),
+    )
+    return LoadedView(held, cut_out=picture.alpha is not None)
+
+
+def _turned(picture: Picture, mask: np.ndarray | None, photo: Photo) -> tuple[Picture, np.ndarray | None]:
+    """The photograph as the camera was calibrated for it: as it is stored, as in COLMAP, unless only its upright form
+    has the camera's shape. A mask of the stored form is turned along."""
+    height, width = picture.colors.shape[:2]
+    if picture.orientation == 1 or _same_shape(photo.size, (width, height)):
+        return picture, mask
+    if picture.orientation < 5 or not _same_shape(photo.size, (height, width)):
+        return picture, mask
+    if mask is not None and _same_shape((width, height), mask.shape[::-1]):
+        mask = upright(mask, picture.orientation)
+    alpha = None if picture.alpha is None else upright(picture.alpha, picture.orientation)
+    return Picture(upright(picture.colors, picture.orientation), alpha), mask
 
 
 def _both(alpha: np.ndarray | None, mask: np.ndarray | None) -> np.ndarray | None:
@@ -90,8 +145,7 @@ def _camera(photo: Photo, width: int, height: int) -> Camera:
         return camera
     if min(photo.size) < 1:
         raise SceneError(f"{photo.source}: image size {photo.size[0]}x{photo.size[1]}; expected whole numbers above 0")
-    # A copy's sides are rounded to whole pixels, so its two scales agree to about a pixel only.
-    if abs(width / photo.size[0] - height / photo.size[1]) * max(photo.size) > 1.5:
+    if not _same_shape(photo.size, (width, height)):
         raise SceneError(
             f"{photo.source}: the camera is for {photo.size[0]}x{photo.size[1]} pixels, but {photo.image.name} has "
             f"{width}x{height}; give the calibrated image, or a scaled copy of the same shape"
@@ -99,17 +153,23 @@ def _camera(photo: Photo, width: int, height: int) -> Camera:
     return camera.resized(width, height)
 
 
-def _resampled(view: View, photo: Photo, max_side: int, premultiply: bool) -> View:
+def _same_shape(size: tuple[int, ...], copy: tuple[int, ...]) -> bool:
+    """Whether an image of one size, (width, height), may be a scaled copy of the other: a copy's sides are rounded to
+    whole pixels, so its two scales agree to about a pixel only."""
+    return min(size) > 0 and abs(copy[0] / size[0] - copy[1] / size[1]) * max(size) <= 1.5
+
+
+def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> View:
     """The view at most `max_side` large and without its lens. Colours that have no meaning where alpha is zero are
     weighted by it."""
     pixels = _stack(view, premultiply)
     camera = view.camera
-    shrink = max_side / max(camera.width, camera.height)
+    shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         pixels = reduce_area(pixels, camera.width, camera.height)
     if photo.lens is not None:
-        how = undistortion(photo.lens, camera.K, camera.width, camera.height, photo.source)
+        how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
         pixels = resample(np.ascontiguousarray(pixels), how)
         camera = replace(camera, K=how.K, width=pixels.shape[1], height=pixels.shape[0])
     return _unstack(view.name, camera, pixels, premultiply)

@@ -44,8 +44,9 @@ def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
     return pose
 
 
-def check_intrinsics(K: np.ndarray, source: str) -> np.ndarray:
-    """The intrinsics [3,3], scaled to a last row of 0 0 1. Raises SceneError if no pinhole camera has them."""
+def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.ndarray:
+    """The intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1. Raises SceneError if no pinhole
+    camera has them, or its principal point lies outside the image."""
     if not np.isfinite(K).all():
         raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers")
     if K[0, 0] == 0 or K[1, 1] == 0:
@@ -59,6 +60,11 @@ def check_intrinsics(K: np.ndarray, source: str) -> np.ndarray:
         raise SceneError(f"{source}: the intrinsics have skew ({K[0, 1]:g}); resample the images without skew first")
     if K[0, 0] < 0 or K[1, 1] < 0:
         raise SceneError(f"{source}: the focal length is negative; expected fx and fy in pixels, with OpenCV axes")
+    if not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1]):
+        raise SceneError(
+            f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies outside the image of {size[0]}x{size[1]} "
+            "pixels; expected cx and cy in pixels of it: give the images that were calibrated, not parts of them"
+        )
     return np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
 
 

@@ -7,21 +7,25 @@ from dataclasses import replace
 from pathlib import Path
 
 from mgsr.config import DataConfig
-from mgsr.data.archive import unpack
+from mgsr.data.archive import ARCHIVE_SUFFIXES, archive_stem, unpack
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.files import view_names
+from mgsr.data.files import images_below, view_names
 from mgsr.data.formats import all_formats
-from mgsr.data.loading import load_views, settle_masks
+from mgsr.data.loading import LoadProgress, load_views, settle_masks
 from mgsr.data.normalise import normalisation
 from mgsr.data.poses import check_intrinsics, check_pose
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.errors import ConfigError, SceneError
 
 
-def load_scene(path: Path, config: DataConfig, unpack_to: Path | None = None) -> Scene:
-    """The scene at `path`, a folder or a .zip, whatever its format, with every image decoded.
+def load_scene(
+    path: Path, config: DataConfig, unpack_to: Path | None = None, progress: LoadProgress | None = None
+) -> Scene:
+    """The scene at `path`, a folder or an archive (.zip, .tar, .tar.gz, .tar.zst), whatever its format, with every
+    image decoded.
 
-    unpack_to: where an archive's files go; by default a folder that is removed when the process ends.
+    unpack_to: where an archive's files go; by default a folder that is removed when the process ends. progress: told
+    every few seconds how many photographs are decoded, of how many.
     A name is unique within train and within test. `test` is empty where the files name no split and there are fewer
     than `config.test_every` views.
 
@@ -34,16 +38,17 @@ def load_scene(path: Path, config: DataConfig, unpack_to: Path | None = None) ->
     train, test = split(photos, config.test_every)
     if len(train) < 2:
         raise SceneError(f"{Path(path).name}: {len(train)} training views; at least 2 are needed, 20 or more are good")
-    train_views, test_views = _load(train, test, config)
+    train_views, test_views = _load(train, test, config, progress)
     frame = normalisation(train_views, capture.points)
     return Scene(
-        name=Path(path).stem if Path(path).is_file() else root.name,
+        name=archive_stem(Path(path)) if Path(path).is_file() else root.name,
         root=root,
         format=kind.name,
         train=[_to_scene(view, frame) for view in train_views],
         test=[_to_scene(view, frame) for view in test_views],
         points=_points_to_scene(capture, frame),
         user_from_scene=frame,
+        notes=capture.notes,
     )
 
 
@@ -74,8 +79,6 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
         return path
     if not path.exists():
         raise SceneError(f"{path}: no such folder or file")
-    if path.suffix.lower() != ".zip":
-        raise SceneError(f"{path}: expected a folder or a .zip archive of one")
     return unpack(path, unpack_to)
 
 
@@ -91,9 +94,23 @@ def _find(folder: Path) -> tuple[Path, Format]:
         if len(inner) != 1 or not inner[0].is_dir():
             break
         root = inner[0]
+    raise _unknown(folder, root, formats)
+
+
+def _unknown(folder: Path, root: Path, formats: Sequence[Format]) -> SceneError:
+    """What is wrong with a folder that no format recognises."""
     looked = "; ".join(kind.looks_for for kind in formats)
+    archives = [entry.name for entry in sorted(root.iterdir()) if entry.name.lower().endswith(ARCHIVE_SUFFIXES)]
+    images = images_below(root)
+    if archives:
+        return SceneError(f"{folder}: no known scene in it, but another archive, {archives[0]}: unpack that first")
+    if images:
+        return SceneError(
+            f"{folder}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {folder}`, or put them "
+            f"there. Looked for: {looked}. See docs/inputs.md"
+        )
     state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"
-    raise SceneError(f"{folder}: {state}. Looked for: {looked}. See docs/inputs.md")
+    return SceneError(f"{folder}: {state}. Looked for: {looked}. See docs/inputs.md")
 
 
 def _present(photos: Sequence[Photo], root: Path) -> Sequence[Photo]:
@@ -116,15 +133,17 @@ def _present(photos: Sequence[Photo], root: Path) -> Sequence[Photo]:
 def _checked(photo: Photo) -> Photo:
     return replace(
         photo,
-        K=check_intrinsics(photo.K, photo.source),
+        K=check_intrinsics(photo.K, photo.size, photo.source),
         cam_from_world=check_pose(photo.cam_from_world, photo.source),
     )
 
 
-def _load(train: list[Photo], test: list[Photo], config: DataConfig) -> tuple[list[View], list[View]]:
+def _load(
+    train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None
+) -> tuple[list[View], list[View]]:
     """Train and test have their names to themselves: NeRF-synthetic scenes call views of both r_0."""
     names = [view_names([photo.image for photo in part]) for part in (train, test)]
-    loaded = load_views(train + test, names[0] + names[1], config)
+    loaded = load_views(train + test, names[0] + names[1], config, progress)
     return settle_masks(loaded[: len(train)], loaded[len(train) :], config.masks)
 
 

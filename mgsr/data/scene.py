@@ -62,7 +62,8 @@ class Scene:
     """A capture in its normalised frame: the object (or what the cameras look at) lies in the unit ball.
 
     user_from_scene takes results back to the frame and scale of the input files.
-    format names the reader; root is the folder that was read (also for an archive: its unpacked folder).
+    format names the reader; root is the folder that was read (also for an archive: its unpacked folder). notes tell
+    the person what the files have and the reader left out.
     """
 
     name: str
@@ -72,6 +73,7 @@ class Scene:
     test: list[View]
     points: PointCloud | None
     user_from_scene: Similarity
+    notes: tuple[str, ...] = ()
 
     @property
     def masked(self) -> bool:

@@ -13,6 +13,7 @@ from mgsr.config import DataConfig
 from mgsr.data.readers import load_scene
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
+from tests.data.reading import read_capture
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -23,6 +24,8 @@ PARAMS = {
     "SIMPLE_RADIAL": [110, 47, 31, -0.12],
     "RADIAL": [110, 47, 31, 0.15, -0.05],
     "OPENCV": [110, 120, 47, 31, -0.2, 0.06, 0.01, -0.008],
+    "OPENCV_FISHEYE": [110, 120, 47, 31, 0.05, -0.02, 0.01, -0.005],
+    "FULL_OPENCV": [110, 120, 47, 31, -0.2, 0.06, 0.01, -0.008, 0.02, 0.03, 0.01, 0.005],
 }
 
 
@@ -92,7 +95,7 @@ def test_cameras_agree_with_pycolmap(tmp_path, model, text):
     check_cameras(scene, reconstruction, model)
 
 
-@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "RADIAL", "OPENCV"])
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"])
 def test_images_are_undistorted(tmp_path, model):
     """Each pixel must show what a pinhole sees along its ray: the pattern in closed form. 2 grey levels are the
     rounding of both images and the bicubic interpolation."""
@@ -109,7 +112,8 @@ def test_images_are_undistorted(tmp_path, model):
 
 
 def test_resampling_agrees_with_scipys_spline(tmp_path):
-    from mgsr.data.lens import Lens, resample, undistortion
+    from mgsr.data.lens import Lens
+    from mgsr.data.undistortion import resample, undistortion
 
     K = np.array([[60.0, 0, 47], [0, 60, 31], [0, 0, 1]])
     image = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
@@ -121,11 +125,57 @@ def test_resampling_agrees_with_scipys_spline(tmp_path):
 
 
 def test_a_lens_that_folds_is_cut_before_the_fold():
-    from mgsr.data.lens import Lens, undistortion
+    from mgsr.data.lens import Lens
+    from mgsr.data.undistortion import undistortion
 
     K = np.array([[30.0, 0, 48], [0, 30, 32], [0, 0, 1]])
     how = undistortion(Lens(k1=-0.3), K, WIDTH, HEIGHT, "test")
     assert (np.diff(how.source_x, axis=1) > 0).all() and (np.diff(how.source_y, axis=0) > 0).all()
+
+
+def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
+    """Newer models keep poses by frame; COLMAP's images file still has each image's, the sensor's place included."""
+    rig = pycolmap.Rig(rig_id=1)
+    cameras = [pycolmap.Camera.create_from_model_name(i, "PINHOLE", 100.0, WIDTH, HEIGHT) for i in (1, 2)]
+    right = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, 0.1, 0.0, 0.995])), np.array([-0.3, 0.05, 0.02]))
+    rig.add_ref_sensor(cameras[0].sensor_id)
+    rig.add_sensor(cameras[1].sensor_id, right)
+    reconstruction = pycolmap.Reconstruction()
+    for camera in cameras:
+        reconstruction.add_camera(camera)
+    reconstruction.add_rig(rig)
+    (tmp_path / "images").mkdir()
+    for i, pose in enumerate(BallCapture(views=4).poses(), start=1):
+        frame = pycolmap.Frame(frame_id=i, rig_id=1, rig_from_world=pycolmap.Rigid3d(pose[:3]))
+        images = [pycolmap.Image(name=f"{side}{i}.png", camera_id=side, image_id=2 * i + side) for side in (1, 2)]
+        for image in images:
+            image.frame_id = i
+            frame.add_data_id(image.data_id)
+        reconstruction.add_frame(frame)
+        for image in images:
+            reconstruction.add_image(image)
+        reconstruction.register_frame(i)
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    reconstruction.write_binary(str(tmp_path / "sparse/0"))
+    assert (tmp_path / "sparse/0/rigs.bin").is_file() and (tmp_path / "sparse/0/frames.bin").is_file()
+    photos = {photo.image.name: photo for photo in read_capture(tmp_path, "colmap").photos}
+    assert len(photos) == 8
+    for image in reconstruction.images.values():
+        np.testing.assert_allclose(photos[image.name].cam_from_world[:3], image.cam_from_world().matrix(), atol=1e-9)
+
+
+def test_few_registered_photographs(tmp_path):
+    """87 photographs of which COLMAP kept 10 are a failed reconstruction."""
+    write(tmp_path, "PINHOLE")
+    for i in range(20):
+        Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
+    assert read_capture(tmp_path, "colmap").notes == (
+        "10 of 30 photographs are registered in sparse/0; the others are left out",
+    )
+    for i in range(20, 77):
+        Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
+    with pytest.raises(SceneError, match="only 10 of 87 photographs are registered in sparse/0; register more"):
+        read_capture(tmp_path, "colmap")
 
 
 def test_model_in_sparse_itself(tmp_path):
@@ -134,8 +184,8 @@ def test_model_in_sparse_itself(tmp_path):
 
 
 def test_unsupported_camera_model_names_the_cure(tmp_path):
-    write(tmp_path, "OPENCV_FISHEYE")
-    with pytest.raises(SceneError, match="OPENCV_FISHEYE is not supported; run `colmap image_undistorter`"):
+    write(tmp_path, "EQUIRECTANGULAR")
+    with pytest.raises(SceneError, match="EQUIRECTANGULAR is not supported; run `colmap image_undistorter`"):
         load_scene(tmp_path, DataConfig())
 
 

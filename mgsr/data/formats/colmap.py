@@ -1,6 +1,7 @@
 """COLMAP: a sparse model in sparse/0 or sparse (binary or text) and the photographs in images/.
 
-The files' layout is that of COLMAP's documentation, "Output Format".
+The files' layout is that of COLMAP's documentation, "Output Format". Newer models also have rigs and frames files; the
+images file still holds every photograph's own pose, so they say nothing more about it.
 """
 
 from __future__ import annotations
@@ -14,15 +15,19 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_mask, inside
-from mgsr.data.lens import Lens
+from mgsr.data.files import find_mask, images_below, inside
+from mgsr.data.lens import AnyLens, AriaLens, DivisionLens, FieldOfViewLens, Lens, UnifiedLens
 from mgsr.data.poses import intrinsics
+from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError
 
 _PLACES = ("sparse/0", "sparse")
 
-# Model number in binary files, name, count of parameters; those that can be read are in _to_pinhole.
+# Fewer registered photographs than this share mean that COLMAP lost the scene.
+_LEAST_REGISTERED = 0.25
+
+# Model number in binary files, name, count of parameters; what they mean stands in _to_pinhole.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -35,6 +40,24 @@ _MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
+}
+
+# Those with one focal length: f, cx, cy come first; the others begin with fx, fy, cx, cy.
+_ONE_FOCAL = {
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "SIMPLE_DIVISION",
+    "SIMPLE_FISHEYE",
 }
 
 
@@ -73,9 +96,17 @@ def read(root: Path) -> Capture:
         points = _POINTS[suffix](files["points3D"]) if files["points3D"].is_file() else None
     except FileNotFoundError as error:
         raise SceneError(f"{where}: {Path(error.filename).name} is missing from the COLMAP model") from error
-    except (struct.error, ValueError, IndexError, KeyError) as error:
+    except (struct.error, ValueError, IndexError, KeyError, OverflowError) as error:
         raise SceneError(f"{where}: damaged COLMAP model: {error}; export it again") from error
-    return Capture([_photo(root, image, cameras, f"{where}/{marker.name}") for image in images], points)
+    photos = [_photo(root, image, cameras, f"{where}/{marker.name}") for image in images]
+    return Capture(photos, points, _left_out(root, len(photos), where))
+
+
+def _left_out(root: Path, registered: int, where: str) -> tuple[str, ...]:
+    """Raises SceneError where COLMAP registered a few of the photographs only."""
+    total = max(registered, len(images_below(root / "images")))
+    cure = "register more (look for another model in sparse/), or remove the other photographs from images/"
+    return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {where}", cure)
 
 
 def _photo(root: Path, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
@@ -96,26 +127,46 @@ def _photo(root: Path, image: _Image, cameras: dict[int, _Camera], file: str) ->
     )
 
 
-def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, Lens | None]:
-    """The intrinsics, and the lens that the photographs must be rid of."""
-    p = camera.params
-    match camera.model:
-        case "SIMPLE_PINHOLE":
-            return intrinsics(p[0], p[0], p[1], p[2]), None
-        case "PINHOLE":
-            return intrinsics(*p), None
-        case "SIMPLE_RADIAL" | "RADIAL":
-            lens, K = Lens(*p[3:]), intrinsics(p[0], p[0], p[1], p[2])
-        case "OPENCV":
-            lens, K = Lens(*p[4:]), intrinsics(*p[:4])
-        case _:
-            raise SceneError(
-                f"{source}: camera model {camera.model} is not supported; "
-                "run `colmap image_undistorter` and give its output"
-            )
-    if not np.isfinite(p).all():
+def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, AnyLens | None]:
+    """The intrinsics, and the lens that the photographs must be rid of (COLMAP's sensor/models.h has the formulas)."""
+    if camera.model not in dict(_MODELS.values()) or camera.model == "EQUIRECTANGULAR":
+        raise SceneError(
+            f"{source}: camera model {camera.model} is not supported; "
+            "run `colmap image_undistorter` and give its output"
+        )
+    if not np.isfinite(camera.params).all():
         raise SceneError(f"{source}: the camera has NaN or infinite numbers")
-    return K, None if lens.flat else lens
+    if camera.model in _ONE_FOCAL:
+        (f, cx, cy), terms = camera.params[:3], camera.params[3:]
+        K = intrinsics(f, f, cx, cy)
+    else:
+        K, terms = intrinsics(*camera.params[:4]), camera.params[4:]
+    lens = _lens(camera.model, terms)
+    return K, None if lens is None or lens.flat else lens
+
+
+def _lens(model: str, terms: tuple[float, ...]) -> AnyLens | None:
+    p = (*terms, *[0.0] * (12 - len(terms)))
+    match model:
+        case "SIMPLE_RADIAL" | "RADIAL" | "OPENCV":
+            return Lens(p[0], p[1], p[2], p[3])
+        case "FULL_OPENCV":
+            return Lens(p[0], p[1], p[2], p[3], higher=p[4:5], divisor=p[5:8])
+        case "OPENCV_FISHEYE":
+            return Lens(p[0], p[1], higher=p[2:4], fisheye=True)
+        case "SIMPLE_FISHEYE" | "FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "RADIAL_FISHEYE":
+            return Lens(p[0], p[1], fisheye=True)
+        case "THIN_PRISM_FISHEYE":
+            return Lens(p[0], p[1], p[2], p[3], higher=p[4:6], prism=(p[6], 0.0, p[7], 0.0), fisheye=True)
+        case "RAD_TAN_THIN_PRISM_FISHEYE":
+            return AriaLens(p[:6], (p[6], p[7]), (p[8], p[9], p[10], p[11]))
+        case "SIMPLE_DIVISION" | "DIVISION":
+            return DivisionLens(p[0])
+        case "FOV":
+            return FieldOfViewLens(p[0]) if p[0] else None
+        case "EUCM":
+            return UnifiedLens(p[0], p[1])
+    return None
 
 
 def _pose(image: _Image, source: str) -> np.ndarray:

@@ -1,0 +1,106 @@
+"""NeuS, IDR and their DTU scenes: cameras_sphere.npz with projection matrices, image/ and mask/."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+from scipy.linalg import rq
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.files import find_mask, images_below
+from mgsr.data.images import image_size
+from mgsr.errors import SceneError
+
+_FILES = ("cameras_sphere.npz", "cameras.npz")
+_FOLDERS = ("image", "images")
+
+_DAMAGE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, NotImplementedError)
+
+# A matrix takes 256 bytes; what is much larger was made to fill the memory.
+_MAX_MATRIX = 1 << 16
+# Factorising a rounded projection matrix leaves this much skew, relative to the focal length: a tenth of a pixel.
+_ROUNDING = 1e-4
+
+
+def recognises(root: Path) -> str | None:
+    """cameras_sphere.npz, else cameras.npz."""
+    return next((name for name in _FILES if (root / name).is_file()), None)
+
+
+def read(root: Path) -> Capture:
+    """Every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame; `scale_mat` says
+    where others normalise to, and is not needed here."""
+    name = recognises(root)
+    assert name is not None, "read() is for folders that were recognised"
+    matrices = _matrices(root / name)
+    images = _images(root, name)
+    if len(images) != len(matrices):
+        raise SceneError(
+            f"{name}: {len(matrices)} cameras (world_mat_0...), but {len(images)} images in {images[0].parent.name}/; "
+            "give one image for each camera"
+        )
+    masks = _masks(root, images)
+    return Capture([_photo(images[i], masks[i], matrices[i], f"{name}, world_mat_{i}") for i in range(len(images))])
+
+
+def _matrices(path: Path) -> list[np.ndarray]:
+    """world_mat_0, world_mat_1, ... as far as they go."""
+    try:
+        with zipfile.ZipFile(path) as members:
+            if any(member.file_size > _MAX_MATRIX for member in members.infolist()):
+                raise SceneError(f"{path.name}: expected 4x4 matrices, got larger arrays; export it again")
+        with np.load(path, allow_pickle=False) as arrays:
+            count = sum(key.startswith("world_mat_") and key[10:].isdecimal() for key in arrays.files)
+            return [np.asarray(arrays[f"world_mat_{i}"], np.float64) for i in range(count)]
+    except _DAMAGE as error:
+        raise SceneError(f"{path.name}: damaged, or without world_mat_0, world_mat_1, ...: {error}") from error
+
+
+def _images(root: Path, name: str) -> list[Path]:
+    folder = next((root / folder for folder in _FOLDERS if (root / folder).is_dir()), None)
+    images = images_below(folder) if folder else []
+    if not images:
+        raise SceneError(f"{name}: no images in {' or '.join(f'{folder}/' for folder in _FOLDERS)}; put them there")
+    return images
+
+
+def _masks(root: Path, images: list[Path]) -> list[Path | None]:
+    """Each image's mask, by name or, as in DTU (000000.png, 000.png), by place."""
+    masks: list[Path | None] = [find_mask(root, image) for image in images]
+    in_order = images_below(root / "mask")
+    if not any(masks) and len(in_order) == len(images):
+        return list(in_order)
+    return masks
+
+
+def _photo(image: Path, mask: Path | None, matrix: np.ndarray, source: str) -> Photo:
+    source = f"{source} ({image.name})"
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise SceneError(f"{source}: expected a 4x4 projection matrix, got shape {list(matrix.shape)}")
+    K, pose = _factorise(matrix[:3], source)
+    return Photo(image, K, image_size(image, source), pose, source, mask)
+
+
+def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray]:
+    """K and cam_from_world of a projection matrix [3,4], known up to a factor (Hartley and Zisserman, 6.2.4)."""
+    determinant = np.linalg.det(projection[:, :3])
+    if not np.isfinite(projection).all() or determinant == 0:
+        raise SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
+    projection = projection * np.sign(determinant)
+    K, rotation = rq(projection[:, :3])
+    turn = np.diag(np.sign(np.diag(K)))
+    K, rotation = K @ turn, turn @ rotation
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, np.linalg.solve(K, projection[:, 3])
+    K = K / K[2, 2]
+    if abs(K[0, 1]) < _ROUNDING * K[0, 0]:
+        K[0, 1] = 0
+    # These matrices count pixels from the middle of the first one.
+    K[:2, 2] += 0.5
+    return K, pose
+
+
+FORMAT = Format("neus", f"{_FILES[0]} with image/ and mask/ (NeuS, DTU)", recognises, read, rank=60)

@@ -1,0 +1,101 @@
+"""OpenSfM and OpenDroneMap: reconstruction.json, or opensfm/reconstruction.json, and the photographs in images/.
+
+Source: OpenSfM's documentation, "Reconstruction file format", "Coordinate Systems" and "Camera Models".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.files import find_mask, images_below, inside, number, read_json
+from mgsr.data.lens import Lens
+from mgsr.data.poses import intrinsics, matrix_from
+from mgsr.data.registration import check_share
+from mgsr.data.scene import PointCloud
+from mgsr.errors import SceneError
+
+_PLACES = ("reconstruction.json", "opensfm/reconstruction.json")
+_PERSPECTIVE = ("perspective", "simple_radial", "radial", "brown")
+_FISHEYE = ("fisheye", "fisheye_opencv", "fisheye62")
+
+
+def recognises(root: Path) -> str | None:
+    """reconstruction.json, OpenSfM's or OpenDroneMap's place."""
+    return next((place for place in _PLACES if (root / place).is_file()), None)
+
+
+def read(root: Path) -> Capture:
+    """The photographs and points of the largest reconstruction, in its frame (metres, z up, where it knows them)."""
+    name = recognises(root)
+    assert name is not None, "read() is for folders that were recognised"
+    largest = _largest(read_json(root / name), name)
+    shots = largest["shots"]
+    cameras = largest["cameras"]
+    photos = [_photo(root, shot, shots[shot], cameras, f"{name}, shot {shot[:80]}") for shot in sorted(shots)]
+    cure = "take more photographs between those that were left out, or remove them"
+    total = max(len(images_below(root / "images")), len(photos))
+    notes = check_share(len(photos), total, 0.25, f"are in the largest part of {name}", cure)
+    return Capture(photos, _points(largest.get("points"), name), notes)
+
+
+def _largest(content: Any, name: str) -> dict[str, Any]:
+    parts = content if isinstance(content, list) else []
+    good = [part for part in parts if isinstance(part, dict) and _maps(part.get("cameras"), part.get("shots"))]
+    if not good:
+        raise SceneError(f"{name}: expected a list of reconstructions with 'cameras' and 'shots'")
+    return max(good, key=lambda part: len(part["shots"]))
+
+
+def _maps(*values: Any) -> bool:
+    """Whether all are objects of objects."""
+    return all(isinstance(value, dict) and all(isinstance(x, dict) for x in value.values()) for value in values)
+
+
+def _photo(root: Path, name: str, shot: dict[str, Any], cameras: dict[str, Any], source: str) -> Photo:
+    camera = cameras.get(str(shot.get("camera")))
+    if camera is None:
+        raise SceneError(f"{source}: camera {str(shot.get('camera'))[:80]!r} is not in the file")
+    size = (int(number(camera, "width", source)), int(number(camera, "height", source)))
+    image = inside(root, "images/" + name, source)
+    K, lens = _camera(camera, size, source)
+    pose = np.eye(4)
+    axis = matrix_from([shot.get("rotation")], 1, 3, "rotation", source)[0]
+    pose[:3, 3] = matrix_from([shot.get("translation")], 1, 3, "translation", source)[0]
+    if not np.isfinite(axis).all():
+        raise SceneError(f"{source}: the rotation has NaN or infinite numbers; remove this shot or mend it")
+    pose[:3, :3] = Rotation.from_rotvec(axis).as_matrix()
+    return Photo(image, K, size, pose, source, find_mask(root, image), lens=lens)
+
+
+def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple[np.ndarray, Lens | None]:
+    """Lengths are in units of the image's larger side, and the principal point is counted from the middle."""
+    kind = str(camera.get("projection_type"))
+    if kind not in _PERSPECTIVE + _FISHEYE:
+        known = ", ".join(_PERSPECTIVE + _FISHEYE)
+        raise SceneError(f"{source}: projection_type {kind[:80]!r} is not supported; expected one of {known}")
+    unit = max(size)
+    fx, fy = (number(camera, axis if axis in camera else "focal", source) for axis in ("focal_x", "focal_y"))
+    cx, cy = (number(camera, axis, source) if axis in camera else 0.0 for axis in ("c_x", "c_y"))
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    k1, k2, p1, p2, *higher = (number(camera, name, source) if name in camera else 0.0 for name in names)
+    lens = Lens(k1, k2, p1, p2, tuple(higher), fisheye=kind in _FISHEYE)
+    K = intrinsics(fx * unit, fy * unit, size[0] / 2 + cx * unit, size[1] / 2 + cy * unit)
+    return K, None if lens.flat else lens
+
+
+def _points(points: Any, name: str) -> PointCloud | None:
+    if not points or not _maps(points):
+        return None
+    rows = list(points.values())
+    positions = matrix_from([row.get("coordinates") for row in rows], len(rows), 3, "coordinates of points", name)
+    colors = matrix_from([row.get("color", (128, 128, 128)) for row in rows], len(rows), 3, "color of points", name)
+    finite = np.isfinite(positions).all(axis=1)
+    return PointCloud(positions[finite], np.clip(np.nan_to_num(colors[finite]), 0, 255).astype(np.uint8))
+
+
+FORMAT = Format("opensfm", f"{_PLACES[0]} and images/ (OpenSfM, OpenDroneMap)", recognises, read, rank=80)

@@ -1,0 +1,50 @@
+"""Masks beside photographs: brought to the photograph's size, and looked at for being inverted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.capture import Photo
+from mgsr.data.images import reduce_area, to_uint8
+from mgsr.errors import SceneError
+
+# A mask's sides may differ by this much in scale: programs that shrink masks round their sides.
+_SHAPE_TOLERANCE = 0.01
+
+
+def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.ndarray:
+    """The mask [height,width] uint8 of a mask of any size and the same shape: larger ones are reduced by area means,
+    smaller ones enlarged smoothly. Raises SceneError for other shapes."""
+    if mask.shape == (height, width):
+        return mask
+    across, down = width / mask.shape[1], height / mask.shape[0]
+    if abs(across / down - 1) > _SHAPE_TOLERANCE:
+        raise SceneError(
+            f"mask {photo.mask}: {mask.shape[1]}x{mask.shape[0]} pixels, but its image has {width}x{height}; "
+            "give the mask the image's size, or the same shape at another scale"
+        )
+    if across < 1 and down < 1:
+        return to_uint8(reduce_area(mask[..., None], width, height)[..., 0])
+    import cv2  # late: training needs no OpenCV
+
+    return cv2.resize(mask, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def inverted_masks(masks: Sequence[np.ndarray]) -> bool:
+    """Whether masks [H,W] uint8 are white around a black object: in nearly all views the border is white and what is
+    black lies apart from it, in the middle."""
+    return sum(map(_looks_inverted, masks)) > 0.9 * len(masks)
+
+
+def _looks_inverted(mask: np.ndarray) -> bool:
+    border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
+    if (border > 127).mean() < 0.95:
+        return False
+    rows, cols = np.nonzero(mask < 128)
+    # A few specks of black are holes in a mask of something that fills the picture.
+    if len(rows) < 0.01 * mask.size:
+        return False
+    middle = rows.mean() / mask.shape[0], cols.mean() / mask.shape[1]
+    return all(0.2 < place < 0.8 for place in middle)

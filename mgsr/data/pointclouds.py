@@ -1,0 +1,27 @@
+"""Point clouds that captures bring along as PLY."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.scene import PointCloud
+from mgsr.errors import SceneError
+
+
+def read_points(path: Path) -> PointCloud:
+    """The finite vertices of a PLY and their colours, grey where it has none. Raises SceneError naming the file."""
+    from plyfile import PlyData, PlyParseError  # late: training needs no PLY
+
+    try:
+        vertex = PlyData.read(str(path))["vertex"]
+        positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
+        names = {item.name for item in vertex.properties}
+    except (PlyParseError, KeyError, ValueError, IndexError, OSError, MemoryError) as error:
+        raise SceneError(f"{path.name}: expected a PLY with vertices: {error}; export it again or remove it") from error
+    colors = np.full(positions.shape, 128, np.uint8)
+    if {"red", "green", "blue"} <= names:
+        colors = np.stack([np.asarray(vertex[name], np.uint8) for name in ("red", "green", "blue")], axis=1)
+    finite = np.isfinite(positions).all(axis=1)
+    return PointCloud(positions[finite], colors[finite])

@@ -1,0 +1,98 @@
+"""The frames of transforms*.json, which Blender, instant-ngp and nerfstudio write: camera-to-world, OpenGL axes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.capture import Photo, Split
+from mgsr.data.files import find_image, find_mask, inside, number, read_json
+from mgsr.data.images import image_size
+from mgsr.data.lens import Lens
+from mgsr.data.poses import from_opengl, intrinsics, matrix_from
+from mgsr.errors import SceneError
+
+_PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
+_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+
+
+def read_content(path: Path) -> dict[str, Any]:
+    """The whole file. Raises SceneError where it has no list of frames."""
+    content = read_json(path)
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+        raise SceneError(f"{path.name}: expected an object with a list 'frames'")
+    return dict(content)
+
+
+def merged_frames(content: dict[str, Any], name: str) -> list[tuple[str, dict[str, Any]]]:
+    """Each frame's place in the file, for messages, and its values after the file's own where it doesn't overrule
+    them."""
+    shared = {key: value for key, value in content.items() if key != "frames"}
+    return [(f"{name}, frame {i}", {**shared, **frame}) for i, frame in enumerate(content["frames"])]
+
+
+def read_frame(root: Path, source: str, frame: dict[str, Any], split: Split | None) -> Photo:
+    """One photograph. Raises SceneError naming the frame."""
+    image = find_image(root, frame.get("file_path"), source)
+    source = f"{source} ({image.relative_to(root)})"
+    pose = matrix_from(frame.get("transform_matrix"), 4, 4, "transform_matrix", source)
+    size = _size(frame, image, source)
+    return Photo(
+        image=image,
+        K=_intrinsics(frame, size, source),
+        size=size,
+        cam_from_world=from_opengl(pose, source),
+        source=source,
+        mask=inside(root, frame["mask_path"], source) if frame.get("mask_path") else find_mask(root, image),
+        split=split,
+        lens=_lens(frame, source),
+    )
+
+
+def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
+    if "w" in frame and "h" in frame:
+        return int(number(frame, "w", source)), int(number(frame, "h", source))
+    return image_size(image, source)
+
+
+def _intrinsics(frame: dict[str, Any], size: tuple[int, int], source: str) -> np.ndarray:
+    """Focal lengths in pixels where given, else from the angle of view; the other axis has the same focal length."""
+    fx = _focal(frame, "fl_x", "camera_angle_x", size[0], source)
+    fy = _focal(frame, "fl_y", "camera_angle_y", size[1], source)
+    if fx is None and fy is None:
+        raise SceneError(f"{source}: no focal length; expected camera_angle_x (radians) or fl_x (pixels)")
+    cx = number(frame, "cx", source) if "cx" in frame else size[0] / 2
+    cy = number(frame, "cy", source) if "cy" in frame else size[1] / 2
+    return intrinsics(fy if fx is None else fx, fx if fy is None else fy, cx, cy)  # type: ignore[arg-type]
+
+
+def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: str) -> float | None:
+    if pixels in frame:
+        return number(frame, pixels, source)
+    if angle not in frame:
+        return None
+    value = number(frame, angle, source)
+    if not 0 < value < math.pi:
+        raise SceneError(f"{source}: {angle}: expected an angle between 0 and pi radians, got {value:g}")
+    return side / 2 / math.tan(value / 2)
+
+
+def _lens(frame: dict[str, Any], source: str) -> Lens | None:
+    """OpenCV's fisheye has four radial terms; for other lenses nerfstudio takes k3 and k4 as factors of r^6 and r^8."""
+    model = str(frame.get("camera_model", "OPENCV")).upper()
+    if model not in _PERSPECTIVE + _FISHEYE or frame.get("is_latlong") or "ftheta_p0" in frame:
+        raise SceneError(
+            f"{source}: camera_model {model} is not supported; expected one of {', '.join(_PERSPECTIVE + _FISHEYE)}: "
+            "make pinhole images of it first"
+        )
+    for name in ("k5", "k6"):
+        if name in frame and number(frame, name, source) != 0:
+            raise SceneError(f"{source}: distortion {name} is not supported; undistort the images first")
+    names = ("k1", "k2", "p1", "p2", "k3", "k4")
+    k1, k2, p1, p2, k3, k4 = (number(frame, name, source) if name in frame else 0.0 for name in names)
+    lens = Lens(k1, k2, p1, p2, (k3, k4), fisheye=model in _FISHEYE or bool(frame.get("is_fisheye")))
+    return None if lens.flat else lens

@@ -82,7 +82,7 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
             "scale": float(scene.user_from_scene.scale),
             "offset": [float(x) for x in scene.user_from_scene.offset],
         },
-    }
+    } | ({"notes": list(scene.notes)} if scene.notes else {})
 
 
 def _input(scene: Scene, start: StartingPoints, path: Path) -> dict[str, Any]:

@@ -43,9 +43,7 @@ def report_pictures(
     return ReportPictures(views, surface_pictures(shown, up, np.asarray(front), true_mesh))
 
 
-def _view_pictures(
-    images: ViewImages, view: View, psnr: float, painter: MeshPainter, scene: Scene
-) -> TestViewPictures:
+def _view_pictures(images: ViewImages, view: View, psnr: float, painter: MeshPainter, scene: Scene) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:
         reflected = color_picture(images.reflected * images.weight[..., None])

@@ -91,9 +91,7 @@ def mesh(
 
 
 @app.command()
-def render(
-    scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None
-) -> None:
+def render(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None) -> None:
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
@@ -110,9 +108,7 @@ def render(
 
 
 @app.command()
-def evaluate(
-    scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None
-) -> None:
+def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None) -> None:
     """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
     with refusals():
         config = make_config(overrides=settings or [])

@@ -17,7 +17,7 @@ from mgsr.errors import Cancelled, MgsrError
 REFUSED = 2
 
 SceneArgument = Annotated[
-    Path, typer.Argument(metavar="SCENE", help="A folder or .zip of posed photographs (docs/inputs.md).")
+    Path, typer.Argument(metavar="SCENE", help="A folder or archive of posed photographs (docs/inputs.md).")
 ]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
 PresetOption = Annotated[str, typer.Option(help=f"How much work: {', '.join(PRESETS)}.", metavar="PRESET")]

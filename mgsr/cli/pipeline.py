@@ -126,10 +126,15 @@ def result_line(report: ReportData) -> str:
 
 def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
     with step("load", f"reading {path}"):
-        scene = load_scene(path, config.data)
+        scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
         outputs.clear_reports(out)
-    step.progress(Event("load", scene_line(scene)))
+    for text in (scene_line(scene), *scene.notes):
+        step.progress(Event("load", text))
     return scene
+
+
+def _loading(done: int, total: int) -> Event:
+    return Event("load", f"read {done} of {total} photographs")
 
 
 def _start(scene: Scene, config: Config, step: Steps) -> StartingPoints:

@@ -37,7 +37,7 @@ def test_no_such_path(tmp_path):
 
 def test_a_file_that_is_no_archive(tmp_path):
     (tmp_path / "scene.rar").write_text("x")
-    refuses(tmp_path / "scene.rar", r"scene\.rar: expected a folder or a \.zip")
+    refuses(tmp_path / "scene.rar", r"scene\.rar: expected a folder, or an archive: \.zip")
 
 
 def test_empty_folder(tmp_path):
@@ -161,7 +161,7 @@ def test_masks_that_exclude_each_other(tmp_path):
         block = np.zeros((SIDE, SIDE), np.uint8)
         block[:8, :8] = 255
         save(root / f"masks/{i:03d}.png", block, "L")
-    refuses(root, "masks of the training views have no part of space in common.*masks=off")
+    refuses(root, r"masks of the training views have no part of space in common.*masks=off")
     assert not load_scene(root, DataConfig(masks=Masks.OFF)).masked
 
 
@@ -182,6 +182,40 @@ def test_all_cameras_at_one_place(root):
 def test_bad_json_names_the_line(root):
     (root / "cameras.json").write_text('{"views": [\n{]}')
     refuses(root, r"cameras\.json: not valid JSON at line 2")
+
+
+def test_json_nested_too_deep(root):
+    (root / "cameras.json").write_text("[" * 10_000_000)
+    refuses(root, r"cameras\.json: JSON nested too deep")
+
+
+def test_json_number_without_end(root):
+    (root / "cameras.json").write_text('{"views": ' + "1" * 10_000 + "}")
+    refuses(root, r"cameras\.json: can't be read as JSON text: .*digits")
+
+
+def test_json_with_nan_in_the_intrinsics(root):
+    edit_view(root, K=[[float("nan"), 0, 30], [0, 90, 35], [0, 0, 1]])
+    refuses(root, "view 3.*the intrinsics have NaN or infinite numbers")
+
+
+@pytest.mark.parametrize("place", [(-3, 35), (30, 65)])
+def test_principal_point_outside(root, place):
+    edit_view(root, K=[[80, 0, place[0]], [0, 90, place[1]], [0, 0, 1]])
+    refuses(root, rf"view 3.*the principal point \({place[0]}, {place[1]}\) lies outside the image of 64x64 pixels")
+
+
+def test_images_without_cameras_name_the_command_that_finds_them(tmp_path):
+    for i in range(3):
+        save(tmp_path / f"photos/{i}.jpg", np.zeros((8, 8, 3), np.uint8), "RGB")
+    refuses(tmp_path, r"3 images, but no cameras; find the cameras with `mgsr poses .*`, or put them there")
+
+
+def test_inverted_masks(root):
+    for i, pose in enumerate(BallCapture().poses()):
+        save(root / f"photos/{i:03d}.png", BallCapture().rgba(pose), "RGB")
+        save(root / f"masks/{i:03d}.png", 255 - BallCapture().rgba(pose)[..., 3], "L")
+    refuses(root, "the masks are inverted: white around the object and black on it; make them white on the object")
 
 
 def test_unknown_split(root):

@@ -1,0 +1,33 @@
+"""What tests of single readers share: a folder read by the format that recognises it, without loading its images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from mgsr.data.capture import Capture
+from mgsr.data.formats import all_formats
+
+
+def read_capture(root: Path, name: str) -> Capture:
+    """The capture in `root`, which must be recognised as the format of that name before all others."""
+    kind = next(kind for kind in all_formats() if kind.recognises(root))
+    assert kind.name == name
+    return kind.read(root)
+
+
+def draw(path: Path, width: int = 64, height: int = 64) -> None:
+    """A small picture; what it shows is of no matter."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.zeros((height, width, 3), np.uint8)).save(path)
+
+
+def project(photo, points: np.ndarray) -> np.ndarray:
+    """Pixels [P,2] of world points [P,3] as a photograph's reader describes its camera, lens included."""
+    local = points @ photo.cam_from_world[:3, :3].T + photo.cam_from_world[:3, 3]
+    x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
+    if photo.lens is not None:
+        x, y = photo.lens.distort(x, y)
+    return np.stack([x, y], axis=1) @ photo.K[:2, :2].T + photo.K[:2, 2]

@@ -1,0 +1,288 @@
+"""Exports of photogrammetry programs, built by hand from their documentation, held to its formulas."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mgsr.errors import SceneError
+from tests.data.captures import BallCapture
+from tests.data.reading import draw, project, read_capture
+
+BALL = BallCapture(views=4, center=np.array([1.0, -2, 3]))
+POINTS = BALL.center + np.random.default_rng(3).uniform(-0.8, 0.8, (30, 3))
+
+
+# Metashape
+
+
+TERMS = {"f": 70, "cx": -3, "cy": 2.5, "k1": -0.1, "k2": 0.05, "k3": 0.02, "k4": 0.01}
+TERMS |= {"p1": 0.004, "p2": -0.003, "b1": 1.5, "b2": 0.7}
+
+
+def metashape(root, terms=TERMS, kind="frame", chunk="", camera=lambda i: "", aligned=range(4)):
+    """cameras.xml with world-from-camera transforms, OpenCV's axes; `camera` adds attributes."""
+    cameras = []
+    for i, pose in enumerate(BALL.poses()):
+        draw(root / f"photos/IMG_{i}.JPG", 96, 64)
+        numbers = " ".join(map(str, np.linalg.inv(pose).ravel()))
+        transform = f"<transform>{numbers}</transform>" if i in aligned else ""
+        cameras.append(f'<camera id="{i}" sensor_id="0" label="IMG_{i}" {camera(i)}>{transform}</camera>')
+    calibration = "".join(f"<{name}>{value}</{name}>" for name, value in terms.items())
+    (root / "cameras.xml").write_text(
+        f"""<?xml version="1.0" encoding="UTF-8"?><document version="2.0.0"><chunk label="Chunk 1">
+        <sensors><sensor id="0" type="{kind}"><resolution width="96" height="64"/>
+        <calibration type="{kind}" class="initial"><f>1</f></calibration>
+        <calibration type="{kind}" class="adjusted"><resolution width="96" height="64"/>{calibration}</calibration>
+        </sensor></sensors>
+        <cameras><group id="0">{"".join(cameras[:2])}</group>{"".join(cameras[2:])}</cameras>{chunk}</chunk>
+        </document>"""
+    )
+    return root
+
+
+def metashape_pixels(pose, points, fisheye=False, **t):
+    """The user manual's formulas, appendix "Camera models", letter by letter."""
+    t = SimpleNamespace(**t)
+    X, Y, Z = (points @ pose[:3, :3].T + pose[:3, 3]).T
+    x, y = X / Z, Y / Z
+    if fisheye:
+        r0 = np.sqrt(x**2 + y**2)
+        x, y = x / r0 * np.arctan(r0), y / r0 * np.arctan(r0)
+    r = np.sqrt(x**2 + y**2)
+    radial = 1 + t.k1 * r**2 + t.k2 * r**4 + t.k3 * r**6 + t.k4 * r**8
+    xd = x * radial + (t.p1 * (r**2 + 2 * x**2) + 2 * t.p2 * x * y)
+    yd = y * radial + (t.p2 * (r**2 + 2 * y**2) + 2 * t.p1 * x * y)
+    return np.c_[96 * 0.5 + t.cx + xd * t.f + xd * t.b1 + yd * t.b2, 64 * 0.5 + t.cy + yd * t.f]
+
+
+@pytest.mark.parametrize("kind", ["frame", "fisheye"])
+def test_metashape_projects_as_its_manual_says(tmp_path, kind):
+    capture = read_capture(metashape(tmp_path, kind=kind), "metashape")
+    assert [photo.image.name for photo in capture.photos] == [f"IMG_{i}.JPG" for i in range(4)]
+    for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+        expected = metashape_pixels(pose, POINTS, fisheye=kind == "fisheye", **TERMS)
+        np.testing.assert_allclose(project(photo, POINTS), expected, atol=1e-9)
+        assert photo.size == (96, 64)
+
+
+@pytest.mark.parametrize("where", ["chunk", "component"])
+def test_metashape_results_go_to_the_chunks_world(tmp_path, where):
+    turn, offset, scale = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix(), np.array([10.0, 20, -5]), 2.5
+    transform = (
+        f"<transform><rotation>{' '.join(map(str, turn.ravel()))}</rotation>"
+        f"<translation>{' '.join(map(str, offset))}</translation><scale>{scale}</scale></transform>"
+    )
+    if where == "component":
+        transform = f'<components><component id="0">{transform}</component></components>'
+    capture = read_capture(metashape(tmp_path, chunk=transform, camera=lambda i: 'component_id="0"'), "metashape")
+    moved = scale * POINTS @ turn.T + offset
+    for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+        np.testing.assert_allclose(project(photo, moved), metashape_pixels(pose, POINTS, **TERMS), atol=1e-8)
+
+
+def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
+    capture = read_capture(metashape(tmp_path, aligned=(0, 1, 2)), "metashape")
+    assert capture.notes == ("3 of 4 photographs are aligned in cameras.xml and there; the others are left out",)
+    off = read_capture(metashape(tmp_path, camera=lambda i: 'enabled="false"' if i == 3 else ""), "metashape")
+    assert len(off.photos) == 3 and off.notes == ()
+    with pytest.raises(SceneError, match=r"only 1 of 4 photographs are aligned in cameras\.xml and there; put"):
+        read_capture(metashape(tmp_path, aligned=(0,)), "metashape")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"kind": "spherical"},
+            "'IMG_0': camera type 'spherical' is not supported; expected one of frame",
+        ),
+        ({"terms": {"cx": 1}}, "camera 'IMG_0': f: expected 1 numbers, got ''"),
+        ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
+        ({"camera": lambda i: 'sensor_id="7"'}, "not valid XML: duplicate attribute"),
+        ({"chunk": "<transform><scale>0</scale></transform>"}, "the chunk's scale is 0"),
+        ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
+    ],
+)
+def test_metashape_refusals(tmp_path, values, message):
+    with pytest.raises(SceneError, match=message):
+        read_capture(metashape(tmp_path, **values), "metashape")
+
+
+def test_metashape_entities_are_refused(tmp_path):
+    path = metashape(tmp_path) / "cameras.xml"
+    path.write_text(path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1))
+    with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape doesn't write; refused"):
+        read_capture(tmp_path, "metashape")
+
+
+def test_two_photographs_for_one_label(tmp_path):
+    draw(metashape(tmp_path) / "more/IMG_2.png")
+    with pytest.raises(SceneError, match=r"'IMG_2' may be more/IMG_2\.png, photos/IMG_2\.JPG; leave one"):
+        read_capture(tmp_path, "metashape")
+
+
+# RealityCapture
+
+HEADER = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
+
+
+def realitycapture(root, *rows, header=HEADER, first=""):
+    for row in rows:
+        draw(root / "images" / row.split(",")[0], 96, 64)
+    (root / "export.csv").write_text("\n".join([*([first] if first else []), header, *rows]) + "\n")
+    return root
+
+
+def test_realitycapture_looks_down_with_north_up(tmp_path):
+    """x east, y north, z up: a camera without angles at height 10 has the nadir in its middle and north at the top;
+    heading 90 has east at the top; pitch 90 looks at the horizon, to the north."""
+    rows = ["a.jpg,1,2,10,0,0,0,18,0,0,0,0,0,0,0,0", "b.jpg,1,2,10,90,0,0,18,0,0,0,0,0,0,0,0"]
+    rows += ["c.jpg,1,2,10,0,90,0,18,0,0,0,0,0,0,0,0"]
+    a, b, c = read_capture(realitycapture(tmp_path, *rows, first="#cameras 3"), "realitycapture").photos
+    focal = 18 * 96 / 36
+    for photo in (a, b, c):
+        assert photo.K[0, 0] == photo.K[1, 1] == focal and photo.lens is None
+    below, north, east, horizon = [1, 2, 0], [1, 3, 0], [2, 2, 0], [1, 12, 10]
+    np.testing.assert_allclose(project(a, np.array([below, north])), [[48, 32], [48, 32 - focal / 10]], atol=1e-9)
+    np.testing.assert_allclose(project(b, np.array([below, east])), [[48, 32], [48, 32 - focal / 10]], atol=1e-9)
+    np.testing.assert_allclose(project(c, np.array([horizon])), [[48, 32]], atol=1e-9)
+
+
+def test_realitycapture_lens_and_principal_point(tmp_path):
+    row = "a.jpg,0,0,10,0,0,0,18,0.36,-0.72,0.1,-0.05,0.01,0,0.002,-0.003"
+    (photo,) = read_capture(realitycapture(tmp_path, row), "realitycapture").photos
+    K = np.array([[48, 0, 48 + 0.96], [0, 48, 32 - 1.92], [0, 0, 1]])
+    points = np.array([[1.0, 2, 0], [-2, 0.5, 1]])
+    turn = np.diag([1.0, -1, -1])
+    terms = np.array([0.1, -0.05, 0.002, -0.003, 0.01])
+    expected, _ = cv2.projectPoints(points, cv2.Rodrigues(turn)[0], np.array([0, 0, 10.0]), K, terms)
+    np.testing.assert_allclose(project(photo, points), expected[:, 0], atol=1e-9)
+
+
+def test_realitycapture_left_out_columns_and_photographs(tmp_path):
+    rows = [f"{name}.jpg,0,0,{i},0,0,0,18" for i, name in enumerate("abc")]
+    realitycapture(tmp_path, *rows, header="#name,x,y,alt,heading,pitch,roll,f")
+    (tmp_path / "images/b.jpg").unlink()
+    capture = read_capture(tmp_path, "realitycapture")
+    assert capture.notes == ("2 of 3 photographs named by export.csv are there; the others are left out",)
+    (tmp_path / "images/c.jpg").unlink()
+    with pytest.raises(SceneError, match=r"only 1 of 3 photographs named by export\.csv are there"):
+        read_capture(tmp_path, "realitycapture")
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        ("a.jpg,0,0,10,0,0,0,nan,0,0,0,0,0,0,0,0", r"row 1 \(a\.jpg\): f: expected a number, got 'nan'"),
+        ("a.jpg,0,0,10,0,north,0,18,0,0,0,0,0,0,0,0", r"pitch: expected a number, got 'north'"),
+        ("a.jpg,0,0", "row 1: expected 16 values, got 3"),
+    ],
+)
+def test_realitycapture_refusals(tmp_path, row, message):
+    with pytest.raises(SceneError, match=message):
+        read_capture(realitycapture(tmp_path, row), "realitycapture")
+
+
+# Polycam
+
+
+def polycam(root, part=""):
+    for i, pose in enumerate(BALL.poses()):
+        draw(root / f"keyframes/{part}images/{100 + i}.jpg", 96, 64)
+        opengl = np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
+        camera = {f"t_{row}{col}": opengl[row, col] for row in range(3) for col in range(4)}
+        camera |= {"fx": 80, "fy": 90, "cx": 30, "cy": 35, "width": 96, "height": 64, "blur_score": 9}
+        path = root / f"keyframes/{part}cameras/{100 + i}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(camera))
+    return root
+
+
+def test_polycam_cameras_and_its_corrected_ones_first(tmp_path):
+    polycam(tmp_path)
+    for folder in ("", "corrected_"):
+        polycam(tmp_path, folder)
+        capture = read_capture(tmp_path, "polycam")
+        for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+            assert photo.image.parent.name == f"{folder}images"
+            np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
+            np.testing.assert_array_equal(photo.K, BALL.K)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("[]", "expected an object with fx"), ('{"t_00": 1}', r"cameras/101\.json: t_01: expected a number, got 'None'")],
+)
+def test_polycam_refusals(tmp_path, text, message):
+    (polycam(tmp_path) / "keyframes/cameras/101.json").write_text(text)
+    with pytest.raises(SceneError, match=message):
+        read_capture(tmp_path, "polycam")
+
+
+# OpenSfM and OpenDroneMap
+
+BROWN = {"projection_type": "brown", "focal_x": 0.8, "focal_y": 0.9, "c_x": 0.01, "c_y": -0.02}
+BROWN |= {"k1": -0.1, "k2": 0.05, "k3": 0.01, "p1": 0.002, "p2": -0.003}
+
+
+def opensfm(root, camera=BROWN, place="reconstruction.json", change=lambda parts: None):
+    shots = {}
+    for i, pose in enumerate(BALL.poses()):
+        draw(root / f"images/{i}.jpg", 96, 64)
+        axis = cv2.Rodrigues(pose[:3, :3])[0][:, 0]
+        shots[f"{i}.jpg"] = {"rotation": axis.tolist(), "translation": pose[:3, 3].tolist(), "camera": "c"}
+    points = {str(i): {"coordinates": point.tolist(), "color": [i, 0, 9.0]} for i, point in enumerate(POINTS)}
+    part = {"cameras": {"c": {"width": 96, "height": 64, **camera}}, "shots": shots, "points": points}
+    parts = [{"cameras": {}, "shots": {}}, part]
+    change(parts)
+    (root / place).parent.mkdir(exist_ok=True)
+    (root / place).write_text(json.dumps(parts))
+    return root
+
+
+@pytest.mark.parametrize("place", ["reconstruction.json", "opensfm/reconstruction.json"])
+def test_opensfm_cameras_agree_with_opencv(tmp_path, place):
+    capture = read_capture(opensfm(tmp_path, place=place), "opensfm")
+    K = np.array([[0.8 * 96, 0, 48 + 0.96], [0, 0.9 * 96, 32 - 1.92], [0, 0, 1]])
+    terms = np.array([-0.1, 0.05, 0.002, -0.003, 0.01])
+    for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+        expected, _ = cv2.projectPoints(POINTS, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3], K, terms)
+        np.testing.assert_allclose(project(photo, POINTS), expected[:, 0], atol=1e-9)
+    np.testing.assert_allclose(capture.points.positions, POINTS)
+    np.testing.assert_array_equal(capture.points.colors[5], [5, 0, 9])
+
+
+def test_opensfm_fisheye(tmp_path):
+    camera = {"projection_type": "fisheye", "focal": 0.7, "k1": 0.05, "k2": -0.02}
+    photo = read_capture(opensfm(tmp_path, camera), "opensfm").photos[0]
+    local = np.array([[0.6, 0.0, 1.0]])
+    world = (local - photo.cam_from_world[:3, 3]) @ photo.cam_from_world[:3, :3]
+    angle = math.atan(0.6)
+    expected = 48 + 0.7 * 96 * (angle + 0.05 * angle**3 - 0.02 * angle**5)
+    np.testing.assert_allclose(project(photo, world), [[expected, 32]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda parts: parts.clear(), "expected a list of reconstructions with 'cameras' and 'shots'"),
+        (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: camera 'c' is not in the file"),
+        (lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"), "'spherical' is not supported"),
+        (lambda parts: parts[1]["shots"]["1.jpg"].update(rotation=[1, 2]), r"shot 1\.jpg: rotation: expected a 1x3"),
+        (
+            lambda parts: parts[1]["shots"]["1.jpg"].update(rotation=[math.nan] * 3),
+            r"1\.jpg: the rotation has NaN",
+        ),
+        (lambda parts: parts[1]["points"]["3"].update(coordinates="here"), "coordinates of points: expected"),
+    ],
+)
+def test_opensfm_refusals(tmp_path, change, message):
+    with pytest.raises(SceneError, match=message):
+        read_capture(opensfm(tmp_path, change=change), "opensfm")

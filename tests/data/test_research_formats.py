@@ -1,0 +1,129 @@
+"""Middlebury's and NeuS's scenes: the real dino, and projection matrices taken apart by OpenCV too."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from mgsr.errors import SceneError
+from tests.data.captures import BallCapture
+from tests.data.reading import draw, project, read_capture
+
+BALL = BallCapture(views=4, center=np.array([1.0, -2, 3]))
+
+# The README of the data: "The (tight) bounding box for the dino model".
+DINO_BOX = np.array([[-0.041897, 0.001126, -0.037845], [0.030897, 0.088227, 0.035495]])
+
+
+def test_the_real_dino_lies_in_its_bounding_box(shared_data):
+    """In every photograph, what is well brighter than the README's threshold lies in the projected box, and fills
+    much of it."""
+    capture = read_capture(shared_data / "real/middlebury_dino48", "middlebury")
+    assert len(capture.photos) == 48
+    assert capture.notes == ("48 of 363 photographs of dino_par.txt are there; the others are left out",)
+    corners = np.array(list(itertools.product(*DINO_BOX.T)))
+    for photo in capture.photos[::6]:
+        pixels = project(photo, corners)
+        low, high = pixels.min(axis=0), pixels.max(axis=0)
+        bright = np.asarray(Image.open(photo.image).convert("L")) > 0.3 * 255
+        rows, cols = np.nonzero(bright)
+        within = (cols > low[0]) & (cols < high[0]) & (rows > low[1]) & (rows < high[1])
+        assert within.mean() > 0.998  # the backdrop of one view has some bright specks
+        assert np.ptp(rows) > 0.5 * min(480, high[1] - low[1])
+
+
+def middlebury(root, lines=None):
+    rows = []
+    for i, pose in enumerate(BALL.poses()):
+        draw(root / f"v{i}.png")
+        rows.append(" ".join(map(str, [f"v{i}.png", *BALL.K.ravel(), *pose[:3, :3].ravel(), *pose[:3, 3]])))
+    (root / "v_par.txt").write_text("\n".join([str(len(rows)), *rows] if lines is None else lines))
+    return root
+
+
+def test_middlebury_cameras(tmp_path):
+    for photo, pose in zip(read_capture(middlebury(tmp_path), "middlebury").photos, BALL.poses(), strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, pose)
+        # Its pixels are counted from the middle of the first.
+        np.testing.assert_allclose(photo.K - BALL.K, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([], r"v_par\.txt: the first line must be the count"),
+        (["3", "v0.png 1 2 3"], r"the first line must be the count of the others \(1\), got '3'"),
+        (["1", "v0.png 1 2 3"], "line 2: expected an image's name and 21 numbers .*got 3 numbers"),
+        (["1", "v0.png " + "x " * 21], "line 2: could not convert"),
+        (["1", "../v0.png " + "1 " * 21], "line 2: .*lies outside the scene's folder"),
+    ],
+)
+def test_middlebury_refusals(tmp_path, lines, message):
+    with pytest.raises(SceneError, match=message):
+        read_capture(middlebury(tmp_path, lines), "middlebury")
+
+
+def neus(root, change=lambda matrices: None, names="image/{:06d}.png", masks="mask/{:03d}.png"):
+    matrices = {}
+    for i, pose in enumerate(BALL.poses()):
+        draw(root / names.format(i))
+        draw(root / masks.format(i))
+        # Known up to a factor, and with scale_mat as IDR writes it.
+        matrices[f"world_mat_{i}"] = np.vstack([-2.5 * BALL.K @ pose[:3], [0, 0, 0, 1]])
+        matrices[f"scale_mat_{i}"] = np.diag([3.0, 3, 3, 1])
+    change(matrices)
+    np.savez(root / "cameras_sphere.npz", **matrices)
+    return root
+
+
+def test_neus_cameras_agree_with_opencvs_decomposition(tmp_path):
+    capture = read_capture(neus(tmp_path), "neus")
+    for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+        K, rotation, center, *_ = cv2.decomposeProjectionMatrix(BALL.K @ pose[:3])
+        np.testing.assert_allclose(photo.cam_from_world[:3, :3], rotation, atol=1e-9)
+        np.testing.assert_allclose(photo.K, K / K[2, 2] + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-9)
+        middle = center[:3, 0] / center[3, 0]
+        np.testing.assert_allclose(photo.cam_from_world[:3, :3] @ middle + photo.cam_from_world[:3, 3], 0, atol=1e-9)
+
+
+def test_masks_of_dtu_go_by_their_order(tmp_path):
+    capture = read_capture(neus(tmp_path), "neus")
+    assert [photo.mask.name for photo in capture.photos] == [f"{i:03d}.png" for i in range(4)]
+    assert [photo.image.name for photo in capture.photos] == [f"{i:06d}.png" for i in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m.pop("world_mat_3"), r"3 cameras \(world_mat_0\.\.\.\), but 4 images in image/"),
+        (lambda m: m.pop("world_mat_1"), r"damaged, or without world_mat_0"),
+        (lambda m: m.update(world_mat_1=np.zeros((4, 4))), "world_mat_1 .*has NaN or is singular"),
+        (lambda m: m.update(world_mat_1=np.full((4, 4), np.nan)), "world_mat_1 .*has NaN"),
+        (
+            lambda m: m.update(world_mat_1=np.zeros(3)),
+            r"expected a 4x4 projection matrix, got shape \[3\]",
+        ),
+        (lambda m: m.update(world_mat_1=np.array([{}])), "damaged"),
+        (lambda m: m.update(huge=np.zeros(100_000)), "expected 4x4 matrices, got larger arrays"),
+    ],
+)
+def test_neus_refusals(tmp_path, change, message):
+    with pytest.raises(SceneError, match=message):
+        read_capture(neus(tmp_path, change), "neus")
+
+
+def test_neus_file_that_is_no_archive(tmp_path):
+    neus(tmp_path)
+    (tmp_path / "cameras_sphere.npz").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(SceneError, match=r"cameras_sphere\.npz: damaged"):
+        read_capture(tmp_path, "neus")
+
+
+def test_neus_without_images(tmp_path):
+    np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.eye(4))
+    with pytest.raises(SceneError, match="no images in image/ or images/; put them there"):
+        read_capture(tmp_path, "neus")

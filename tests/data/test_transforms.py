@@ -1,0 +1,138 @@
+"""nerfstudio's and instant-ngp's transforms.json, written by hand from their documentation."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.data.capture import Split
+from mgsr.errors import SceneError
+from tests.data.captures import BallCapture, edit_json
+from tests.data.reading import draw, project, read_capture
+
+BALL = BallCapture(views=6, center=np.array([1.0, -2, 3]))
+# z to y, as ns-process-data writes it.
+APPLIED = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
+
+
+@pytest.fixture
+def root(tmp_path):
+    frames = []
+    for i, pose in enumerate(BALL.poses()):
+        draw(tmp_path / f"images/frame_{i}.png")
+        opengl = np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"images/frame_{i}.png", "transform_matrix": opengl.tolist()})
+    content = {"fl_x": 80, "fl_y": 90, "cx": 30, "cy": 35, "w": 64, "h": 64, "camera_model": "OPENCV", "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+def edit(root, **values):
+    edit_json(root / "transforms.json", lambda content: content.update(values))
+
+
+def test_cameras(root):
+    for photo, pose in zip(read_capture(root, "nerfstudio").photos, BALL.poses(), strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
+        np.testing.assert_array_equal(photo.K, BALL.K)
+        assert photo.lens is None and photo.split is None
+
+
+def test_a_frames_own_intrinsics_and_lens_overrule_the_files(root):
+    edit_json(root / "transforms.json", lambda content: content["frames"][2].update(fl_x=100, k1=0.1, k3=0.01))
+    photos = read_capture(root, "nerfstudio").photos
+    assert [photo.K[0, 0] for photo in photos] == [80, 80, 100, 80, 80, 80]
+    assert photos[2].lens.k1 == 0.1 and photos[2].lens.higher == (0.01, 0) and photos[1].lens is None
+
+
+@pytest.mark.parametrize("way", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_fisheyes(root, way):
+    edit(root, k1=0.05, **way)
+    assert read_capture(root, "nerfstudio").photos[0].lens.fisheye
+
+
+def test_results_go_back_to_the_frame_before_the_applied_transform(root):
+    """The point that a camera sees in its middle is the ball's centre in the original frame."""
+    scale, pad = 0.5, np.vstack([APPLIED, [0, 0, 0, 1]])
+
+    def apply(content):
+        content.update(applied_transform=APPLIED.tolist(), applied_scale=scale, ply_file_path="points.ply")
+        for frame in content["frames"]:
+            moved = pad @ np.array(frame["transform_matrix"])
+            moved[:3, 3] *= scale
+            frame["transform_matrix"] = moved.tolist()
+
+    edit_json(root / "transforms.json", apply)
+    points = np.array([BALL.center, [0.5, 0, 0]])
+    moved = scale * (points @ APPLIED[:, :3].T)
+    trimesh.PointCloud(moved, colors=[[10, 20, 30, 255]] * 2).export(root / "points.ply")
+    capture = read_capture(root, "nerfstudio")
+    for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
+        np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
+        np.testing.assert_allclose(project(photo, points[:1]), [BALL.K[:2, 2]], atol=1e-9)
+    np.testing.assert_allclose(capture.points.positions, points, atol=1e-6)
+    np.testing.assert_array_equal(capture.points.colors[0], [10, 20, 30])
+
+
+def test_splits(root):
+    edit(root, train_filenames=["images/frame_0.png"], test_filenames=["./images/frame_3.png"])
+    splits = [photo.split for photo in read_capture(root, "nerfstudio").photos]
+    assert splits == [Split.TRAIN] * 3 + [Split.TEST] + [Split.TRAIN] * 2
+
+
+def test_named_masks(root):
+    draw(root / "elsewhere/m.png")
+    edit_json(root / "transforms.json", lambda content: content["frames"][1].update(mask_path="elsewhere/m.png"))
+    assert read_capture(root, "nerfstudio").photos[1].mask == root / "elsewhere/m.png"
+
+
+def test_instant_ngp_leaves_out_extensions_and_photographs(root):
+    """Its own loader skips frames without an image; more than half missing is a wrong folder."""
+
+    def as_ngp(content):
+        content.update(aabb_scale=4, camera_angle_x=0.7)
+        for frame in content["frames"]:
+            frame["file_path"] = "./" + frame["file_path"].removesuffix(".png")
+
+    edit_json(root / "transforms.json", as_ngp)
+    (root / "images/frame_1.png").unlink()
+    capture = read_capture(root, "nerfstudio")
+    assert [photo.image.name for photo in capture.photos] == [f"frame_{i}.png" for i in (0, 2, 3, 4, 5)]
+    assert capture.notes == ("5 of 6 photographs named by transforms.json are there; the others are left out",)
+    for i in (2, 3, 4):
+        (root / f"images/frame_{i}.png").unlink()
+    with pytest.raises(SceneError, match=r"only 2 of 6 photographs named by .* are there; put the"):
+        read_capture(root, "nerfstudio")
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (
+            {"camera_model": "EQUIRECTANGULAR"},
+            "camera_model EQUIRECTANGULAR is not supported; expected one of",
+        ),
+        ({"k5": 0.1}, "frame 0 .*distortion k5 is not supported; undistort"),
+        ({"fl_x": "80"}, "frame 0 .*fl_x: expected a number, got '80'"),
+        ({"fl_x": 10**400}, "frame 0 .*fl_x: expected a number"),
+        ({"applied_scale": 0}, "applied_scale: expected a number above 0"),
+        ({"applied_transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}, "applied_transform: the pose is not rigid"),
+        ({"applied_transform": 3}, "applied_transform: expected a 3x4 matrix"),
+        ({"train_filenames": 3}, "expected lists of paths"),
+        ({"ply_file_path": "../secret.ply"}, "lies outside the scene's folder"),
+    ],
+)
+def test_refusals(root, values, message):
+    edit(root, **values)
+    with pytest.raises(SceneError, match=message):
+        read_capture(root, "nerfstudio")
+
+
+def test_points_that_are_no_ply(root):
+    (root / "points.ply").write_text("ply\nformat ascii 1.0\nelement vertex 5\n")
+    edit(root, ply_file_path="points.ply")
+    with pytest.raises(SceneError, match=r"points\.ply: expected a PLY with vertices"):
+        read_capture(root, "nerfstudio")

@@ -27,6 +27,7 @@ from service.keys import Keys
 from service.metrics import Metrics, MetricsMiddleware
 from service.openapi import describe
 from service.parts import Parts
+from service.polls import Polls
 from service.problems import install
 from service.routes import artifacts, health, jobs, options
 from service.snapshots import Snapshots
@@ -51,6 +52,9 @@ def create_app(settings: Settings) -> FastAPI:
     for routes in (jobs.router, artifacts.router, options.router, health.router):
         app.include_router(routes)
     app.add_api_route("/", lambda: RedirectResponse("docs", 307), include_in_schema=False)
+    # The last is asked first: the guard, the count, the polls, the routes.
+    polled = next(route for route in jobs.router.routes if getattr(route, "endpoint", None) is jobs.get_job)
+    app.add_middleware(Polls, keys=parts.keys, snapshots=parts.snapshots, route=polled)
     app.add_middleware(MetricsMiddleware, metrics=parts.metrics)
     hosts = {name.strip().lower() for name in settings.allowed_hosts.split(",") if name.strip()}
     app.add_middleware(LocalGuard, keys_needed=lambda: parts.keys.needed_cached, hosts=hosts)

@@ -39,7 +39,8 @@ class Parts:
     metrics: Metrics
 
 
-def _parts(request: Request) -> Parts:
+# Asynchronous, as all dependencies here: FastAPI calls others in a thread, which costs more than all the rest.
+async def _parts(request: Request) -> Parts:
     return cast(Parts, request.app.state.parts)
 
 

@@ -25,6 +25,8 @@ from service.views import JobView, job_view
 FRESH_SECONDS = 0.4
 # A job that has ended changes only by a retry; one made through another service shows so late.
 FRESH_FINAL_SECONDS = 2.0
+# For so long at most the old is shown while the new is read.
+READING_SECONDS = 0.5
 KEPT = 5000
 _ID = re.compile(r"[0-9a-f]{32}")
 
@@ -62,15 +64,20 @@ class Snapshots:
         self._waiting: tuple[float, dict[tuple[str, int], int]] = (float("-inf"), {})
 
     async def get(self, job: str) -> Snapshot | None:
-        """The job, at most half a second old; None for an unknown id."""
+        """The job, as it was half a second ago at most (a second, where the store is slow); None for an unknown id."""
         if not _ID.fullmatch(job):
             return None
+        return self.fresh(job) or await self.read(job)
+
+    def fresh(self, job: str) -> Snapshot | None:
+        """The job, if it has just been read. While it is being read anew, the others are content with the old."""
         kept = self._kept.get(job)
-        if kept is not None:
-            age = time.monotonic() - kept.read_at
-            if age < (FRESH_FINAL_SECONDS if kept.final else FRESH_SECONDS):
-                return kept
-        return await self.read(job)
+        if kept is None:
+            return None
+        limit = FRESH_FINAL_SECONDS if kept.final else FRESH_SECONDS
+        if job in self._reading:
+            limit += READING_SECONDS
+        return kept if time.monotonic() - kept.read_at < limit else None
 
     async def read(self, job: str) -> Snapshot | None:
         """The job as it is now. Calls at the same time share one reading."""

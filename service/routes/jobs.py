@@ -18,6 +18,7 @@ from service.contract.queue import queue_for
 from service.contract.records import JobRecord, JobStatus, new_id, now
 from service.events import EVENT_ID
 from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
+from service.polls import poll_answer
 from service.problems import Problem, answers
 from service.snapshots import Snapshot
 from service.uploads import RAW_TYPES, Received, receive, too_large
@@ -148,10 +149,7 @@ async def get_job(
     snapshot: SnapshotDep, if_none_match: Annotated[str | None, Header(max_length=1000)] = None
 ) -> Response:
     """A job: where it stands, how long it may take, what went wrong."""
-    headers = {"ETag": snapshot.etag, "Cache-Control": "no-cache"}
-    if if_none_match is not None and snapshot.etag in if_none_match:
-        return Response(status_code=304, headers=headers)
-    return Response(snapshot.body, media_type="application/json", headers=headers)
+    return poll_answer(snapshot, if_none_match)
 
 
 @router.delete(

@@ -90,6 +90,15 @@ def test_an_unchanged_job_is_not_sent_again(stack: Stack, done: dict[str, Any]) 
     assert stack.http.get(f"/jobs/{done['id']}", headers={"If-None-Match": tag}).status_code == 304
 
 
+def test_all_looks_at_a_job_are_answered_alike_and_counted(stack: Stack, done: dict[str, Any]) -> None:
+    """The first reads the store, those right after it don't."""
+    counted = '{method="GET",route="/jobs/{job_id}",status="200"} '
+    begin = float(stack.http.get("/metrics").text.partition(counted)[2].split()[0])
+    answers = [stack.http.get(f"/jobs/{done['id']}") for _ in range(3)]
+    assert len({(answer.content, answer.headers["ETag"], answer.headers["Content-Type"]) for answer in answers}) == 1
+    assert float(stack.http.get("/metrics").text.partition(counted)[2].split()[0]) == begin + 3
+
+
 def test_what_is_not_there_is_a_problem(stack: Stack, done: dict[str, Any]) -> None:
     for address, code in (
         ("/jobs/" + "0" * 32, "job_unknown"),

@@ -29,7 +29,7 @@ from service.openapi import describe
 from service.parts import Parts
 from service.polls import Polls
 from service.problems import install
-from service.routes import artifacts, health, jobs, options
+from service.routes import artifacts, health, jobs, options, webhooks
 from service.snapshots import Snapshots
 
 log = logging.getLogger("mgsr.service")
@@ -49,7 +49,7 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.parts = parts
     install(app)
-    for routes in (jobs.router, artifacts.router, options.router, health.router):
+    for routes in (jobs.router, artifacts.router, options.router, webhooks.router, health.router):
         app.include_router(routes)
     app.add_api_route("/", lambda: RedirectResponse("docs", 307), include_in_schema=False)
     # The last is asked first: the guard, the count, the polls, the routes.

@@ -52,6 +52,9 @@ def submit(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Change one setting; may be repeated.")
     ] = None,
+    webhook: Annotated[
+        str | None, typer.Option(metavar="URL", help="Told of the job's end; signed as Standard Webhooks.")
+    ] = None,
     server: ServerOption = DEFAULT_SERVER,
 ) -> None:
     """Send SCENE to a service. Its key, if it wants one, is taken from MGSR_KEY."""
@@ -63,7 +66,7 @@ def submit(
             chosen = dict(parse_setting(text) for text in settings or [])
             # The service checks the rest, by its own version's rules.
             fields = {"name": scene.resolve().name[:200], "preset": preset, "method": method, "seed": seed}
-            options = JobOptions.model_validate(fields | {"settings": chosen})
+            options = JobOptions.model_validate(fields | {"settings": chosen, "webhook": webhook})
         except ValueError as error:
             raise SetupError(str(error)) from error
         folder = (out or Path("out") / scene.resolve().stem) if wait else None

@@ -210,7 +210,7 @@ class Attempt:
     def _write_spec(self) -> Path:
         settings, scratch = self._around.settings, self._scratch
         spec = JobSpec(
-            options=self._record.options,
+            options=self._record.options.model_copy(update={"webhook": None}),  # its address may be a secret
             archive=scratch / "archive",
             scene=scratch / "scene",
             out=scratch / "out",

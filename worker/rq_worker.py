@@ -23,6 +23,7 @@ from service.contract.errors import StoreError
 from service.contract.queue import connect, open_queue
 from service.contract.recovery import PERIOD, Recovery
 from service.contract.settings import Settings
+from worker.post import Post
 from worker.rounds import Rounds
 from worker.scratch import sweep
 
@@ -113,7 +114,8 @@ class MgsrWorker(SimpleWorker):
 
 def work(queues: list[str], settings: Settings) -> None:
     """Take jobs until SIGTERM or SIGINT. Survives restarts of Redis."""
-    threading.Thread(target=_keep_house, args=(settings,), daemon=True, name="house").start()
+    for chore in (_keep_house, _send_post):
+        threading.Thread(target=chore, args=(settings,), daemon=True, name=chore.__name__).start()
     stop = StopWish()
     with suppress(StopRequested):
         stop.heed_signals()
@@ -139,4 +141,16 @@ def _keep_house(settings: Settings) -> None:
             recovery.look()
         except (RedisError, StoreError, OSError) as error:
             log.warning("recovery: trying again: %s", error)
+        time.sleep(PERIOD)
+
+
+def _send_post(settings: Settings) -> None:
+    """Deliver webhooks, in a thread that slow receivers may hold up without harm."""
+    rounds = Rounds(settings, connect(settings.need_redis()), lambda: False)
+    post = Post(rounds.jobs, rounds.live.redis, settings.webhook_private)
+    while True:
+        try:
+            post.look()
+        except (RedisError, StoreError) as error:
+            log.warning("webhooks: trying again: %s", error)
         time.sleep(PERIOD)

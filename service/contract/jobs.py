@@ -7,6 +7,7 @@ jobs/<id>/outcomes/<r>.json         how round r ended; the first to write it win
 jobs/<id>/attempts/<n>/start.json   a worker took up a round; beside it what it has made
 jobs/<id>/attempts/<n>/end          that this attempt ended in good order, if without an outcome
 open/<id>.<r>                       that round r may have no outcome yet
+webhooks/<id>.<r>                   that the owner is still to be told of the outcome of round r
 owners/<owner>/<time>.<id>          each owner's jobs; the time runs backwards, so the newest sort first
 uploads/<id>.<upload>               archives
 """
@@ -77,9 +78,21 @@ class Jobs:
 
     def finish(self, job: str, number: int, outcome: Outcome) -> bool:
         """End a round; False, and nothing happens, where it has ended already."""
+        record = self.record(job)
+        if record is not None and record.options.webhook is not None:
+            self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome, so that no death between loses it
         won = self.store.create(_path(job, f"outcomes/{number}.json"), outcome.to_bytes())
         self.store.delete(f"open/{job}.{number}")
         return won
+
+    def untold_rounds(self) -> list[tuple[str, int]]:
+        """Job and round of each end that an owner is still to be told of by webhook."""
+        found = [name.partition(".") for name in self.store.names("webhooks")]
+        return [(job, int(number)) for job, _, number in found]
+
+    def told(self, job: str, number: int) -> None:
+        """Note that the owner knows, or can't be told."""
+        self.store.delete(f"webhooks/{job}.{number}")
 
     def ask_cancel(self, job: str, number: int) -> None:
         """Note that a round should stop."""
@@ -131,6 +144,10 @@ class Jobs:
         for entry in self.store.entries("open"):
             job, _, number = entry.key.removeprefix("open/").partition(".")
             yield job, int(number), (now() - entry.modified).total_seconds()
+
+    def open_of(self, owner: str) -> int:
+        """How many of an owner's jobs are queued or running."""
+        return len({job for job, _, _ in self.open_rounds()}.intersection(self.owned(owner)))
 
     def index(self, record: JobRecord) -> None:
         """Enter the job in its owner's list; doing it twice is doing it once."""

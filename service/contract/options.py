@@ -8,6 +8,7 @@ import json
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -54,6 +55,14 @@ class JobOptions(BaseModel):
     deadline_seconds: Annotated[
         float | None, Field(gt=0, le=1e7, description="After so long in one attempt the job fails.")
     ] = None
+    webhook: Annotated[
+        str | None,
+        Field(
+            max_length=2000,
+            pattern=r"^https?://[A-Za-z0-9.\-\[\]:]+([/?][!-~]*)?$",
+            description="Told of the job's end by a POST, signed as Standard Webhooks with `GET /webhook-secret`.",
+        ),
+    ] = None
     settings: Annotated[
         dict[str, SettingValue],
         Field(max_length=200, description="Single settings by their name in `GET /options`; null is none."),
@@ -63,6 +72,13 @@ class JobOptions(BaseModel):
     @classmethod
     def _known_settings(cls, settings: dict[str, SettingValue]) -> dict[str, SettingValue]:
         return {find_setting(key): _checked(key, value) for key, value in settings.items()}
+
+    @field_validator("webhook")
+    @classmethod
+    def _callable_address(cls, webhook: str | None) -> str | None:
+        if webhook is not None and (not urlsplit(webhook).hostname or urlsplit(webhook).port == 0):
+            raise ValueError("expected an address like https://host/path")
+        return webhook
 
     def overrides(self) -> list[str]:
         """The settings as the library takes them."""

@@ -44,7 +44,7 @@ class Settings(BaseSettings):
     upload_grace: float = 30.0  # before the rate is looked at
     upload_rate: ByteSize = ByteSize(1024)  # bytes a second on average that an upload must reach
     min_free_disk: ByteSize = ByteSize(GIB)  # left free, at a submit and during a run
-    max_open_jobs: int = 1000  # queued and running, of all owners
+    max_open_jobs: int = 1000  # queued and running, of one owner
 
     max_members: int = 20_000  # files in an archive
     max_unpacked: ByteSize = ByteSize(32 * GIB)
@@ -57,6 +57,7 @@ class Settings(BaseSettings):
     stop_grace: float = 20.0  # that a job has to write its checkpoint before it is killed
     lease: float = 15.0  # after which a worker that says nothing counts as dead
     max_attempts: int = 6  # that die, of one submit or retry, before the job counts as failed
+    webhook_private: bool = False  # whether webhooks may go to this machine and its network
     publish_patience: float = 900.0  # that a worker tries to bring results to a store that doesn't answer
 
     def need_redis(self) -> str:

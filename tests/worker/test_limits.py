@@ -13,6 +13,8 @@ from typing import Any
 import pytest
 
 from service.contract.options import JobOptions
+from service.contract.store import Store
+from service.keys import Keys
 from tests.service.stack import LONG_OPTIONS, TINY_OPTIONS, Stack
 from worker import job as job_module
 from worker.job import JobSpec
@@ -33,7 +35,7 @@ def worker_ends(limited: Stack) -> Iterator[None]:
     if "worker0" in limited.processes:
         limited.stop("worker0")
     assert not limited.job_processes()
-    assert not list((limited.folder / "scratch").iterdir())
+    assert not list((limited.folder / "scratch").glob("*"))
 
 
 def failure(stack: Stack, job: str) -> dict[str, Any]:
@@ -65,11 +67,16 @@ def test_a_submit_to_a_full_disk(tmp_path: Path, tiny_archive: bytes) -> None:
 
 @pytest.mark.slow
 def test_too_many_jobs(tmp_path: Path, tiny_archive: bytes) -> None:
+    """Of one key: another's have room. A job that has ended makes room."""
+    keys = Keys(Store(str(tmp_path / "store"), 1.0))
+    anna, bert = ({"Authorization": f"Bearer {keys.create(name)[0]}"} for name in ("anna", "bert"))
     with Stack(tmp_path, workers=0, MGSR_MAX_OPEN_JOBS="2") as small:
-        assert [small.submit(tiny_archive, TINY_OPTIONS).status_code for _ in range(2)] == [202, 202]
-        answer = small.submit(tiny_archive, TINY_OPTIONS)
-        assert answer.status_code == 429 and answer.json()["code"] == "queue_full"
-        assert int(answer.headers["Retry-After"]) > 0
+        answers = [small.submit(tiny_archive, TINY_OPTIONS, **anna) for _ in range(3)]
+        assert [answer.status_code for answer in answers] == [202, 202, 429]
+        assert answers[2].json()["code"] == "queue_full" and int(answers[2].headers["Retry-After"]) > 0
+        assert small.submit(tiny_archive, TINY_OPTIONS, **bert).status_code == 202
+        assert small.http.delete(f"/jobs/{answers[0].json()['id']}", headers=anna).status_code == 200
+        assert small.submit(tiny_archive, TINY_OPTIONS, **anna).status_code == 202
 
 
 @pytest.mark.slow

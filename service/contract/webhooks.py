@@ -1,0 +1,43 @@
+"""Webhooks: the secret that an owner's messages are signed with, and which addresses may be called."""
+
+from __future__ import annotations
+
+import base64
+import ipaddress
+import secrets
+from urllib.parse import urlsplit
+
+from service.contract.store import Store
+
+# IPv6 addresses that a gateway turns into IPv4 ones, inside networks too.
+_TRANSLATED = ipaddress.IPv6Network("64:ff9b::/96")
+
+
+def webhook_secret(store: Store, owner: str) -> str:
+    """The owner's secret (Standard Webhooks: `whsec_` and base64), made when it is first asked for."""
+    path = f"webhook-secrets/{owner}"
+    if (found := store.read(path)) is None:
+        made = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()
+        store.create(path, made.encode())
+        found = store.read(path)
+        assert found is not None
+    return found.decode()
+
+
+def is_public(address: str) -> bool:
+    """Whether an IP address belongs to the open internet, not to this machine or a network around it."""
+    found = ipaddress.ip_address(address.partition("%")[0])
+    if isinstance(found, ipaddress.IPv6Address):
+        if found in _TRANSLATED:
+            return False
+        found = found.ipv4_mapped or found.sixtofour or found
+    return found.is_global and not found.is_multicast
+
+
+def names_private_host(url: str) -> bool:
+    """Whether the address is private by its mere text. Names are looked at when they are resolved, at each call."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return not is_public(host)
+    except ValueError:
+        return host == "localhost" or host.endswith(".localhost")

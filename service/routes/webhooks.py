@@ -1,0 +1,25 @@
+"""/webhook-secret: what a receiver of webhooks checks signatures with."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from fastapi.concurrency import run_in_threadpool
+from pydantic import BaseModel, Field
+
+from service.contract.webhooks import webhook_secret
+from service.parts import OwnerDep, PartsDep
+from service.problems import answers
+
+router = APIRouter(tags=["webhooks"])
+
+
+class WebhookSecret(BaseModel):
+    """Of one key, always the same."""
+
+    secret: str = Field(description="`whsec_` and base64, as libraries of Standard Webhooks take it.")
+
+
+@router.get("/webhook-secret", responses=answers())
+async def get_webhook_secret(owner: OwnerDep, parts: PartsDep) -> WebhookSecret:
+    """The secret that signs what your jobs' webhooks send."""
+    return WebhookSecret(secret=await run_in_threadpool(webhook_secret, parts.jobs.store, owner))

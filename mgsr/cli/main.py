@@ -19,6 +19,7 @@ from mgsr.cli.options import (
     SetOption,
     refusals,
 )
+from mgsr.cli.poses import poses
 from mgsr.cli.run import run
 from mgsr.cli.signals import stop_on_signals
 from mgsr.config import Config, make_config
@@ -30,6 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(run)
+app.command()(poses)
 
 
 @app.command()

@@ -106,8 +106,8 @@ def _unknown(folder: Path, root: Path, formats: Sequence[Format]) -> SceneError:
         return SceneError(f"{folder}: no known scene in it, but another archive, {archives[0]}: unpack that first")
     if images:
         return SceneError(
-            f"{folder}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {folder}`, or put them "
-            f"there. Looked for: {looked}. See docs/inputs.md"
+            f"{folder}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {folder} -o SCENE`, "
+            f"or put them there. Looked for: {looked}. See docs/inputs.md"
         )
     state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"
     return SceneError(f"{folder}: {state}. Looked for: {looked}. See docs/inputs.md")

@@ -1,0 +1,24 @@
+"""The command `poses`: cameras for photographs that have none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mgsr.cli.options import refusals
+
+PhotosArgument = Annotated[Path, typer.Argument(metavar="PHOTOS", help="A folder of photographs.", exists=True)]
+SceneOption = Annotated[Path, typer.Option("--out", "-o", metavar="SCENE", help="The new scene's folder.")]
+PosesSeedOption = Annotated[int, typer.Option("--seed", help="Seeds the random samples of COLMAP.", min=0)]
+
+
+def poses(photos: PhotosArgument, out: SceneOption, seed: PosesSeedOption = 0) -> None:
+    """Find the cameras of PHOTOS with COLMAP, and make of both a SCENE that `mgsr run` takes."""
+    with refusals():
+        from mgsr.data.find_poses import find_poses
+
+        for note in find_poses(photos, out, seed):
+            print(note)
+        print(f"scene  {out}")

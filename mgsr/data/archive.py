@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import gzip
 import lzma
 import os
 import shutil
 import stat
+import struct
 import tarfile
 import tempfile
 import zipfile
@@ -43,8 +45,10 @@ _DAMAGE = (
     gzip.BadGzipFile,
     EOFError,
     ValueError,
-    NotImplementedError,
+    RuntimeError,
     OverflowError,
+    struct.error,
+    KeyError,
 )
 
 
@@ -72,10 +76,16 @@ def unpack(archive: Path, target: Path | None = None) -> Path:
             _write_all(archive, members, folder)
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
-        if isinstance(error, _DAMAGE):
+        if _is_damage(error):
             raise SceneError(f"{archive.name}: damaged or not an archive: {error}; make it again") from error
         raise
     return folder
+
+
+def _is_damage(error: BaseException) -> bool:
+    """Whether an error comes from what the archive holds, and not from the disk or from us."""
+    # zipfile seeks to places before the file's beginning where an archive says so.
+    return isinstance(error, _DAMAGE) or (isinstance(error, OSError) and error.errno == errno.EINVAL)
 
 
 def archive_stem(path: Path) -> str:
@@ -236,8 +246,10 @@ def _write(archive: Path, member: _Member, place: Path, budget: _Budget) -> None
                 sink.write(chunk)
     except FileExistsError as error:
         raise _refused(archive, member.name, "is a folder and a file; rename one") from error
-    except (*_DAMAGE, RuntimeError) as error:
-        raise _refused(archive, member.name, f"can't be unpacked: {error}") from error
+    except Exception as error:
+        if _is_damage(error):
+            raise _refused(archive, member.name, f"can't be unpacked: {error}") from error
+        raise
 
 
 def _refused(archive: Path, name: str, what: str) -> SceneError:

@@ -97,7 +97,8 @@ def composite_on_white(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 def to_uint8(values: np.ndarray) -> np.ndarray:
     """Values in 0..255, rounded and clipped."""
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    rounded = np.rint(values)
+    return np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
 
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:

@@ -176,19 +176,25 @@ def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> Vi
 
 
 def _stack(view: View, premultiply: bool) -> np.ndarray:
-    """Colours and alpha, if any, as [H,W,3 or 4] float32 in 0..255."""
-    colors = view.image.astype(np.float32)
+    """Colours and alpha, if any, as [H,W,3 or 4] in 0..255, float32 where they are weighted and else as they came."""
     if view.alpha is None:
-        return colors
-    alpha = view.alpha.astype(np.float32)[..., None]
-    return np.concatenate([colors * (alpha / 255) if premultiply else colors, alpha], axis=2)
+        return view.image
+    alpha = view.alpha[..., None]
+    if not premultiply:
+        return np.concatenate([view.image, alpha], axis=2)
+    weight = alpha.astype(np.float32)
+    return np.concatenate([view.image * (weight / 255), weight], axis=2)
 
 
 def _unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) -> View:
     colors = pixels[..., :3]
     if pixels.shape[2] == 3:
-        return View(name, camera, to_uint8(colors))
+        return View(name, camera, _bytes(colors))
     alpha = pixels[..., 3]
     if premultiplied:
         colors = colors * (255 / np.maximum(alpha, 1e-3))[..., None]
-    return View(name, camera, to_uint8(colors), to_uint8(alpha))
+    return View(name, camera, _bytes(colors), _bytes(alpha))
+
+
+def _bytes(pixels: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(pixels) if pixels.dtype == np.uint8 else to_uint8(pixels)

@@ -70,7 +70,7 @@ class Undistorter:
 
 
 def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
-    """The undistorted image [h,w,C] float32 of a photograph [H,W,C] float32, by bicubic interpolation."""
+    """The undistorted image [h,w,C] of a photograph [H,W,C], float32 or uint8 (rounded), by bicubic interpolation."""
     import cv2  # late: training needs no OpenCV
 
     # OpenCV counts from the middle of the first pixel.

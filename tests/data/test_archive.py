@@ -179,6 +179,15 @@ def test_archives_that_end_early(tmp_path, suffix):
     refuses(path, r"bad\.[\w.]+: (damaged or not an archive|member 'photo\.png' can't be unpacked)")
 
 
+def test_a_zip_that_points_before_its_beginning(tmp_path):
+    path = written(tmp_path, ".zip", "a.png")
+    data = bytearray(path.read_bytes())
+    end = data.rindex(b"PK\x05\x06") + 16
+    data[end : end + 4] = struct.pack("<I", struct.unpack("<I", data[end : end + 4])[0] + 1000)
+    path.write_bytes(data)
+    refuses(path, r"bad\.zip: (damaged|member 'a\.png' can't be unpacked)")
+
+
 @pytest.mark.parametrize("head", [b"hello", b"PK\x03\x04 no", b"\x1f\x8b\x08 no", b"\x28\xb5\x2f\xfd no", b""])
 def test_what_only_looks_like_an_archive(tmp_path, head):
     (tmp_path / "bad.zip").write_bytes(head + b"x" * 600 * bool(head))

@@ -184,9 +184,9 @@ def test_photographs_of_one_camera_share_one_map(tmp_path, monkeypatch):
 @pytest.mark.parametrize("memory", [0, 300, 1 << 20])
 def test_the_store_gives_back_what_it_got(memory):
     """In memory, in files, and where the one goes over into the other."""
-    store = PixelStore(memory, block=128)
+    store = PixelStore(memory, file=128)
     images = [RNG.integers(0, 256, (RNG.integers(1, 9), RNG.integers(1, 9), 3), dtype=np.uint8) for _ in range(40)]
-    images.append(RNG.integers(0, 256, (20, 20, 3), dtype=np.uint8))  # larger than a block
+    images.append(RNG.integers(0, 256, (20, 20, 3), dtype=np.uint8))  # larger than a file
     held = [store.hold(image) for image in images]
     for image, copy in zip(images, held, strict=True):
         np.testing.assert_array_equal(copy, image)

@@ -1,0 +1,116 @@
+"""Time to read photographs, beside what OpenImageIO takes to decode them alone on the same cores:
+
+    python benchmarks/reading.py [--count 100] [--width 1633] [--height 1225] [--runs 3] [--suffix .jpg] [FOLDER]
+
+Without FOLDER, photographs of that size are made in a temporary folder: smooth with some noise, as cameras' files are.
+Each row is a way to read: `decode` is OpenImageIO alone; `views` is the reader's, as they are; `reduced` to 1,000
+pixels; `lens` with a distortion undone; `reduced, lens` both. `cpu` is processor time, which other programs on the
+machine disturb less; the ratios are to `decode`, of the medians of runs that alternate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO
+
+from mgsr.config import DataConfig
+from mgsr.data.capture import Photo
+from mgsr.data.files import images_below
+from mgsr.data.images import image_size
+from mgsr.data.lens import Lens
+from mgsr.data.loading import load_views
+from mgsr.parallel import core_count
+
+LENS = Lens(-0.12, 0.05, 0.001, -0.001)
+
+
+def main() -> None:
+    given = arguments()
+    with tempfile.TemporaryDirectory() as folder:
+        if given.folder is None:
+            make_photographs(Path(folder), given.count, given.width, given.height, given.suffix)
+        images = images_below(given.folder or Path(folder))
+        report(images, given.runs)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--width", type=int, default=1633)
+    parser.add_argument("--height", type=int, default=1225)
+    parser.add_argument("--suffix", default=".jpg")
+    parser.add_argument("--runs", type=int, default=3)
+    return parser.parse_args()
+
+
+def make_photographs(folder: Path, count: int, width: int, height: int, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    for i in range(count):
+        coarse = OpenImageIO.ImageBuf(rng.random((height // 20, width // 20, 3), dtype=np.float32))
+        smooth = OpenImageIO.ImageBufAlgo.resize(coarse, roi=OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, 3))
+        noisy = smooth.get_pixels() + rng.normal(0, 0.01, (height, width, 3)).astype(np.float32)
+        picture = OpenImageIO.ImageBuf(np.ascontiguousarray(noisy))
+        picture.set_write_format("uint8")
+        picture.write(str(folder / f"{i:04d}{suffix}"))
+
+
+def report(images: Sequence[Path], runs: int) -> None:
+    size = image_size(images[0], "the benchmark")
+    ways: dict[str, Callable[[], None]] = {
+        "decode": lambda: decode(images),
+        "views": lambda: read(images, size, None, 1 << 20),
+        "reduced": lambda: read(images, size, None, 1000),
+        "lens": lambda: read(images, size, LENS, 1 << 14),
+        "reduced, lens": lambda: read(images, size, LENS, 1000),
+    }
+    seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
+    for _ in range(runs):
+        for name, way in ways.items():
+            begun, used = time.perf_counter(), time.process_time()
+            way()
+            seconds[name].append((time.perf_counter() - begun, time.process_time() - used))
+    print(f"{len(images)} images of {size[0]}x{size[1]}, {core_count(None)} cores, {runs} runs")
+    print(f"{'':16}{'ms an image':>12}{'ratio':>8}{'cpu ms':>10}{'ratio':>8}")
+    medians = {
+        name: [statistics.median(column) for column in zip(*rows, strict=True)] for name, rows in seconds.items()
+    }
+    bare = medians["decode"]
+    for name, (wall, cpu) in medians.items():
+        unit = 1e3 / len(images)
+        print(f"{name:16}{wall * unit:12.1f}{wall / bare[0]:8.2f}{cpu * unit:10.1f}{cpu / bare[1]:8.2f}")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    pixels = len(images) * size[0] * size[1] * 3 / 2**20
+    print(f"memory at most {peak:.0f} MiB, of which {pixels:.0f} MiB are the images of one reading")
+
+
+def decode(images: Sequence[Path]) -> None:
+    with ThreadPoolExecutor(core_count(None)) as pool:
+        for _ in pool.map(decode_one, images):
+            pass
+
+
+def decode_one(image: Path) -> np.ndarray:
+    handle = OpenImageIO.ImageInput.open(str(image))
+    pixels: np.ndarray = handle.read_image(0, 0, 0, handle.spec().nchannels, "uint8")
+    handle.close()
+    return pixels
+
+
+def read(images: Sequence[Path], size: tuple[int, int], lens: Lens | None, max_side: int) -> None:
+    K = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1.0]])
+    photos = [Photo(image, K, size, np.eye(4), image.name, lens=lens) for image in images]
+    load_views(photos, [image.stem for image in images], DataConfig(max_side=max_side))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,275 @@
+"""Damaged and hostile files: whatever is changed in them, a reader gives a capture or one SceneError.
+
+The short run uses the same examples each time; the slow one looks for new ones, each parser for ten minutes or so:
+`python -m pytest -m slow tests/data/test_fuzz.py`. What it finds becomes a test of its own below.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from mgsr.data import archive
+from mgsr.data.formats import all_formats
+from mgsr.data.images import read_picture
+from mgsr.data.readers import _checked
+from mgsr.errors import SceneError
+from tests.data.captures import BallCapture
+from tests.data.test_app_formats import metashape, opensfm, polycam, realitycapture
+from tests.data.test_archive import tarred, zipped
+from tests.data.test_research_formats import middlebury, neus
+
+QUICK = settings(max_examples=25, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+LONG = settings(max_examples=100_000, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+# What is changed: bytes of any file, and values of JSON files.
+
+Change = Callable[[bytes], bytes]
+
+_TOKENS = [b"nan", b"-inf", b"1e999", b"-1", b"0", b"", b"\x00", b"\xff\xff\xff\xff\xff\xff\xff\x7f", b",", b" ", b"\n"]
+_VALUES = [None, True, -1, 0, 1e308, 10**30, float("nan"), float("inf"), "", "../x", "a\x00b", [], {}, [[]], [None] * 4]
+
+
+@st.composite
+def byte_changes(draw: Any) -> Change:
+    """A few edits: bytes flipped, cut out, doubled, or replaced by words that parsers dislike."""
+    edits = draw(
+        st.lists(st.tuples(st.floats(0, 1), st.integers(0, 12), st.sampled_from(_TOKENS)), min_size=1, max_size=4)
+    )
+    kinds = draw(st.lists(st.sampled_from(["flip", "cut", "insert", "replace", "truncate"]), min_size=4, max_size=4))
+
+    def change(data: bytes) -> bytes:
+        for (place, count, token), kind in zip(edits, kinds, strict=False):
+            at = int(place * len(data))
+            match kind:
+                case "flip":
+                    data = data[:at] + bytes(255 ^ byte for byte in data[at : at + 1]) + data[at + 1 :]
+                case "cut":
+                    data = data[:at] + data[at + count :]
+                case "insert":
+                    data = data[:at] + token + data[at:]
+                case "replace":
+                    data = data[:at] + token + data[at + max(count, len(token)) :]
+                case "truncate":
+                    data = data[:at]
+        return data
+
+    return change
+
+
+@st.composite
+def value_changes(draw: Any) -> Change:
+    """Values somewhere in a JSON document replaced or removed."""
+    edits = draw(
+        st.lists(
+            st.tuples(st.lists(st.integers(0, 30), min_size=1, max_size=6), st.sampled_from([*_VALUES, "REMOVE"])),
+            min_size=1,
+            max_size=3,
+        )
+    )
+
+    def change(data: bytes) -> bytes:
+        document = json.loads(data)
+        for path, value in edits:
+            _put(document, path, value)
+        return json.dumps(document).encode()
+
+    return change
+
+
+def _put(node: Any, path: list[int], value: Any) -> None:
+    """Follow the path as far as it goes, and change what is there."""
+    while isinstance(node, (dict, list)) and node:
+        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
+        key = keys[path[0] % len(keys)]
+        path = path[1:]
+        if not path or not isinstance(node[key], (dict, list)) or not node[key]:
+            if value == "REMOVE":
+                del node[key]
+            else:
+                node[key] = value
+            return
+        node = node[key]
+
+
+# What is read: a scene of every format, and the file of it that is changed.
+
+
+def nerfstudio(root: Path) -> Path:
+    (BallCapture(views=4).write_blender(root) / "transforms_train.json").rename(root / "transforms.json")
+    trimesh.PointCloud(np.eye(3), colors=[[1, 2, 3, 255]] * 3).export(root / "p.ply")
+    content = json.loads((root / "transforms.json").read_text())
+    content |= {"applied_transform": np.eye(4)[:3].tolist(), "applied_scale": 2.0, "ply_file_path": "p.ply", "k1": 0.1}
+    content |= {"train_filenames": [], "test_filenames": ["train/r_1.png"], "camera_model": "OPENCV"}
+    (root / "transforms.json").write_text(json.dumps(content))
+    return root
+
+
+def colmap(root: Path, text: bool) -> Path:
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 100.0, 64, 64)
+    model.add_camera_with_trivial_rig(camera)
+    (root / "images").mkdir()
+    for i, pose in enumerate(BallCapture(views=4).poses(), start=1):
+        model.add_image_with_trivial_frame(
+            pycolmap.Image(name=f"{i}.png", camera_id=1, image_id=i), pycolmap.Rigid3d(pose[:3])
+        )
+    model.add_point3D(np.ones(3), pycolmap.Track(), np.zeros(3, np.uint8))
+    (root / "sparse/0").mkdir(parents=True)
+    (model.write_text if text else model.write_binary)(str(root / "sparse/0"))
+    return root
+
+
+@dataclass(frozen=True)
+class Target:
+    make: Callable[[Path], Path]
+    file: str
+
+
+ROW = "a.jpg,1,2,10,0,0,0,18,0,0,0.1,0,0,0,0,0"
+TARGETS = {
+    "plain": Target(lambda root: BallCapture(views=4).write_plain(root), "cameras.json"),
+    "blender": Target(lambda root: BallCapture(views=4).write_blender(root), "transforms_train.json"),
+    "nerfstudio": Target(nerfstudio, "transforms.json"),
+    "nerfstudio_points": Target(nerfstudio, "p.ply"),
+    "middlebury": Target(middlebury, "v_par.txt"),
+    "neus": Target(neus, "cameras_sphere.npz"),
+    "polycam": Target(polycam, "keyframes/cameras/101.json"),
+    "opensfm": Target(opensfm, "reconstruction.json"),
+    "metashape": Target(metashape, "cameras.xml"),
+    "realitycapture": Target(lambda root: realitycapture(root, ROW, first="#cameras 1"), "export.csv"),
+    **{
+        f"colmap_{stem}_{suffix}": Target(
+            lambda root, text=suffix == "txt": colmap(root, text), f"sparse/0/{stem}.{suffix}"
+        )
+        for stem in ("cameras", "images", "points3D")
+        for suffix in ("bin", "txt")
+    },
+}
+JSON_TARGETS = [name for name, target in TARGETS.items() if target.file.endswith(".json")]
+
+
+def read_or_refuse(root: Path) -> None:
+    try:
+        for kind in all_formats():
+            if kind.recognises(root):
+                for photo in kind.read(root).photos:
+                    _checked(photo)
+                return
+    except SceneError as error:
+        assert len(str(error)) < 1000
+
+
+def fuzz_reader(root: Path, name: str, changes: st.SearchStrategy[Change], how: settings) -> None:
+    target = TARGETS[name]
+    path = target.make(root) / target.file
+    whole = path.read_bytes()
+
+    @how
+    @given(changes)
+    def run(change: Change) -> None:
+        path.write_bytes(change(whole))
+        read_or_refuse(root)
+
+    run()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_bytes(tmp_path, name):
+    fuzz_reader(tmp_path, name, byte_changes(), QUICK)
+
+
+@pytest.mark.parametrize("name", JSON_TARGETS)
+def test_senseless_values(tmp_path, name):
+    fuzz_reader(tmp_path, name, value_changes(), QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", TARGETS)
+def test_damaged_bytes_for_long(tmp_path, name):
+    fuzz_reader(tmp_path, name, byte_changes(), LONG)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", JSON_TARGETS)
+def test_senseless_values_for_long(tmp_path, name):
+    fuzz_reader(tmp_path, name, value_changes(), LONG)
+
+
+# Archives and images
+
+ARCHIVES = ("a.zip", "a.tar", "a.tar.gz", "a.tar.zst")
+
+
+def fuzz_archive(root: Path, name: str, how: settings) -> None:
+    folder = BallCapture(views=2).write_plain(root / "scene")
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    path = root / name
+    if name.endswith(".zip"):
+        zipped(path, folder)
+    else:
+        tarred(path, *[(str(file.relative_to(folder)), file.read_bytes()) for file in files])
+    whole = path.read_bytes()
+
+    @how
+    @given(byte_changes())
+    def run(change: Change) -> None:
+        path.write_bytes(change(whole))
+        try:
+            archive.unpack(path, root / "out")
+        except SceneError:
+            assert not (root / "out").exists(), "nothing is left behind"
+        shutil.rmtree(root / "out", ignore_errors=True)
+
+    run()
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_damaged_archives(tmp_path, name):
+    fuzz_archive(tmp_path, name, QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_damaged_archives_for_long(tmp_path, name):
+    fuzz_archive(tmp_path, name, LONG)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.bmp", "a.heic"])
+def test_damaged_images_for_long(tmp_path, name):
+    import pillow_heif
+
+    pixels = Image.fromarray(np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8))
+    path = tmp_path / name
+    (pillow_heif.from_pillow(pixels) if name.endswith("heic") else pixels).save(path)
+    whole = path.read_bytes()
+
+    @LONG
+    @given(byte_changes())
+    def run(change: Change) -> None:
+        path.write_bytes(change(whole))
+        try:
+            colors = read_picture(path, "test").colors
+        except SceneError:
+            return
+        assert colors.dtype == np.uint8 and colors.ndim == 3 and colors.shape[2] == 3
+
+    run()

@@ -1,4 +1,4 @@
-"""The commands of `mgsr` that have to do with the service: serve, submit, keys."""
+"""The commands of `mgsr` that have to do with the service: serve, submit, fetch, keys."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ def add_commands(app: typer.Typer) -> None:
     """Give a program these commands."""
     app.command()(serve)
     app.command()(submit)
+    app.command()(fetch)
     app.add_typer(keys, name="keys")
 
 
@@ -71,6 +72,20 @@ def submit(
             raise SetupError(str(error)) from error
         folder = (out or Path("out") / scene.resolve().stem) if wait else None
         raise typer.Exit(submit_scene(server, os.environ.get("MGSR_KEY"), scene, options, folder))
+
+
+def fetch(
+    job: Annotated[str, typer.Argument(metavar="ID", help="The job's id, as `mgsr submit` said it.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="OUT", help="Where the results go; out/ID by default.")
+    ] = None,
+    server: ServerOption = DEFAULT_SERVER,
+) -> None:
+    """Follow a job that was sent before, and fetch its results when it is done."""
+    with refusals():
+        from service.client.submit import fetch_job
+
+        raise typer.Exit(fetch_job(server, os.environ.get("MGSR_KEY"), job, out or Path("out") / job))
 
 
 @keys.command("create")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import threading
 import time
@@ -212,7 +213,7 @@ class Attempt:
         spec = JobSpec(
             options=self._record.options.model_copy(update={"webhook": None}),  # its address may be a secret
             archive=scratch / "archive",
-            scene=scratch / "scene",
+            scene=scratch / "scene" / folder_name(self._record.options.name),
             out=scratch / "out",
             previews=scratch / "previews",
             result=scratch / "result.json",
@@ -304,6 +305,11 @@ class Attempt:
                 send()
             except (StoreError, OSError):
                 continue  # a retry then begins from an older one
+
+
+def folder_name(name: str | None) -> str:
+    """What the capture is called in its report: the job's name, in letters that files bear."""
+    return re.sub(r"[^\w.-]+", "_", name or "").strip("._")[:60] or "capture"
 
 
 def joined(earlier: list[dict[str, Any]], curve: list[dict[str, Any]]) -> list[dict[str, Any]]:

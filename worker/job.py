@@ -7,6 +7,7 @@ python -m worker.job, with MGSR_JOB naming the spec and MGSR_JOB_PARENT the work
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import errno
 import json
 import os
@@ -14,12 +15,15 @@ import sys
 import traceback
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
 from service.contract.lifeline import die_with_parent
 from service.contract.options import JobOptions
+
+if TYPE_CHECKING:
+    from mgsr.cli.events import Event, EventCallback
 
 # The pipe to the worker.
 EVENTS_FD = 3
@@ -107,8 +111,10 @@ def _reconstruct(spec: JobSpec) -> None:
         from worker.reporting import Reporter
 
         with RunDisplay(spec.out / LOG, append=spec.resume) as display:
-            report = Reporter(spec.previews, partial(_tell, spec), display)
-            run_scene(spec.scene, spec.out, config, options.device, spec.resume, report, stop)
+            report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
+            # By its name alone, so that the report and the log do not speak of the worker's folders.
+            os.chdir(spec.scene.parent)
+            run_scene(Path(spec.scene.name), spec.out, config, options.device, spec.resume, report, stop)
 
 
 def emit(kind: str, **data: Any) -> None:
@@ -120,6 +126,11 @@ def emit(kind: str, **data: Any) -> None:
 def _tell(spec: JobSpec, kind: str, **data: Any) -> None:
     """Tell the worker something that others will read."""
     emit(kind, **{name: _without_folders(value, spec) if name == "text" else value for name, value in data.items()})
+
+
+def _log(spec: JobSpec, display: EventCallback, event: Event) -> None:
+    """Log an event: others will read that, too."""
+    display(dataclasses.replace(event, text=_without_folders(event.text, spec)))
 
 
 def _unexpected(error: BaseException) -> JobResult:

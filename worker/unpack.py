@@ -77,7 +77,7 @@ class _Budget:
 
 def unpack_archive(archive: Path, folder: Path, limits: Limits) -> None:
     """Write the archive's files under `folder`, which is made. Raises ArchiveError naming the member and the limit."""
-    folder.mkdir()
+    folder.mkdir(parents=True)
     budget = _Budget(limits, archive.stat().st_size)
     try:
         for name, source in _members(archive):

@@ -3,13 +3,16 @@ because each submit carries an idempotency key."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 import time
 import uuid
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, BinaryIO
 
 import httpx
 
@@ -26,6 +29,10 @@ class ServiceRefusal(Exception):
     def __init__(self, status: int, code: str, detail: str) -> None:
         super().__init__(detail)
         self.status, self.code = status, code
+
+
+class DamagedDownload(Exception):
+    """A result file came other than it was sent; the text says which."""
 
 
 class Client:
@@ -74,13 +81,39 @@ class Client:
         """The result files: name, size, sha256."""
         return _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
 
-    def download(self, job: str, name: str, path: Path) -> None:
-        """Write a result file to `path`."""
-        answer = _again(lambda: self._http.get(f"/jobs/{job}/artifacts/{name}"))
-        if answer.status_code == 307:  # another host: the key is not for it
-            answer = _again(lambda: httpx.get(answer.headers["Location"], timeout=60.0))
+    def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
+        """Write a result file to `path`, whole and checked, or not at all. One that is cut goes on where it was.
+
+        got: told of each chunk's size. Raises DamagedDownload where the SHA-256 is another.
+        """
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(answer.content)
+        partial = path.with_name(f".{path.name}.partial")
+        with partial.open("w+b") as file:
+            failures = 0
+            while (begin := file.tell()) < artifact["size"]:
+                try:
+                    self._receive(f"/jobs/{job}/artifacts/{artifact['name']}", file, got)
+                except httpx.TransportError:
+                    failures = failures + 1 if file.tell() == begin else 1
+                    if failures == TRIES:
+                        raise
+                    time.sleep(_pause(failures))
+            file.seek(0)
+            if hashlib.file_digest(file, "sha256").hexdigest() != artifact["sha256"]:
+                raise DamagedDownload(f"{path}: came damaged; fetch it again")
+        os.replace(partial, path)
+
+    def _receive(self, address: str, file: BinaryIO, got: Callable[[int], None]) -> None:
+        """Append to the file what it lacks."""
+        begin = file.tell()
+        headers = {"Range": f"bytes={begin}-"} if begin else {}
+        plain = _again(lambda: self._http.send(self._http.build_request("GET", address, headers=headers), stream=True))
+        with closing(plain):
+            if plain.status_code != 307:
+                _append(plain, file, got)
+                return
+        with httpx.stream("GET", plain.headers["Location"], headers=headers, timeout=60.0) as other:  # without the key
+            _append(_check(other), file, got)
 
     def follow(self, job: str) -> Iterator[Job]:
         """The job's fields as they change, the whole job last. Goes on where it was if the connection ends."""
@@ -118,6 +151,21 @@ def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
             number = kind = data = ""
 
 
+def _append(answer: httpx.Response, file: BinaryIO, got: Callable[[int], None]) -> None:
+    if answer.status_code != 206 and file.tell() > 0:  # the whole again, from someone who knows no ranges
+        got(-file.tell())
+        file.seek(0)
+        file.truncate()
+    for chunk in answer.iter_bytes():
+        file.write(chunk)
+        got(len(chunk))
+
+
+def _pause(failures: int) -> float:
+    """Seconds to wait after so many failures in a row."""
+    return min(0.5 * 2 ** (failures - 1), 8.0)
+
+
 def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
     """The answer, asked for again while the server is away or busy."""
     for attempt in range(TRIES):
@@ -129,7 +177,7 @@ def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
         else:
             if answer.status_code not in _AGAIN or attempt == TRIES - 1:
                 return _check(answer)
-        time.sleep(min(0.5 * 2**attempt, 8.0))
+        time.sleep(_pause(attempt + 1))
     raise AssertionError("unreachable")
 
 

@@ -1,19 +1,18 @@
-"""`mgsr submit`: zips a scene, sends it, follows the job and fetches what came of it."""
+"""`mgsr submit` and `mgsr fetch`: zip a scene, send it, follow the job and fetch what came of it."""
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn
 
-from service.client.api import Client, Job, ServiceRefusal
+from service.client.api import Client, DamagedDownload, Job, ServiceRefusal
 from service.contract.errors import SetupError
 from service.contract.options import JobOptions
 
@@ -26,19 +25,38 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
 
     Raises SetupError where the scene can't be sent or the service refuses it.
     """
-    console = Console(highlight=False)
-    try:
-        with Client(server, key) as client, _archive(scene) as archive:
+
+    def talk(client: Client, console: Console) -> int:
+        with _archive(scene) as archive:
             client.check()
             job = _send(client, archive, options, console)
-            console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
-            return 0 if out is None else _wait(client, job["id"], out, console)
+        console.print(f"job {job['id']}: {server.rstrip('/')}/jobs/{job['id']}", soft_wrap=True)
+        return 0 if out is None else _wait(client, job["id"], out, console)
+
+    return _talk(server, key, talk)
+
+
+def fetch_job(server: str, key: str | None, job: str, out: Path) -> int:
+    """Follow a job that was sent before, and put its results into `out`. The program's exit code. Raises SetupError."""
+    return _talk(server, key, lambda client, console: _wait(client, job, out, console))
+
+
+def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) -> int:
+    """Talk with a service, with its troubles in words."""
+    console = Console(highlight=False)
+    try:
+        with Client(server, key) as client:
+            return talk(client, console)
     except ServiceRefusal as refusal:
         raise SetupError(f"{server} refuses: {refusal} ({refusal.code})") from refusal
     except httpx.HTTPError as error:
         raise SetupError(f"{server} doesn't answer: {error}; is `mgsr serve` running there?") from error
+    except DamagedDownload as error:
+        raise SetupError(str(error)) from error
     except KeyboardInterrupt:
-        console.print("the job goes on without this program; ask the service for it by its id")
+        console.print(
+            "a job that was sent goes on without this program; `mgsr fetch ID` follows it and fetches what came of it"
+        )
         return INTERRUPTED
 
 
@@ -69,7 +87,7 @@ def _send(client: Client, archive: Path, options: JobOptions, console: Console) 
 def _wait(client: Client, job: str, out: Path, console: Console) -> int:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f}%"))
     said = ""
-    with Progress(*columns, TimeRemainingColumn(), TextColumn("{task.fields[detail]}"), console=console) as bar:
+    with Progress(*columns, TextColumn("{task.fields[detail]}"), console=console) as bar:
         task = bar.add_task("queued", total=1.0, detail="")
         for now in client.follow(job):
             bar.update(task, description=_place(now), completed=now["progress"], detail=_detail(now))
@@ -97,11 +115,10 @@ def _fetch(client: Client, job: Job, out: Path, console: Console) -> int:
         text = f"{error['message']} ({error['code']})" if error else "by request"
         console.print(f"{job['status']}: {text}", soft_wrap=True)
         return FAILED
-    for artifact in client.artifacts(job["id"]):
-        path = out / artifact["name"]
-        client.download(job["id"], artifact["name"], path)
-        with path.open("rb") as file:
-            if hashlib.file_digest(file, "sha256").hexdigest() != artifact["sha256"]:
-                raise SetupError(f"{path}: came damaged; fetch it again from the job's address")
+    artifacts = client.artifacts(job["id"])
+    with Progress(TextColumn("fetching"), BarColumn(), DownloadColumn(), console=console, transient=True) as bar:
+        task = bar.add_task("fetching", total=sum(artifact["size"] for artifact in artifacts))
+        for artifact in artifacts:
+            client.download(job["id"], artifact, out / artifact["name"], lambda count: bar.advance(task, count))
     console.print(f"mesh   {out / 'mesh.ply'}\nreport {out / 'report.html'}", soft_wrap=True)
     return 0

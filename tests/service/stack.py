@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -100,12 +101,20 @@ class Stack:
 
     def job_processes(self) -> list[int]:
         """The process ids of the job processes of this stack, also of those whose worker is gone."""
-        mark = f"MGSR_JOB={self.folder}/".encode()
-        found = []
+        return list(self._job_processes())
+
+    def jobs_at_work(self) -> set[str]:
+        """The jobs that have a job process."""
+        return set(self._job_processes().values())
+
+    def _job_processes(self) -> dict[int, str]:
+        """Job by process id, as the processes' own environments say."""
+        mark = re.compile(re.escape(f"MGSR_JOB={self.folder}/scratch/").encode() + rb"(\w+)\.")
+        found: dict[int, str] = {}
         for entry in Path("/proc").iterdir():
             try:
-                if entry.name.isdigit() and mark in (entry / "environ").read_bytes():
-                    found.append(int(entry.name))
+                if entry.name.isdigit() and (hit := mark.search((entry / "environ").read_bytes())) is not None:
+                    found[int(entry.name)] = hit[1].decode()
             except OSError:
                 continue  # it has just ended
         return found

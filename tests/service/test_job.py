@@ -21,7 +21,7 @@ from tests.service.stack import LONG_OPTIONS, ROOT, TINY_OPTIONS, Stack
 @pytest.fixture(scope="module")
 def done(stack: Stack, tiny_archive: bytes) -> dict[str, Any]:
     """A job that has succeeded."""
-    answer = stack.submit(tiny_archive, TINY_OPTIONS | {"name": "spheres"})
+    answer = stack.submit(tiny_archive, TINY_OPTIONS | {"name": "three spheres"})
     assert answer.status_code == 202
     job = answer.json()
     assert answer.headers["Location"] == f"/jobs/{job['id']}"
@@ -53,6 +53,13 @@ def test_every_result_is_listed_and_whole(stack: Stack, done: dict[str, Any]) ->
 def test_results_have_addresses_of_their_own(stack: Stack, done: dict[str, Any], name: str) -> None:
     answer = stack.http.get(f"/jobs/{done['id']}/{name}")
     assert answer.status_code == 200 and len(answer.content) > 200
+
+
+@pytest.mark.parametrize("name", ["log.txt", "report.json", "report.html"])
+def test_no_result_knows_the_machine(stack: Stack, done: dict[str, Any], name: str) -> None:
+    """Folders of the worker mean nothing to who reads, and are nobody else's business."""
+    text = stack.http.get(f"/jobs/{done['id']}/artifacts/{name}").text
+    assert len(text) > 100 and str(stack.folder) not in text and "three_spheres" in text
 
 
 def test_renders_are_pictures(stack: Stack, done: dict[str, Any]) -> None:

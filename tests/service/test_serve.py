@@ -101,6 +101,11 @@ def test_serve_submit_and_stop(tmp_path: Path, tiny_archive: bytes) -> None:
         assert "train" in ran.stdout and "mesh.ply" in ran.stdout
         assert len(trimesh.load(tmp_path / "out/mesh.ply").faces) > 500
         assert (tmp_path / "out/report.html").exists() and (tmp_path / "out/renders/test/r_0.png").exists()
+        job = httpx.get(f"http://127.0.0.1:{port}/jobs").json()["jobs"][0]["id"]
+        again = run(home, "fetch", job, "-o", str(tmp_path / "again"), "--server", f"http://127.0.0.1:{port}")
+        assert again.returncode == 0, again.stdout + again.stderr
+        first, second = ({path.name for path in (tmp_path / name).rglob("*")} for name in ("out", "again"))
+        assert first == second and not any(name.endswith(".partial") for name in first)
         process.send_signal(signal.SIGINT)
         assert process.wait(20) == 0
     assert not descendants(home)

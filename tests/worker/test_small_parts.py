@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mgsr.cli.events import Event
 from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
-from worker.attempt import joined
+from worker.attempt import folder_name, joined
 from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
@@ -156,3 +157,14 @@ def test_cards_are_asked_of_the_driver_not_of_cuda() -> None:
     command = [sys.executable, "-m", "worker.cli", "--gpus", "all"]
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=ROOT, timeout=60)
     assert ran.returncode == 2 and "no NVIDIA driver" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        *((None, "capture"), ("", "capture"), ("..", "capture"), ("../../etc", "etc"), ("a b/c", "a_b_c")),
+        *((".hidden", "hidden"), ("Schl\u00fcssel 2", "Schl\u00fcssel_2"), ("x" * 200, "x" * 60)),
+    ],
+)
+def test_a_name_becomes_a_folder(name: str | None, folder: str) -> None:
+    assert folder_name(name) == folder

@@ -151,8 +151,19 @@ class Jobs:
 
     def index(self, record: JobRecord) -> None:
         """Enter the job in its owner's list; doing it twice is doing it once."""
-        order = _END_OF_TIME - round(record.created.timestamp() * 1000)
-        self.store.replace(f"owners/{record.owner}/{order:013d}.{record.id}", b"")
+        self.store.replace(_index_path(record), b"")
+
+    def remove(self, record: JobRecord) -> None:
+        """Remove all that is kept of a job that has ended.
+
+        First what is large, so that asking again ends a removal that was cut off; then the job itself; its outcomes last,
+        as without them it would count as open.
+        """
+        self.store.delete(record.archive)
+        self.store.delete_all(_path(record.id, "attempts"))
+        self.store.delete(_index_path(record))
+        self.store.delete(_path(record.id, "job.json"))
+        self.store.delete_all(f"jobs/{record.id}")
 
     def owned(self, owner: str) -> list[str]:
         """The ids of an owner's jobs, the newest first."""
@@ -178,6 +189,11 @@ def attempt_path(job: str, attempt: int, name: str) -> str:
 def upload_path(job: str, upload: str) -> str:
     """Where an archive lies."""
     return f"uploads/{job}.{upload}"
+
+
+def _index_path(record: JobRecord) -> str:
+    order = _END_OF_TIME - round(record.created.timestamp() * 1000)
+    return f"owners/{record.owner}/{order:013d}.{record.id}"
 
 
 def _path(job: str, name: str) -> str:

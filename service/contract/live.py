@@ -78,6 +78,10 @@ class Live:
         self.redis.set(progress_key(job), json.dumps(whole), ex=LIVE_SECONDS)
         self.publish(job, "progress", {name: value for name, value in change.items() if name != "curve"})
 
+    def forget(self, job: str) -> None:
+        """Drop what is known of a job that has been removed."""
+        self.redis.delete(progress_key(job), events_key(job))
+
     def publish(self, job: str, kind: str, data: dict[str, Any]) -> None:
         """Tell whoever listens."""
         entry = {"event": kind, "data": json.dumps(data)}

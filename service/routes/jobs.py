@@ -201,6 +201,21 @@ async def retry(snapshot: SnapshotDep, parts: PartsDep) -> Response:
     return await _answer(parts, job, 202, {})
 
 
+@router.delete(
+    "/{job_id}/data",
+    status_code=204,
+    responses={204: {"description": "Nothing is left of the job."}, **answers(404, 409, 422)},
+)
+async def remove(snapshot: SnapshotDep, parts: PartsDep) -> None:
+    """Remove a job that has ended, with its archive and results. The service removes nothing by itself."""
+    job = snapshot.state.record.id
+    state = await run_in_threadpool(parts.jobs.state, job)
+    if state is not None and state.outcome is None:
+        raise Problem(409, "job_open", f"job {job} is queued or running; cancel it first (DELETE /jobs/{job})")
+    await run_in_threadpool(_remove, parts, snapshot.state.record)
+    parts.snapshots.forget(job)
+
+
 @router.get(
     "/{job_id}/events",
     response_class=StreamingResponse,
@@ -252,7 +267,11 @@ async def _room_for(request: Request, owner: str, parts: Parts) -> None:
     if length > settings.max_upload + (1 << 20):  # the multipart frame around it
         raise too_large(settings.max_upload)
     if folder is not None and shutil.disk_usage(folder).free < length + settings.min_free_disk:
-        raise Problem(507, "disk_full", "the service's disk has no room for this upload; remove old jobs or add space")
+        raise Problem(
+            507,
+            "disk_full",
+            "the service's disk has no room for this upload; remove jobs (DELETE /jobs/{id}/data) or add space",
+        )
     opened = await run_in_threadpool(parts.jobs.open_of, owner)
     if opened >= settings.max_open_jobs:
         raise Problem(
@@ -300,6 +319,14 @@ def _cancel(parts: Parts, job: str, number: int) -> None:
             parts.live.publish(job, "status", {"status": JobStatus.CANCELLED, "round": number})
     except RedisError:
         return  # recovery ends it once the server is back
+
+
+def _remove(parts: Parts, record: JobRecord) -> None:
+    parts.jobs.remove(record)
+    try:
+        parts.live.forget(record.id)
+    except RedisError:
+        return  # it runs out by itself
 
 
 async def _answer(parts: Parts, job: str, status: int, headers: dict[str, str]) -> Response:

@@ -53,7 +53,14 @@ def test_a_job_of_another_owner_does_not_exist(keyed: tuple[Stack, str, str], ti
     assert stack.http.get(f"/jobs/{job}", headers=bearer(anna)).status_code == 200
     unknown = stack.http.get("/jobs/" + "0" * 32, headers=bearer(bert))
     for method, path in (
-        *(("GET", ""), ("DELETE", ""), ("POST", "/retry"), ("GET", "/events"), ("GET", "/mesh.ply")),
+        *(
+            ("GET", ""),
+            ("DELETE", ""),
+            ("DELETE", "/data"),
+            ("POST", "/retry"),
+            ("GET", "/events"),
+            ("GET", "/mesh.ply"),
+        ),
         *(("GET", "/artifacts"), ("GET", "/log.txt"), ("GET", "/previews/render.webp")),
     ):
         answer = stack.http.request(method, f"/jobs/{job}{path}", headers=bearer(bert))

@@ -156,8 +156,8 @@ class Jobs:
     def remove(self, record: JobRecord) -> None:
         """Remove all that is kept of a job that has ended.
 
-        First what is large, so that asking again ends a removal that was cut off; then the job itself; its outcomes last,
-        as without them it would count as open.
+        First what is large, so that asking again ends a removal that was cut off; then the job itself. Its outcomes
+        come last, as without them it would count as open.
         """
         self.store.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))

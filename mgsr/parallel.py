@@ -1,4 +1,4 @@
-"""The same work for every view, on several cores."""
+"""The same work for every view, on several cores; and torch kept to one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
+
+import torch
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -29,3 +32,15 @@ def map_ahead(work: Callable[[Item], Result], items: Iterable[Item], threads: in
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Torch on one thread inside, as before outside, also in threads that are started inside: where operations are
+    small or cores are shared already, its idle threads would spin on the cores that others use."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -20,6 +20,13 @@ def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
     return (sparse.diags(1 / np.maximum(counts, 1)) @ joined - sparse.diags((counts > 0) * 1.0)).tocsr()
 
 
+def edges(faces: np.ndarray) -> np.ndarray:
+    """The sides [E,2] of the faces [F,3], each once, the lower index first."""
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1)
+    width = 1 + (int(sides.max()) if len(sides) else 0)
+    return np.stack(np.divmod(np.unique(sides[:, 0] * width + sides[:, 1]), width), axis=1)
+
+
 def edge_length(vertices: np.ndarray, faces: np.ndarray) -> float:
     """The mean length of the faces' sides."""
     corners = vertices[faces]
@@ -67,7 +74,7 @@ def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np
 
 def bend_to_normals(
     vertices: np.ndarray,
-    faces: np.ndarray,
+    edges: np.ndarray,
     normals: np.ndarray,
     wanted: np.ndarray,
     sure: np.ndarray,
@@ -75,15 +82,14 @@ def bend_to_normals(
     hold: np.ndarray,
     offsets: np.ndarray,
 ) -> np.ndarray:
-    """The displacements [V] along the vertex normals [V,3] after which the edges lie across the wanted normals [V,3].
+    """The displacements [V] along the vertex normals [V,3] after which the edges [E,2] lie across the wanted normals
+    [V,3].
 
     They minimise sum hold (x - offsets)^2 + strength * sum over edges (component of the edge along its mean wanted
     normal)^2; edges count where both ends are sure [V] bool. hold, offsets [V]: what the positions themselves want, and
     how much, which must be more than nothing.
     """
-    sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    sides = np.unique(np.sort(sides, axis=1), axis=0)
-    first, second = sides[sure[sides].all(axis=1)].T
+    first, second = edges[sure[edges].all(axis=1)].T
     across = wanted[first] + wanted[second]
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     row = np.arange(len(first))

@@ -22,7 +22,7 @@ from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.refine import Light, refine_by_shading
+from mgsr.shading.refine import Light, Pass, refine_by_shading
 
 
 def extract_mesh(
@@ -120,7 +120,7 @@ def _finish(
     light = Light.UNKNOWN
     if photographs and config.shading_ratio is not None:
         refined = refine_by_shading(
-            vertices, faces, photographs, outlines, config.shading_ratio, config.shading_reach, _ROUNDS, threads
+            vertices, faces, photographs, outlines, config.shading_ratio, config.shading_reach, _PASSES, threads
         )
         vertices, light = refined.vertices, refined.light
     if config.close_holes:
@@ -133,7 +133,9 @@ def _finish(
     return SurfaceMesh(vertices, faces, normals, colors, light)
 
 
-_ROUNDS = 4  # of reading the photographs and bending the surface
+# A flash tells each point's normal by itself, while mirrored surroundings need the readings of neighbours, so finer
+# edges would show nothing more.
+_PASSES = {Light.FLASH: (Pass(edge=1.0, rounds=3),), Light.SURROUNDINGS: (Pass(edge=2.0, rounds=3),)}
 _COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 

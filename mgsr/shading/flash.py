@@ -45,11 +45,11 @@ def _solve(
 ) -> np.ndarray:
     """Unit normals [P,3] by least squares whose weights fall for readings that don't fit."""
     current = weights
+    products = np.stack([towards[..., i] * towards[..., j] for i, j in _PAIRS], axis=1)
     for _ in range(ROUNDS):
         own = OWN * current.sum(axis=1)
         albedo = _scale(brightness, cosines, current)
-        matrix = np.einsum("pki,pkj->pij", towards * current[..., None], towards)
-        matrix += (own + 1e-9)[:, None, None] * np.eye(3)
+        matrix = (products @ current[..., None])[:, _PLACES, 0] + (own + 1e-9)[:, None, None] * np.eye(3)
         right = np.einsum("pki,pk->pi", towards, brightness * current) + (own * albedo)[:, None] * normals
         solved = np.linalg.solve(matrix, right[..., None])[..., 0]
         left = brightness - np.einsum("pki,pi->pk", towards, solved)
@@ -57,6 +57,10 @@ def _solve(
         current = weights / (1 + (np.maximum(left, 0) / (ABOVE * spread)) ** 2)
         current /= 1 + (np.minimum(left, 0) / (BELOW * spread)) ** 2
     return solved / np.maximum(np.linalg.norm(solved, axis=1, keepdims=True), 1e-9)
+
+
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix's entries
+_PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among them
 
 
 def _scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster
@@ -41,35 +42,48 @@ class Readings:
         return Readings(self.towards[points], self.distances[points], self.brightness[points], self.weights[points])
 
 
+@dataclass(frozen=True)
+class Photograph:
+    """brightness [H,W] float32, the mean of the channels in linear light; usable [H,W] float32, 1 where a pixel shows
+    the object alone and is not clipped, else 0."""
+
+    camera: Camera
+    brightness: np.ndarray
+    usable: np.ndarray
+
+
+def linear_photographs(views: Sequence[View]) -> list[Photograph]:
+    """The photographs as they are read: PHOTOGRAPHS of the views at most, in linear light."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, PHOTOGRAPHS).round().astype(int))
+    return [_linear(views[index]) for index in chosen]
+
+
 def read_photographs(
     vertices: np.ndarray,
     faces: np.ndarray,
     normals: np.ndarray,
-    photographs: Sequence[View],
+    photographs: Sequence[Photograph],
     gap: float,
     threads: int | None = None,
 ) -> Readings:
     """The photographs' brightness at the vertices [V,3] of a mesh. gap: how far a vertex may lie behind the mesh."""
     caster = RayCaster(vertices, faces)
-    chosen = np.unique(np.linspace(0, len(photographs) - 1, PHOTOGRAPHS).round().astype(int))
-    views = [photographs[index] for index in chosen]
-    parts = list(map_ahead(lambda view: _read(caster, view, vertices, normals, gap), views, threads))
+    parts = list(map_ahead(lambda each: _read(caster, each, vertices, normals, gap), photographs, threads))
     readings = Readings(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
-    if len(views) <= KEPT:
+    if len(photographs) <= KEPT:
         return readings
     best = np.argpartition(readings.weights, -KEPT, axis=1)[:, -KEPT:]
     rows = np.arange(len(vertices))[:, None]
     return Readings(*(array[rows, best] for array in _arrays(readings)))
 
 
-def _linear_light(view: View) -> tuple[np.ndarray, np.ndarray]:
-    """A photograph's brightness [H,W] float32 in linear light, and 1 where it may be used, else 0."""
+def _linear(view: View) -> Photograph:
     srgb = view.image.astype(np.float32) / 255
     linear = srgb_to_linear(srgb).mean(axis=-1)
     usable = srgb.max(axis=-1) <= CLIPPED
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
-    return linear, usable.astype(np.float32)
+    return Photograph(view.camera, linear, usable.astype(np.float32))
 
 
 def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
@@ -77,19 +91,20 @@ def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
 
 
 def _read(
-    caster: RayCaster, view: View, points: np.ndarray, normals: np.ndarray, gap: float
+    caster: RayCaster, photograph: Photograph, points: np.ndarray, normals: np.ndarray, gap: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """One photograph's column of the readings."""
-    offsets = (view.camera.center - points).astype(np.float32)
+    camera = photograph.camera
+    offsets = (camera.center - points).astype(np.float32)
     distances = np.linalg.norm(offsets, axis=1)
     towards = offsets / distances[:, None]
     cosines = (towards * normals).sum(1)
     index = np.flatnonzero(cosines > MIN_COS)
-    index = index[caster.sees(view.camera, points[index] + normals[index] * gap, gap)]
-    light, usable = _linear_light(view)
-    pixels, _ = view.camera.project(points[index])
+    index = index[caster.sees(camera, points[index] + normals[index] * gap, gap)]
+    pixels, _ = camera.project(points[index])
     places = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
     brightness, weights = np.zeros((2, len(points)), np.float32)
-    brightness[index] = map_coordinates(light, places, order=1, mode="nearest")
-    weights[index] = cosines[index] * (map_coordinates(usable, places, order=1, mode="nearest") > 0.99)
+    brightness[index] = map_coordinates(photograph.brightness, places, order=1, mode="nearest")
+    usable = map_coordinates(photograph.usable, places, order=1, mode="nearest") > 0.99
+    weights[index] = cosines[index] * usable
     return towards, distances, brightness, weights

@@ -7,7 +7,7 @@ others 2005), and the masks' outlines hold the surface where they touch it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -17,14 +17,22 @@ from scipy import sparse
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
 from mgsr.geometry.decimate import decimate
-from mgsr.geometry.displace import bend_to_normals, edge_length, mean_normals, smooth_displacements, spread, umbrella
+from mgsr.geometry.displace import (
+    bend_to_normals,
+    edge_length,
+    edges,
+    mean_normals,
+    smooth_displacements,
+    spread,
+    umbrella,
+)
 from mgsr.geometry.outlines import Outline, outline_gaps
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import face_crosses, vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import explain_by_flash, flash_ratio
 from mgsr.shading.mirroring import explain_by_mirroring
-from mgsr.shading.readings import Readings, read_photographs
+from mgsr.shading.readings import Photograph, Readings, linear_photographs, read_photographs
 from mgsr.shading.surroundings import fit_surroundings
 
 MAX_FACES = 150_000  # of the mesh that is worked on
@@ -43,9 +51,15 @@ class Light(StrEnum):
     UNKNOWN = "unknown"
 
 
-# Pixels; the mesh is worked on with edges about this long. A flash tells each point's normal by itself, while mirrored
-# surroundings need the readings of neighbours, so finer edges would show nothing more.
-EDGES = {Light.FLASH: 1.0, Light.SURROUNDINGS: 1.5}
+RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are compared
+
+
+@dataclass(frozen=True)
+class Pass:
+    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels."""
+
+    edge: float
+    rounds: int
 
 
 @dataclass(frozen=True)
@@ -59,11 +73,11 @@ class Refined:
 def refine_by_shading(
     vertices: np.ndarray,
     faces: np.ndarray,
-    photographs: Sequence[View],
+    views: Sequence[View],
     outlines: Sequence[Outline],
     max_ratio: float,
     reach: float,
-    rounds: int,
+    passes: Mapping[Light, Sequence[Pass]],
     threads: int | None = None,
 ) -> Refined:
     """The vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
@@ -71,26 +85,28 @@ def refine_by_shading(
     outlines: the masks', which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
     reach: pixels; shape larger than this is left as it is, but for what the outlines say.
+    passes: for each light, how the surface is bent.
     """
-    pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
+    photographs = linear_photographs(views)
+    pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
 
-    def mesh_for(light: Light) -> tuple[_Work, np.ndarray]:
-        places, triangles = _coarser(vertices, faces, EDGES[light] * pixel)
+    def coarser(edge: float) -> tuple[_Work, np.ndarray]:
+        places, triangles = _coarser(vertices, faces, edge * pixel)
         laplacian = umbrella(triangles, len(places))
-        return _Work(triangles, laplacian, photographs, outlines, pixel, threads), places
+        return _Work(triangles, edges(triangles), laplacian, photographs, outlines, pixel, threads), places
 
-    work, coarse = mesh_for(Light.SURROUNDINGS)
-    ratios = _ratios(work, coarse)
+    ratios = _ratios(*coarser(RATIO_EDGE))
     light = min(ratios, key=lambda kind: ratios[kind])
     if not ratios[light] <= max_ratio:
         return Refined(vertices, Light.UNKNOWN)
-    if light is Light.FLASH:
-        work, coarse = mesh_for(light)
-    moved = coarse
-    for _ in range(rounds):
-        readings, normals = work.read(moved)
-        moved = work.bend(moved, normals, work.explain(light, moved, readings, normals), reach)
-    return Refined(vertices + _carried(coarse, work.faces, moved - coarse, vertices), light)
+    for each in passes[light]:
+        work, before = coarser(each.edge)
+        after = before
+        for _ in range(each.rounds):
+            readings, normals = work.read(after)
+            after = work.bend(after, normals, work.explain(light, after, readings, normals), reach)
+        vertices = vertices + _carried(before, work.faces, after - before, vertices)
+    return Refined(vertices, light)
 
 
 @dataclass(frozen=True)
@@ -98,8 +114,9 @@ class _Work:
     """The mesh that is worked on, but for its vertices, and what it is held against."""
 
     faces: np.ndarray
+    edges: np.ndarray
     laplacian: sparse.csr_matrix
-    photographs: Sequence[View]
+    photographs: Sequence[Photograph]
     outlines: Sequence[Outline]
     pixel: float
     threads: int | None
@@ -126,7 +143,7 @@ class _Work:
         strength = STAY * (reach * self.pixel / (2 * np.pi * edge)) ** 2
         moves = bend_to_normals(
             vertices,
-            self.faces,
+            self.edges,
             normals,
             explained.normals,
             explained.sure,

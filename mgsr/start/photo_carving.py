@@ -23,6 +23,7 @@ from mgsr.data.scene import View
 from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, spread, umbrella
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import tangents, vertex_normals
+from mgsr.parallel import map_ahead, one_torch_thread
 
 MAX_SIDE = 400  # images are reduced to this side
 OFFSETS = np.arange(-8.0, 1.5)  # pixels along the outward normal
@@ -34,8 +35,15 @@ POOL = 4.0  # pixels over which neighbouring patches are averaged
 GAIN = 0.03  # correlation by which a deeper place must beat the hull's; without a concavity noise rarely reaches it
 STAY = 0.2  # how much the rest of the surface holds against being pulled along
 SPREAD = 1.2  # edges over which a displacement spreads
+CHUNK = 1000  # vertices at a time, so that their patches stay in the cache
 SOLID = 0.9  # pixels with less alpha mix object and background
 MIN_NOISE = 1e-3  # linear light: rounding to 8 bits
+
+_SIDE = (np.arange(PATCH_SIDE) - (PATCH_SIDE - 1) / 2) * PATCH_STEP
+_GRID = np.stack(np.meshgrid(_SIDE, _SIDE, indexing="ij"), axis=-1).reshape(-1, 2)  # a patch's points [P,2] in pixels
+_SLOPES = torch.from_numpy(_GRID / np.linalg.norm(_GRID, axis=0)).float()  # two slopes [P,2] over them, orthonormal
+# From a patch's middle and the two steps along its sides [6] to all its points, x and y in turn [2P].
+_SPREAD_OUT = torch.from_numpy(np.kron(np.column_stack([np.ones(len(_GRID)), _GRID]).T, np.eye(2))).float()
 
 
 def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
@@ -114,61 +122,75 @@ def _agreement(
 
     A patch counts by its contrast against the noise, so that flat patches correlate with nothing.
     """
-    count, depths = len(vertices), len(OFFSETS)
-    grid, slopes = _patch_grid()
-    patches = torch.from_numpy(_tangent_points(normals, grid * pixel)).float()  # [V,P,3]
-    along = torch.from_numpy(normals[:, None] * (OFFSETS * pixel)[:, None]).float()  # [V,D,3]
-    centers = torch.from_numpy(vertices).float()
-    sums = torch.zeros(count, depths, 2 * len(grid))
-    squares, seen = torch.zeros(count, depths), torch.zeros(count)
-    for look, at in zip(looks, torch.from_numpy(chosen), strict=True):
+    patches = _Patches.at(vertices, normals, pixel)
+    parts = np.array_split(np.arange(len(vertices)), -(-len(vertices) // CHUNK))
+    with one_torch_thread():
+        agreements = map_ahead(lambda at: _part(patches.some(at), looks, chosen[:, at], noise), parts, None)
+        return np.concatenate(list(agreements))
+
+
+def _part(patches: _Patches, looks: Sequence[_Look], chosen: np.ndarray, noise: float) -> np.ndarray:
+    views, count = torch.from_numpy(chosen), chosen.shape[1]
+    sums, squares = torch.zeros(count, len(OFFSETS), 2, len(_GRID)), torch.zeros(count, len(OFFSETS))
+    for look, at in zip(looks, views, strict=True):
         index = at.nonzero()[:, 0]
-        points = (centers[index, None] + along[index])[:, :, None] + patches[index, None]
-        features = _normalised(_sample(look, points), slopes, noise)
+        features = _normalised(_sample(look, patches.some(index)), noise)
         sums[index] += features
-        squares[index] += features.square().sum(-1)
-        seen[index] += 1
+        squares[index] += features.square().sum((2, 3))
+    seen = views.sum(dim=0)
     pairs = (seen * (seen - 1)).clamp(min=1)[:, None]
-    return torch.where(seen[:, None] >= 3, (sums.square().sum(-1) - squares) / pairs, 0.0).numpy()
+    return torch.where(seen[:, None] >= 3, (sums.square().sum((2, 3)) - squares) / pairs, 0.0).numpy()
 
 
-def _patch_grid() -> tuple[np.ndarray, Tensor]:
-    """A patch's points [P,2] in pixels, and the two directions of slope [P,2] over them, orthonormal."""
-    steps = (np.arange(PATCH_SIDE) - (PATCH_SIDE - 1) / 2) * PATCH_STEP
-    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    return grid, torch.from_numpy(grid / np.linalg.norm(grid, axis=0)).float()
+@dataclass(frozen=True)
+class _Patches:
+    """Where the patches lie: their centres [V,3] at offset 0, and the steps [V,3] of a pixel along the normal and along
+    the patch's two sides."""
+
+    centers: Tensor
+    outwards: Tensor
+    across: Tensor
+    along: Tensor
+
+    @classmethod
+    def at(cls, vertices: np.ndarray, normals: np.ndarray, pixel: float) -> _Patches:
+        across, along = tangents(normals)
+        return cls(*(torch.from_numpy(a).float() for a in (vertices, normals * pixel, across * pixel, along * pixel)))
+
+    def some(self, index: Tensor | np.ndarray) -> _Patches:
+        return _Patches(self.centers[index], self.outwards[index], self.across[index], self.along[index])
 
 
-def _tangent_points(normals: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """The patches' points [V,P,3] relative to their centres, in the tangent planes."""
-    across, along = tangents(normals)
-    return grid[:, :1] * across[:, None] + grid[:, 1:] * along[:, None]
+def _sample(look: _Look, patches: _Patches) -> Tensor:
+    """The image's values [3,Q,D,P] at the patches' points, at each of the OFFSETS.
 
-
-def _sample(look: _Look, points: Tensor) -> Tensor:
-    """The image's values [3,Q,D,P] at world points [Q,D,P,3]."""
+    A patch is so small that perspective is linear over it.
+    """
     camera = look.camera
     pose = torch.from_numpy(camera.cam_from_world).float()
-    local = points @ pose[:3, :3].T + pose[:3, 3]
-    focal = torch.tensor([camera.K[0, 0], camera.K[1, 1]], dtype=torch.float32)
-    center = torch.tensor([camera.K[0, 2], camera.K[1, 2]], dtype=torch.float32)
-    size = torch.tensor([camera.width, camera.height], dtype=torch.float32)
-    places = (local[..., :2] / local[..., 2:].clamp(min=1e-6) * focal + center) / size * 2 - 1
-    flat = places.reshape(1, 1, -1, 2)
-    values = functional.grid_sample(look.image[None], flat, padding_mode="border", align_corners=False)
-    return values.reshape(3, *points.shape[:-1])
+    scale = torch.tensor([camera.K[0, 0] / camera.width, camera.K[1, 1] / camera.height]).float() * 2
+    shift = torch.tensor([camera.K[0, 2] / camera.width, camera.K[1, 2] / camera.height]).float() * 2 - 1
+    offsets = torch.from_numpy(OFFSETS).float()[:, None]
+    turned = [step @ pose[:3, :3].T for step in (patches.centers, patches.outwards, patches.across, patches.along)]
+    local = (turned[0] + pose[:3, 3])[:, None] + offsets * turned[1][:, None]
+    depths = local[..., 2:].clamp(min=1e-6)  # [Q,D,1]
+    rays = local[..., :2] / depths
+    slopes = [(side[:, None, :2] - rays * side[:, None, 2:]) / depths * scale for side in turned[2:]]
+    affine = torch.cat([rays * scale + shift, *slopes], dim=-1)  # [Q,D,6]
+    places = (affine.reshape(-1, 6) @ _SPREAD_OUT).reshape(1, 1, -1, 2)
+    values = functional.grid_sample(look.image[None], places, padding_mode="border", align_corners=False)
+    return values.reshape(3, *depths.shape[:2], len(_GRID))
 
 
-def _normalised(values: Tensor, slopes: Tensor, noise: float) -> Tensor:
-    """Patches [Q,D,2P] without mean and slope, as long as their contrast is above the noise, at most 1."""
+def _normalised(values: Tensor, noise: float) -> Tensor:
+    """Patches [Q,D,2,P] without mean and slope, as long as their contrast is above the noise, at most 1."""
     channels, solid = values[:2], (values[2:] > SOLID).float()
     mean = (channels * solid).sum(-1, keepdim=True) / solid.sum(-1, keepdim=True).clamp(min=1)
     left = (channels - mean) * solid
-    left = left - (left @ slopes) @ slopes.T
-    points = slopes.shape[0]
-    variance = left.square().sum((0, 3)) / points
-    scaled = left / (points * (variance + noise**2)).sqrt()[None, ..., None]
-    return scaled.permute(1, 2, 0, 3).flatten(2)
+    left = left - (left @ _SLOPES) @ _SLOPES.T
+    variance = left.square().sum((0, 3)) / len(_SLOPES)
+    scaled = left * (len(_SLOPES) * (variance + noise**2)).rsqrt()[None, ..., None]
+    return scaled.permute(1, 2, 0, 3)
 
 
 def _deeper(agreement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

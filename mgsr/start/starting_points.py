@@ -13,7 +13,7 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
-from mgsr.shading.refine import refine_by_shading
+from mgsr.shading.refine import Light, Pass, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.view_colors import seen_colors
 
@@ -23,7 +23,11 @@ RESOLUTION = 128
 MASK_SIDE = 400
 
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface.
-SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS = 0.85, 80.0, 4
+SHADING_RATIO, SHADING_REACH = 0.85, 80.0
+SHADING_PASSES = {
+    Light.FLASH: (Pass(edge=2.0, rounds=6),),
+    Light.SURROUNDINGS: (Pass(edge=4.0, rounds=4), Pass(edge=2.0, rounds=3)),  # deep hollows need many rounds
+}
 
 # With fewer points than this of its own, a masked scene does better with its hull.
 MIN_POINTS = 500
@@ -56,8 +60,7 @@ def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
 
     At most `count` of the capture's own points (COLMAP), in a masked scene only those inside all masks; else `count`
     points on the visual hull of the masks, carved deeper where the photographs agree on it and bent to their shading,
-    spread evenly; else
-    `count` points in the unit ball.
+    spread evenly; else `count` points in the unit ball.
     """
     generator = np.random.default_rng(seed)
     outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
@@ -106,7 +109,7 @@ def _hull_points(
     vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
     vertices = carve_by_color(vertices, faces, views)
     rims = [find_outline(outline) for outline in outlines]
-    vertices = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, SHADING_REACH, SHADING_ROUNDS).vertices
+    vertices = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, SHADING_REACH, SHADING_PASSES).vertices
     positions, normals = _sample(vertices, faces, count, generator)
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)

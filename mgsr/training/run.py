@@ -11,10 +11,10 @@ import torch
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import GpuError
+from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
 from mgsr.training.plan import StartingPoints, make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult
-from mgsr.training.threads import one_torch_thread
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 

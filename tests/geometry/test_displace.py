@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mgsr.geometry.displace import bend_to_normals, edge_length, smooth_displacements, smooth_vertices, umbrella
+from mgsr.geometry.displace import bend_to_normals, edge_length, edges, smooth_displacements, smooth_vertices, umbrella
 from tests.mesh.shapes import ball
 
 MESH = ball(0.7)
@@ -60,8 +60,8 @@ def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
     up = np.tile([0.0, 0.0, 1.0], (len(flat), 1))
     sure = np.ones(len(flat), bool)
     hold, still = np.ones(len(flat)), np.zeros(len(flat))
-    moves = bend_to_normals(flat, faces, up, wanted, sure, 1e4, hold, still)
+    moves = bend_to_normals(flat, edges(faces), up, wanted, sure, 1e4, hold, still)
     assert np.abs(moves - wave).max() < 0.002
-    assert not bend_to_normals(flat, faces, up, wanted, ~sure, 1e4, hold, still).any()
-    lifted = bend_to_normals(flat, faces, up, wanted, sure, 1e4, hold, still + 0.3)
+    assert not bend_to_normals(flat, edges(faces), up, wanted, ~sure, 1e4, hold, still).any()
+    lifted = bend_to_normals(flat, edges(faces), up, wanted, sure, 1e4, hold, still + 0.3)
     np.testing.assert_allclose(lifted, moves + 0.3, atol=0.002)  # slopes say nothing of the height

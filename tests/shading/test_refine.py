@@ -14,8 +14,8 @@ from mgsr.geometry.outlines import find_outline
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.mirroring import explain_by_mirroring
-from mgsr.shading.readings import read_photographs
-from mgsr.shading.refine import Light, Refined, refine_by_shading
+from mgsr.shading.readings import linear_photographs, read_photographs
+from mgsr.shading.refine import Light, Pass, Refined, refine_by_shading
 from mgsr.shading.surroundings import fit_surroundings, look_up
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of
 
@@ -79,7 +79,8 @@ def refine(shade: Shade) -> Refined:
     """The smooth ball held against photographs of the rippled one."""
     smooth, views = ball(RADIUS), photographs(rippled(), shade)
     outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
-    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, reach=20.0, rounds=3)
+    passes = {light: (Pass(edge=1.0, rounds=3),) for light in Light}
+    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, reach=20.0, passes=passes)
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
@@ -109,7 +110,8 @@ def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:
 def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
     mesh = ball(RADIUS)
     normals = vertex_normals(mesh.vertices, mesh.faces).astype(float)
-    readings = read_photographs(mesh.vertices, mesh.faces, normals, photographs(mesh, glossy), gap=0.01)
+    seen = linear_photographs(photographs(mesh, glossy))
+    readings = read_photographs(mesh.vertices, mesh.faces, normals, seen, gap=0.01)
     found = fit_surroundings(readings, normals)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -121,13 +123,14 @@ def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
 def test_tilted_normals_are_turned_back() -> None:
     mesh = ball(RADIUS)
     true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
-    readings = read_photographs(mesh.vertices, mesh.faces, true, photographs(mesh, glossy), gap=0.01)
+    seen = linear_photographs(photographs(mesh, glossy))
+    readings = read_photographs(mesh.vertices, mesh.faces, true, seen, gap=0.01)
     wave = np.sin(8 * mesh.vertices[:, 2] / RADIUS)  # to and fro, so that the map itself stays where it is
     tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     still, laplacian = np.zeros(len(true)), umbrella(mesh.faces, len(true))
     explained = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=still, threads=1)
-    errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1)))for n in (tilted, explained.normals)]
+    errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1))) for n in (tilted, explained.normals)]
     assert errors[1].mean() < 0.6 * errors[0].mean()
     kept = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
     np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)

@@ -49,14 +49,21 @@ def spread(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np
 
 
 def smooth_displacements(
-    laplacian: sparse.csr_matrix, wanted: np.ndarray, weights: np.ndarray, reach: float
+    laplacian: sparse.csr_matrix,
+    wanted: np.ndarray,
+    weights: np.ndarray,
+    reach: float,
+    carry: sparse.csr_matrix | None = None,
 ) -> np.ndarray:
     """The displacements x [V] that minimise sum weights (x - wanted)^2 + reach^4 |laplacian x|^2.
 
     wanted, weights [V]: where each vertex should go and how much that matters, which must be more than nothing.
     reach: over about how many edges a displacement of weight 1 spreads.
+    carry [P,V]: wanted and weights are then of P points, whose displacements are carry @ x (`interpolation`).
     """
-    return _solve(_plate(laplacian, weights, reach), weights * wanted)
+    carry = sparse.identity(len(wanted), format="csr") if carry is None else carry
+    matrix = carry.T @ sparse.diags(weights) @ carry + reach**4 * (laplacian.T @ laplacian)
+    return _solve(matrix.tocsr(), carry.T @ (weights * wanted))
 
 
 def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
@@ -68,7 +75,8 @@ def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np
     laplacian = (sparse.diags(inner) @ laplacian).tocsr()
     normals = vertex_normals(vertices, faces).astype(np.float64)
     bumps = ((laplacian @ vertices) * normals).sum(1)
-    moves = _solve(_plate(laplacian, np.ones(len(vertices)), reach), -(reach**4) * (laplacian.T @ bumps))
+    plate = sparse.identity(len(vertices), format="csr") + reach**4 * (laplacian.T @ laplacian)
+    moves = _solve(plate, -(reach**4) * (laplacian.T @ bumps))
     return vertices + moves[:, None] * normals
 
 
@@ -101,11 +109,7 @@ def bend_to_normals(
     return _solve(matrix, hold * offsets - strength * (slopes.T @ tilt))
 
 
-def _plate(laplacian: sparse.csr_matrix, weights: np.ndarray, reach: float) -> sparse.csr_matrix:
-    return (sparse.diags(weights) + reach**4 * (laplacian.T @ laplacian)).tocsr()
-
-
 def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
-    diagonal = matrix.diagonal()
+    diagonal = np.maximum(matrix.diagonal(), 1e-12)
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
     return cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]

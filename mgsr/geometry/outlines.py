@@ -14,13 +14,15 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.silhouettes import Silhouette
+from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.raycast import RayCaster, interpolation
 from mgsr.geometry.triangles import vertex_normals
 
 SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
 STEP = 0.25  # pixels between two rays
 FACING = 0.5  # least cosine between a vertex normal and the outline's direction
+COARSE = 2.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
 ROUGHNESS = 2.0  # edges; outlines found at single vertices leave it, and it is smoothed away
 STAY = 0.02  # a vertex that no outline touches follows its surroundings, but not for ever
 
@@ -57,14 +59,15 @@ def fit_outlines(
 
     smoothing: over about how many pixels of the masks a correction spreads.
     """
-    laplacian = umbrella(faces, len(vertices))
     pixel = pixel_size([outline.camera for outline in outlines], vertices.mean(axis=0))
+    coarse, triangles = coarser(vertices, faces, COARSE * pixel)
+    carry, laplacian = interpolation(coarse, triangles, vertices), umbrella(triangles, len(coarse))
+    reach = smoothing * pixel / edge_length(coarse, triangles) * (len(vertices) / len(coarse)) ** 0.25
     for _ in range(rounds):
         normals = vertex_normals(vertices, faces)
         wanted, touched = outline_gaps(vertices, faces, normals, outlines)
         held = np.minimum(touched, 1)
-        reach = smoothing * pixel / edge_length(vertices, faces)
-        moves = smooth_displacements(laplacian, wanted * held / (held + STAY), held + STAY, reach)
+        moves = carry @ smooth_displacements(laplacian, wanted * held / (held + STAY), held + STAY, reach, carry)
         limit = SEARCH * pixel
         vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
     return smooth_vertices(vertices, faces, ROUGHNESS)

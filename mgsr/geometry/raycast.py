@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from mgsr.data.camera import Camera
 from mgsr.open3d_library import load_open3d
@@ -43,14 +44,6 @@ class PixelHits:
         return self.face != NO_FACE
 
 
-@dataclass(frozen=True)
-class NearestPlaces:
-    """Places on a mesh: face [P] uint32, and barycentric [P,3] float32, the shares of the face's corners."""
-
-    face: np.ndarray
-    barycentric: np.ndarray
-
-
 class RayCaster:
     """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting."""
 
@@ -84,12 +77,12 @@ class RayCaster:
         shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
         return PixelHits(np.where(face != NO_FACE, depth, 0), face, shares)
 
-    def nearest(self, points: np.ndarray) -> NearestPlaces:
-        """The places of the mesh that lie nearest to the points [P,3]."""
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32, the
+        shares of its corners."""
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(np.ascontiguousarray(points, np.float32)))
         uv = found["primitive_uvs"].numpy()
-        shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
-        return NearestPlaces(found["primitive_ids"].numpy(), shares)
+        return found["primitive_ids"].numpy(), np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float) -> np.ndarray:
         """Which of the points [P,3] lie inside the camera's image with nothing between; [P] bool.
@@ -106,6 +99,13 @@ class RayCaster:
         seen = np.zeros(len(points), bool)
         seen[inside] = first >= lengths - gap
         return seen
+
+
+def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
+    """The matrix [P,V] that carries values of a mesh's vertices to the points [P,3] beside it."""
+    face, shares = RayCaster(vertices, faces).nearest(points)
+    places = (np.repeat(np.arange(len(points)), 3), faces[face].ravel())
+    return sparse.coo_matrix((shares.ravel().astype(np.float64), places), (len(points), len(vertices))).tocsr()
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:

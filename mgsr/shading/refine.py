@@ -16,29 +16,27 @@ from scipy import sparse
 
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
-from mgsr.geometry.decimate import decimate
+from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import (
     bend_to_normals,
     edge_length,
     edges,
     mean_normals,
-    smooth_displacements,
     spread,
     umbrella,
 )
 from mgsr.geometry.outlines import Outline, outline_gaps
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import face_crosses, vertex_normals
+from mgsr.geometry.raycast import interpolation
+from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import explain_by_flash, flash_ratio
 from mgsr.shading.mirroring import explain_by_mirroring
 from mgsr.shading.readings import Photograph, Readings, linear_photographs, read_photographs
 from mgsr.shading.surroundings import fit_surroundings
 
-MAX_FACES = 150_000  # of the mesh that is worked on
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
-OUTLINE_SMOOTHING = 3.0  # pixels over which what the outlines say is smoothed
+OUTLINE_SMOOTHING = 1.5  # pixels over which what the outlines say is smoothed
 POOL = 2.5  # pixels over which the readings of neighbours are put together
 CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it shows too little of each of its tilts
 
@@ -90,22 +88,22 @@ def refine_by_shading(
     photographs = linear_photographs(views)
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
 
-    def coarser(edge: float) -> tuple[_Work, np.ndarray]:
-        places, triangles = _coarser(vertices, faces, edge * pixel)
+    def work_on(edge: float) -> tuple[_Work, np.ndarray]:
+        places, triangles = coarser(vertices, faces, edge * pixel)
         laplacian = umbrella(triangles, len(places))
         return _Work(triangles, edges(triangles), laplacian, photographs, outlines, pixel, threads), places
 
-    ratios = _ratios(*coarser(RATIO_EDGE))
+    ratios = _ratios(*work_on(RATIO_EDGE))
     light = min(ratios, key=lambda kind: ratios[kind])
     if not ratios[light] <= max_ratio:
         return Refined(vertices, Light.UNKNOWN)
     for each in passes[light]:
-        work, before = coarser(each.edge)
+        work, before = work_on(each.edge)
         after = before
         for _ in range(each.rounds):
             readings, normals = work.read(after)
             after = work.bend(after, normals, work.explain(light, after, readings, normals), reach)
-        vertices = vertices + _carried(before, work.faces, after - before, vertices)
+        vertices = vertices + interpolation(before, work.faces, vertices) @ (after - before)
     return Refined(vertices, light)
 
 
@@ -139,7 +137,7 @@ class _Work:
         offsets, touched = outline_gaps(vertices, self.faces, normals, self.outlines)
         held = np.minimum(touched, 1)
         edge = edge_length(vertices, self.faces)
-        offsets = smooth_displacements(self.laplacian, offsets, held + 1e-3, OUTLINE_SMOOTHING * self.pixel / edge)
+        offsets = _mean_around(offsets, held, self.laplacian, OUTLINE_SMOOTHING * self.pixel / edge)
         strength = STAY * (reach * self.pixel / (2 * np.pi * edge)) ** 2
         moves = bend_to_normals(
             vertices,
@@ -152,6 +150,12 @@ class _Work:
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
         return vertices + moves[:, None] * normals
+
+
+def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
+    """Values [V] averaged, by their weights [V], over about `reach` edges around."""
+    sums = spread(np.stack([values * weights, weights], axis=1), laplacian, reach)
+    return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
 
 
 def _ratios(work: _Work, vertices: np.ndarray) -> dict[Light, float]:
@@ -173,15 +177,3 @@ def _near_sharp_edges(
     bend = -(steps * smooth).sum(1) * 4 / length**2 * pixel
     sharp = (spread(bend[:, None], laplacian, 0.7)[:, 0] > CONVEX).astype(float)
     return np.clip(4 * spread(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
-
-
-def _coarser(vertices: np.ndarray, faces: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh with edges of about this length or longer."""
-    area = np.linalg.norm(face_crosses(vertices, faces), axis=1).sum() / 2
-    return decimate(vertices, faces, min(MAX_FACES, max(1000, round(area / (0.433 * edge**2)))))
-
-
-def _carried(vertices: np.ndarray, faces: np.ndarray, moves: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """The moves [V,3] of a mesh's vertices at the points [P,3] beside it."""
-    nearest = RayCaster(vertices, faces).nearest(points)
-    return (moves[faces[nearest.face]] * nearest.barycentric[..., None]).sum(axis=1)

@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from mgsr.cli.convert import convert
 from mgsr.cli.options import (
     DeviceOption,
     MethodOption,
@@ -32,6 +33,7 @@ app = typer.Typer(
 )
 app.command()(run)
 app.command()(poses)
+app.command()(convert)
 
 
 @app.command()

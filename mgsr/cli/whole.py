@@ -11,10 +11,10 @@ from pathlib import Path
 
 @contextmanager
 def whole(target: Path) -> Iterator[Path]:
-    """A path beside `target` with the same ending, for a file or a folder to be written; moved to `target` when the
+    """A path beside `target` with the same endings, for a file or a folder to be written; moved to `target` when the
     block ends well, replacing what is there, and removed when it does not."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.stem}.partial{target.suffix}")
+    partial = target.with_name(f".partial.{target.name}")
     _remove(partial)
     try:
         yield partial

@@ -1,0 +1,176 @@
+"""Splats as PlayCanvas's compressed PLY, which SuperSplat and others read: 16 bytes a splat and one a coefficient.
+
+Source: PlayCanvas's documentation of the format. Chunks of 256 splats have ranges; a splat has its position, scale and
+colour within them in 32 bits each (11, 10, 11 bits; colour and opacity 8 each), and its quaternion's three smaller
+parts in 10 bits. The light split's reflected half has no place in it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from mgsr.errors import SceneError
+from mgsr.export.splats import Splats
+from mgsr.export.spz import three_scales
+
+_CHUNK = 256
+_RANGES = {
+    "position": ("x", "y", "z"),
+    "scale": ("scale_x", "scale_y", "scale_z"),
+    "color": ("r", "g", "b"),
+}
+_BITS = (11, 10, 11)
+_SH_C0 = 0.28209479177387814
+# Scales beyond these are as good as nothing or everything, and would coarsen their chunk.
+_SCALE_LIMIT = 20.0
+
+
+def write_compressed_ply(path: Path, splats: Splats) -> None:
+    """Write splats as `write_splats` takes them, ordered along a curve through space so that chunks are small.
+
+    Raises SceneError for means that are NaN or infinite.
+    """
+    if not np.isfinite(splats["means"]).all():
+        raise SceneError("splats: expected finite means, got NaN or infinite ones; remove those splats")
+    ordered = {name: array[_along_curve(splats["means"])] for name, array in splats.items()}
+    values = {
+        "position": ordered["means"].astype(np.float32),
+        "scale": np.clip(three_scales(ordered["log_scales"]), -_SCALE_LIMIT, _SCALE_LIMIT).astype(np.float32),
+        "color": (ordered["sh"][:, 0] * _SH_C0 + 0.5).astype(np.float32),
+    }
+    chunks = np.zeros(-(-len(ordered["means"]) // _CHUNK), [(name, "<f4") for name in _range_names()])
+    vertices = np.zeros(
+        len(ordered["means"]), [(f"packed_{name}", "<u4") for name in ("position", "rotation", "scale", "color")]
+    )
+    shares = {kind: _within_chunks(values[kind], chunks, kind) for kind in _RANGES}
+    for kind in ("position", "scale"):
+        vertices[f"packed_{kind}"] = _pack(shares[kind], _BITS)
+    opacity = 1 / (1 + np.exp(-ordered["opacity_logits"].astype(np.float64)))
+    vertices["packed_color"] = _pack(np.column_stack([shares["color"], opacity]), (8, 8, 8, 8))
+    vertices["packed_rotation"] = _packed_rotations(ordered["quats"])
+    elements = [PlyElement.describe(chunks, "chunk"), PlyElement.describe(vertices, "vertex")]
+    if ordered["sh"].shape[1] > 1:
+        elements.append(PlyElement.describe(_harmonics(ordered["sh"][:, 1:]), "sh"))
+    PlyData(elements, byte_order="<").write(str(path))
+
+
+def load_compressed_ply(path: Path) -> Splats:
+    """The splats of such a file, as volumes. Raises SceneError naming the file for others."""
+    try:
+        data = PlyData.read(str(path))
+        chunks, vertices = data["chunk"].data, data["vertex"].data
+        which = np.arange(len(vertices)) // _CHUNK
+        parts = {kind: _unpack(vertices[f"packed_{kind}"], _BITS) for kind in ("position", "scale")}
+        color = _unpack(vertices["packed_color"], (8, 8, 8, 8))
+        values = {
+            kind: _from_chunks(part, chunks, kind, which) for kind, part in (parts | {"color": color[:, :3]}).items()
+        }
+        rest = _load_harmonics(data, len(vertices))
+        quats = _unpacked_rotations(vertices["packed_rotation"])
+    except (PlyParseError, KeyError, ValueError, IndexError, OSError) as error:
+        raise SceneError(f"{path.name}: expected a compressed PLY of splats: {error}; write it again") from error
+    alpha = np.clip(color[:, 3], 0.5 / 255, 1 - 0.5 / 255)
+    splats = {
+        "means": values["position"],
+        "quats": quats,
+        "log_scales": values["scale"],
+        "opacity_logits": np.log(alpha / (1 - alpha)),
+        "sh": np.concatenate([(values["color"][:, None] - 0.5) / _SH_C0, rest], axis=1),
+    }
+    return {name: array.astype(np.float32) for name, array in splats.items()}
+
+
+def is_compressed_ply(path: Path) -> bool:
+    """Whether a PLY's header has the packed properties."""
+    with path.open("rb") as file:
+        return b"packed_position" in file.read(4096)
+
+
+def _range_names() -> list[str]:
+    return [f"{end}_{name}" for names in _RANGES.values() for end in ("min", "max") for name in names]
+
+
+def _along_curve(means: np.ndarray) -> np.ndarray:
+    """An order of points [N,3] in which neighbours stay together (Morton 1966), ten bits an axis."""
+    low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
+    cells = ((means - low) / np.maximum(high - low, 1e-30) * 1023).astype(np.int64)
+    code = np.zeros(len(means), np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndarray:
+    """Values [N,3] as shares 0..1 of their chunk's range, which is written to `chunks`."""
+    starts = np.arange(0, len(values), _CHUNK)
+    which = np.arange(len(values)) // _CHUNK
+    low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
+    for axis, name in enumerate(_RANGES[kind]):
+        chunks[f"min_{name}"], chunks[f"max_{name}"] = low[:, axis], high[:, axis]
+    return (values - low[which]) / np.maximum(high - low, 1e-30)[which]
+
+
+def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.ndarray) -> np.ndarray:
+    low, high = (np.stack([chunks[f"{end}_{name}"] for name in _RANGES[kind]], axis=1) for end in ("min", "max"))
+    return low[which] + shares * (high - low)[which]
+
+
+def _pack(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Shares [N,len(bits)] of 0..1 in one number, the first in the highest bits."""
+    packed = np.zeros(len(shares), np.uint32)
+    for axis, count in enumerate(bits):
+        top = 2**count - 1
+        packed = packed << np.uint32(count) | np.clip(np.rint(shares[:, axis] * top), 0, top).astype(np.uint32)
+    return packed
+
+
+def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    parts, left = [], 32
+    for count in bits:
+        left -= count
+        parts.append((packed.astype(np.uint64) >> left & (2**count - 1)) / (2**count - 1))
+    return np.stack(parts, axis=1)
+
+
+def _packed_rotations(quats: np.ndarray) -> np.ndarray:
+    """Two bits say which part of wxyz is largest; it is positive, and follows from the others."""
+    unit = quats.astype(np.float64) / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+    largest = np.abs(unit).argmax(axis=1)
+    unit *= np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
+    others = np.array([[i for i in range(4) if i != skipped] for skipped in range(4)])[largest]
+    shares = np.take_along_axis(unit, others, 1) * np.sqrt(0.5) + 0.5
+    return _pack(shares, (10, 10, 10)) | largest.astype(np.uint32) << np.uint32(30)
+
+
+def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:
+    largest = packed.astype(np.uint64) >> 30
+    smaller = (_unpack(packed, (2, 10, 10, 10))[:, 1:] - 0.5) / np.sqrt(0.5)
+    real = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(axis=1)))
+    quats = np.zeros((len(packed), 4))
+    for skipped in range(4):
+        rows = largest == skipped
+        quats[rows, skipped] = real[rows]
+        quats[np.ix_(rows, [i for i in range(4) if i != skipped])] = smaller[rows]
+    return quats
+
+
+def _harmonics(rest: np.ndarray) -> np.ndarray:
+    """Coefficients [N,K,3] as bytes over -4..4, all of red, then green, then blue."""
+    flat = rest.transpose(0, 2, 1).reshape(len(rest), -1)
+    table = np.zeros(len(rest), [(f"f_rest_{i}", "u1") for i in range(flat.shape[1])])
+    for i in range(flat.shape[1]):
+        table[f"f_rest_{i}"] = np.clip(np.floor((flat[:, i] / 8 + 0.5) * 256), 0, 255)
+    return table
+
+
+def _load_harmonics(data: PlyData, count: int) -> np.ndarray:
+    if "sh" not in data:
+        return np.zeros((count, 0, 3))
+    table = data["sh"].data
+    flat = np.stack([table[f"f_rest_{i}"] for i in range(len(table.dtype.names))], axis=1).astype(np.float64)
+    # A byte stands for the middle of its step.
+    return (((flat + 0.5) / 256 - 0.5) * 8).reshape(count, 3, -1).transpose(0, 2, 1)

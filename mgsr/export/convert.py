@@ -1,0 +1,145 @@
+"""Meshes and splats from one kind of file to another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.errors import ConfigError, MeshError
+from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
+from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.obj_files import write_obj
+from mgsr.export.splats import Splats, load_splats, write_splats
+from mgsr.export.spz import load_spz, write_spz
+
+COMPRESSED = ".compressed.ply"
+_MESHES = (".ply", ".glb", ".obj")
+_SPLATS: dict[str, Callable[[Path, Splats], None]] = {
+    COMPRESSED: write_compressed_ply,
+    ".ply": write_splats,
+    ".spz": write_spz,
+}
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+
+
+def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis = UpAxis.Y) -> str:
+    """Write `target`, whose name tells the kind, from `source`; a line about what it holds.
+
+    Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: what all lengths are multiplied with. up:
+    which axis of a mesh's frame points up, for .glb, which wants y.
+
+    Raises ConfigError for kinds that can't become each other, SceneError and MeshError for files that can't be read.
+    """
+    if not source.is_file():
+        raise ConfigError(f"{source}: no such file")
+    if not (math.isfinite(scale) and scale > 0):
+        raise ConfigError(f"--scale {scale:g}: expected a number above 0")
+    if _holds_splats(source):
+        return _convert_splats(source, target, scale)
+    return _convert_mesh(source, target, scale, up)
+
+
+def load_mesh(path: Path) -> Mesh:
+    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no vertex colours.
+
+    Raises MeshError naming the file.
+    """
+    import trimesh  # late: splats need none
+
+    try:
+        scene: Any = trimesh.load_scene(path, process=False)
+        parts = [_part(*scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
+    except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
+        raise MeshError(f"{path}: not a mesh that can be read: {error}") from error
+    parts = [part for part in parts if part is not None and len(part.faces)]
+    if not parts:
+        raise MeshError(f"{path}: expected a mesh with faces, got none")
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.colors for part in parts]),
+    )
+
+
+def _part(pose: np.ndarray, name: str, geometry: Any, path: Path) -> Mesh | None:
+    """One part of a file, where its node puts it; None for what is no mesh."""
+    mesh = geometry[name]
+    if not len(getattr(mesh, "faces", ())):
+        return None
+    vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
+    normals = np.asarray(mesh.vertex_normals) @ np.linalg.inv(pose[:3, :3])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Mesh(vertices, np.asarray(mesh.faces), normals, _colors(mesh, is_linear=path.suffix.lower() == ".glb"))
+
+
+def _colors(mesh: Any, is_linear: bool) -> np.ndarray:
+    """sRGB 0..1 [V,3]. trimesh keeps glTF's colours beside its material, as they were stored: linear light."""
+    kept = getattr(mesh.visual, "vertex_attributes", {})
+    if mesh.visual.kind == "vertex":
+        stored = mesh.visual.vertex_colors
+    elif "color" in kept:
+        stored = kept["color"]
+    else:
+        return np.full((len(mesh.vertices), 3), 0.5)
+    stored = np.asarray(stored)[:, :3]
+    colors = stored / np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else np.clip(stored, 0, 1)
+    if not is_linear:
+        return colors
+    return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
+
+
+def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
+    if target.suffix.lower() not in _MESHES or target.name.lower().endswith(COMPRESSED):
+        raise ConfigError(f"{target.suffix or target.name}: a mesh can become one of {', '.join(_MESHES)}")
+    mesh = load_mesh(source)
+    arrays = (mesh.vertices * scale, mesh.faces, mesh.normals, mesh.colors)
+    match target.suffix.lower():
+        case ".glb":
+            write_glb(target, *arrays, up=up)
+        case ".obj":
+            write_obj(target, *arrays)
+        case _:
+            write_ply(target, *arrays)
+    return f"a mesh of {len(mesh.faces)} faces"
+
+
+def _convert_splats(source: Path, target: Path, scale: float) -> str:
+    suffix = next((suffix for suffix in _SPLATS if target.name.lower().endswith(suffix)), None)
+    if suffix is None:
+        raise ConfigError(f"{target.suffix or target.name}: splats can become one of {', '.join(_SPLATS)}")
+    splats = _load_splats(source)
+    splats["means"] = splats["means"] * np.float32(scale)
+    splats["log_scales"] = splats["log_scales"] + np.float32(math.log(scale))
+    _SPLATS[suffix](target, splats)
+    lost = "" if suffix == ".ply" or "refl_sh" not in splats else ", without their reflected half"
+    return f"{len(splats['means'])} splats{lost}"
+
+
+def _holds_splats(path: Path) -> bool:
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() == ".spz"
+    with path.open("rb") as file:
+        head = file.read(8192)
+    return b" f_dc_0" in head or b" packed_position" in head
+
+
+def _load_splats(path: Path) -> Splats:
+    if path.suffix.lower() == ".spz":
+        return load_spz(path)
+    return load_compressed_ply(path) if is_compressed_ply(path) else load_splats(path)

@@ -1,0 +1,26 @@
+"""Meshes as Wavefront OBJ, for programs that read nothing newer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.errors import MeshError
+
+
+def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
+    """Text: vertices [V,3] with colours [V,3] sRGB 0..1 behind them (an extension that MeshLab, Blender and others
+    read), unit normals [V,3], faces [F,3]. Twelve digits keep positions also far from
+    the origin.
+
+    Raises MeshError for a mesh without faces.
+    """
+    if len(faces) == 0:
+        raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
+    corners = faces[:, :, None].repeat(2, axis=2).reshape(len(faces), 6) + 1
+    with path.open("w", encoding="ascii", newline="\n") as file:
+        file.write("# written by MGSR; vertex colours are sRGB\n")
+        np.savetxt(file, np.hstack([vertices, np.clip(colors, 0, 1)]), "v %.12g %.12g %.12g %.4f %.4f %.4f")
+        np.savetxt(file, normals, "vn %.6f %.6f %.6f")
+        np.savetxt(file, corners, "f %d//%d %d//%d %d//%d")

@@ -1,0 +1,87 @@
+"""Conversions of meshes and splats, read back by other libraries."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.errors import ConfigError, MeshError
+from mgsr.export.convert import convert, load_mesh
+from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.obj_files import write_obj
+from mgsr.export.splats import load_splats, write_splats
+from tests.export.test_mesh_files import ball
+from tests.export.test_packed_splats import PLY_STEPS, SPZ_STEPS, check_close, splats
+
+
+@pytest.mark.parametrize("offset", [0.0, 5e6])
+def test_obj_holds_what_was_given(tmp_path, offset):
+    vertices, faces, normals, colors = ball(offset)
+    write_obj(tmp_path / "a.obj", vertices, faces, normals, colors)
+    mesh = trimesh.load(tmp_path / "a.obj", process=False, force="mesh", maintain_order=True)
+    np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-5)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_allclose(mesh.vertex_normals, normals, atol=1e-5)
+    np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3] / 255, colors, atol=1.01 / 255)
+
+
+@pytest.mark.parametrize("before", [".ply", ".glb", ".obj"])
+@pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
+def test_meshes(tmp_path, before, after):
+    arrays = ball()
+    {".ply": write_ply, ".glb": write_glb, ".obj": write_obj}[before](tmp_path / f"a{before}", *arrays)
+    assert convert(tmp_path / f"a{before}", tmp_path / f"b{after}", scale=2.0) == "a mesh of 320 faces"
+    mesh = trimesh.load(tmp_path / f"b{after}", process=False, force="mesh")
+    np.testing.assert_allclose(mesh.vertices, 2 * arrays[0], atol=1e-5)
+    np.testing.assert_array_equal(mesh.faces, arrays[1])
+    np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, arrays[3], atol=1.01 / 255)
+
+
+def test_up(tmp_path):
+    write_ply(tmp_path / "a.ply", *ball())
+    convert(tmp_path / "a.ply", tmp_path / "b.glb", up=UpAxis.Z)
+    given, turned = (
+        trimesh.load(tmp_path / "a.ply", process=False),
+        trimesh.load(tmp_path / "b.glb", force="mesh", process=False),
+    )
+    np.testing.assert_allclose(turned.vertices[:, 1], given.vertices[:, 2], atol=1e-6)
+
+
+@pytest.mark.parametrize(("suffix", "steps"), [(".spz", SPZ_STEPS), (".compressed.ply", PLY_STEPS)])
+def test_splats_there_and_back(tmp_path, suffix, steps):
+    write_splats(tmp_path / "a.ply", splats())
+    assert convert(tmp_path / "a.ply", tmp_path / f"b{suffix}") == "40 splats"
+    convert(tmp_path / f"b{suffix}", tmp_path / "c.ply", scale=1.0)
+    check_close(load_splats(tmp_path / "c.ply"), splats(), steps)
+
+
+def test_the_scale_of_splats(tmp_path):
+    write_splats(tmp_path / "a.ply", splats())
+    convert(tmp_path / "a.ply", tmp_path / "b.ply", scale=1000)
+    read = load_splats(tmp_path / "b.ply")
+    np.testing.assert_allclose(read["means"], splats()["means"] * 1000, rtol=1e-6)
+    np.testing.assert_allclose(np.exp(read["log_scales"]), np.exp(splats()["log_scales"]) * 1000, rtol=1e-5)
+
+
+def test_the_light_splits_loss_is_told(tmp_path):
+    given = splats() | {"refl_opacity_logits": np.zeros(40, np.float32), "weight_logits": np.zeros(40, np.float32)}
+    write_splats(tmp_path / "a.ply", given | {"refl_sh": np.zeros((40, 1, 3), np.float32)})
+    assert convert(tmp_path / "a.ply", tmp_path / "b.spz") == "40 splats, without their reflected half"
+    assert convert(tmp_path / "a.ply", tmp_path / "b.ply") == "40 splats"
+
+
+def test_refusals(tmp_path):
+    write_splats(tmp_path / "splats.ply", splats())
+    write_ply(tmp_path / "mesh.ply", *ball())
+    with pytest.raises(ConfigError, match=r"^\.obj: splats can become one of \.compressed\.ply, \.ply, \.spz"):
+        convert(tmp_path / "splats.ply", tmp_path / "b.obj")
+    with pytest.raises(ConfigError, match=r"^\.spz: a mesh can become one of \.ply, \.glb, \.obj"):
+        convert(tmp_path / "mesh.ply", tmp_path / "b.spz")
+    with pytest.raises(ConfigError, match="--scale 0: expected a number above 0"):
+        convert(tmp_path / "mesh.ply", tmp_path / "b.obj", scale=0)
+    with pytest.raises(ConfigError, match=r"gone\.ply: no such file"):
+        convert(tmp_path / "gone.ply", tmp_path / "b.obj")
+    (tmp_path / "bad.obj").write_text("hello")
+    with pytest.raises(MeshError, match=r"bad\.obj"):
+        convert(tmp_path / "bad.obj", tmp_path / "b.ply")

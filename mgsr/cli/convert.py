@@ -1,27 +1,58 @@
-"""The command `convert`: meshes and splats from one kind of file to another."""
+"""The command `convert`: meshes, splats and scenes from one kind of file to another."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mgsr.cli.options import refusals
+from mgsr.data.archive import ARCHIVE_SUFFIXES
+from mgsr.errors import ConfigError
 from mgsr.export.mesh_files import UpAxis
 
-SourceArgument = Annotated[Path, typer.Argument(metavar="A", help="A mesh (.ply .glb .obj) or splats (.ply .spz).")]
-TargetArgument = Annotated[Path, typer.Argument(metavar="B", help="The new file; its name tells the kind.")]
+SourceArgument = Annotated[
+    Path, typer.Argument(metavar="A", help="A mesh (.ply .glb .obj), splats (.ply .spz) or a scene.")
+]
+TargetArgument = Annotated[
+    Path, typer.Argument(metavar="B", help="The new file, whose name tells the kind; a scene's new folder.")
+]
 ScaleOption = Annotated[float, typer.Option(help="Multiply all lengths, such as by 1000 from metres to millimetres.")]
 UpOption = Annotated[UpAxis, typer.Option(help="Which axis of a mesh's frame points up; a .glb is turned to it.")]
 
 
 def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption = 1.0, up: UpOption = UpAxis.Y) -> None:
-    """Write the mesh or the splats of A as B: .ply, .glb, .obj; .ply, .compressed.ply, .spz."""
+    """Write the mesh or the splats of A as B: .ply, .glb, .obj; .ply, .compressed.ply, .spz.
+
+    A scene becomes a folder with undistorted photographs that COLMAP and nerfstudio read.
+    """
     with refusals():
         from mgsr.cli.whole import whole
         from mgsr.export.convert import convert as convert_file
 
-        with whole(target) as path:
-            text = convert_file(source, path, scale, up)
+        if source.is_dir() or source.name.lower().endswith(ARCHIVE_SUFFIXES):
+            text = _convert_scene(source, target, scale)
+        else:
+            with whole(target) as path:
+                text = convert_file(source, path, scale, up)
         print(f"{target}: {text}")
+
+
+def _convert_scene(source: Path, target: Path, scale: float) -> str:
+    from mgsr.cli.facts import scene_line
+    from mgsr.cli.whole import whole
+    from mgsr.config import make_config
+    from mgsr.data.readers import load_scene
+    from mgsr.export.scenes import write_scene
+
+    if target.exists() and (target.is_file() or any(target.iterdir())):
+        raise ConfigError(f"{target}: is not empty; name a new folder for the scene")
+    if not (math.isfinite(scale) and scale > 0):
+        raise ConfigError(f"--scale {scale:g}: expected a number above 0")
+    scene = load_scene(source, make_config().data)
+    with whole(target) as folder:
+        folder.mkdir()
+        write_scene(folder, scene, scale)
+    return scene_line(scene)

@@ -11,6 +11,7 @@ from mgsr.cli.main import app
 from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
+from tests.data.captures import BallCapture
 from tests.export.test_mesh_files import ball
 from tests.export.test_packed_splats import splats
 
@@ -31,6 +32,15 @@ def test_meshes_with_options(tmp_path: Path) -> None:
     given = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb"), "--up", "z", "--scale", "1000"]
     result = RUN.invoke(app, given)
     assert result.exit_code == 0 and "a mesh of 320 faces" in result.output
+
+
+def test_scenes(tmp_path: Path) -> None:
+    BallCapture(views=6).write_plain(tmp_path / "ball")
+    given = ["convert", str(tmp_path / "ball"), str(tmp_path / "out")]
+    result = RUN.invoke(app, given)
+    assert result.exit_code == 0 and "6 training and 0 test views" in result.output
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"images", "masks", "sparse", "transforms.json"}
+    assert RUN.invoke(app, given).exit_code == 2, "what is there is not written over"
 
 
 def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""Scenes for other programs: undistorted photographs, masks and cameras as COLMAP's text model and transforms.json."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import Scene, View
+from mgsr.errors import MgsrError
+
+_OPENGL = np.diag([1.0, -1, -1, 1])
+
+
+def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
+    """Write the scene in the user's frame, all lengths times `scale`, into a folder that is there.
+
+    images/train and images/test hold the photographs as MGSR uses them (pinhole, reduced); masks/ the same names, white
+    on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points; transforms.json the same cameras
+    with OpenGL's axes, as nerfstudio reads them, with the split. Raises MgsrError where an image can't be written.
+    """
+    views = [("train", view) for view in scene.train] + [("test", view) for view in scene.test]
+    names = [f"{part}/{view.name}.png" for part, view in views]
+    cameras = [_scaled(scene.user_from_scene.camera_to_user(view.camera), scale) for _, view in views]
+    for name, (_, view) in zip(names, views, strict=True):
+        _write_images(folder, name, view)
+    points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    if scene.points is not None:
+        points, colors = scene.user_from_scene.to_user(scene.points.positions) * scale, scene.points.colors
+    _write_colmap(folder / "sparse/0", names, cameras, points, colors)
+    frames = [_frame(name, camera, scene.masked) for name, camera in zip(names, cameras, strict=True)]
+    split = {
+        f"{part}_filenames": [f"images/{name}" for name in names if name.startswith(part)] for part in ("train", "test")
+    }
+    document = {"camera_model": "PINHOLE", "frames": frames} | (split if scene.test else {})
+    (folder / "transforms.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _scaled(camera: Camera, scale: float) -> Camera:
+    pose = camera.cam_from_world.copy()
+    pose[:3, 3] *= scale
+    return Camera(camera.K, pose, camera.width, camera.height)
+
+
+def _write_images(folder: Path, name: str, view: View) -> None:
+    _write_image(folder / "images" / name, view.image[..., ::-1])
+    if view.alpha is not None:
+        _write_image(folder / "masks" / name, view.alpha)
+
+
+def _write_image(path: Path, pixels: np.ndarray) -> None:
+    import cv2  # late: training needs no OpenCV
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), np.ascontiguousarray(pixels)):
+        raise MgsrError(f"{path}: can't be written; look at the folder's rights and the free space")
+
+
+def _write_colmap(
+    folder: Path, names: Sequence[str], cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray
+) -> None:
+    """COLMAP's documentation, "Output Format"; no photograph lists the points that it sees."""
+    camera_lines, image_lines = [], []
+    for number, (name, camera) in enumerate(zip(names, cameras, strict=True), start=1):
+        K = camera.K
+        values = _text([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])
+        camera_lines.append(f"{number} PINHOLE {camera.width} {camera.height} {values}")
+        x, y, z, w = Rotation.from_matrix(camera.cam_from_world[:3, :3]).as_quat()
+        image_lines += [f"{number} {_text([w, x, y, z, *camera.cam_from_world[:3, 3]])} {number} {name}", ""]
+    rows = enumerate(zip(points, colors, strict=True), start=1)
+    point_lines = [f"{number} {_text(place)} {' '.join(map(str, color))} 0" for number, (place, color) in rows]
+    folder.mkdir(parents=True)
+    for stem, lines in (("cameras", camera_lines), ("images", image_lines), ("points3D", point_lines)):
+        (folder / f"{stem}.txt").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _frame(name: str, camera: Camera, masked: bool) -> dict[str, Any]:
+    K = camera.K
+    frame = {
+        "file_path": f"images/{name}",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": K[0, 0],
+        "fl_y": K[1, 1],
+        "cx": K[0, 2],
+        "cy": K[1, 2],
+        "transform_matrix": (camera.world_from_cam @ _OPENGL).tolist(),
+    }
+    return frame | ({"mask_path": f"masks/{name}"} if masked else {})
+
+
+def _text(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(f"{value:.17g}" for value in values)

@@ -62,10 +62,10 @@ def load_mesh(path: Path) -> Mesh:
 
     try:
         scene: Any = trimesh.load_scene(path, process=False)
-        parts = [_part(*scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
+        found = [_part(*scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
     except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
         raise MeshError(f"{path}: not a mesh that can be read: {error}") from error
-    parts = [part for part in parts if part is not None and len(part.faces)]
+    parts = [part for part in found if part is not None]
     if not parts:
         raise MeshError(f"{path}: expected a mesh with faces, got none")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])

@@ -62,7 +62,7 @@ def load_mesh(path: Path) -> Mesh:
 
     try:
         scene: Any = trimesh.load_scene(path, process=False)
-        found = [_part(*scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
+        found = [_part(scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
     except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
         raise MeshError(f"{path}: not a mesh that can be read: {error}") from error
     parts = [part for part in found if part is not None]
@@ -77,9 +77,9 @@ def load_mesh(path: Path) -> Mesh:
     )
 
 
-def _part(pose: np.ndarray, name: str, geometry: Any, path: Path) -> Mesh | None:
-    """One part of a file, where its node puts it; None for what is no mesh."""
-    mesh = geometry[name]
+def _part(node: tuple[np.ndarray, str], geometry: Any, path: Path) -> Mesh | None:
+    """One part of a file, where its node (pose and name) puts it; None for what is no mesh."""
+    pose, mesh = node[0], geometry[node[1]]
     if not len(getattr(mesh, "faces", ())):
         return None
     vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]

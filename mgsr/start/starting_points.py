@@ -1,4 +1,4 @@
-"""Where the Gaussians start: the capture's own points, else the surface of the visual hull, else a random ball."""
+"""Where the Gaussians start: the capture's own points, the visual hull's surface, or stereo; else a random ball."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
 from mgsr.shading.refine import Light, Pass, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
+from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
@@ -29,7 +30,7 @@ SHADING_PASSES = {
     Light.SURROUNDINGS: (Pass(edge=4.0, rounds=4), Pass(edge=2.0, rounds=3)),  # deep hollows need many rounds
 }
 
-# With fewer points than this of its own, a masked scene does better with its hull.
+# With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
 MIN_POINTS = 500
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
@@ -37,10 +38,12 @@ FARTHEST = 50.0
 
 
 class StartSource(StrEnum):
-    """capture: the capture's own points; hull: the visual hull of the masks; ball: nothing was known."""
+    """capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree;
+    ball: nothing was known."""
 
     CAPTURE = "capture"
     HULL = "hull"
+    STEREO = "stereo"
     BALL = "ball"
 
 
@@ -58,18 +61,19 @@ class StartingPoints:
 def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
     """Points to start from. The same seed gives the same points.
 
-    At most `count` of the capture's own points (COLMAP), in a masked scene only those inside all masks; else `count`
-    points on the visual hull of the masks, carved deeper where the photographs agree on it and bent to their shading,
-    spread evenly; else `count` points in the unit ball.
+    With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
+    on the visual hull, carved deeper where the photographs agree on it and bent to their shading, spread evenly.
+    Without: the capture's own points and those that stereo finds in the unit ball, at most `count`; `count` points
+    anywhere in the ball where there are hardly any.
     """
     generator = np.random.default_rng(seed)
     outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
-    own = _own_points(scene.points, outlines, count, generator) if scene.points is not None else None
-    if own is not None:
-        return own
+    own = _own_points(scene.points, outlines) if scene.points is not None else None
     if outlines:
-        return _hull_points(scene.train, outlines, count, generator)
-    return _ball_points(scene.train, count, generator)
+        if own is None or len(own.positions) < MIN_POINTS:
+            return _hull_points(scene.train, outlines, count, generator)
+        return _chosen(own, StartSource.CAPTURE, count, generator)
+    return _unmasked_points(scene.train, own, count, generator)
 
 
 def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
@@ -84,21 +88,33 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
     return (vertices - 1) * hull.voxel + hull.origin, faces
 
 
-def _own_points(
-    points: PointCloud, outlines: Sequence[Silhouette], count: int, generator: np.random.Generator
-) -> StartingPoints | None:
-    """None if the capture has too few points of the object to be of use."""
+def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointCloud:
+    """The capture's points that can be of use."""
     good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
     if outlines:
         # A point reconstructed on the outline lies a pixel off as often as not.
         distance, judged = signed_field(outlines, points.positions[good])
         good[good] = judged & (distance > -0.02)
-    kept = np.flatnonzero(good)
-    if not len(kept) or (outlines and len(kept) < MIN_POINTS):
-        return None
+    return PointCloud(points.positions[good], points.colors[good])
+
+
+def _unmasked_points(
+    views: Sequence[View], own: PointCloud | None, count: int, generator: np.random.Generator
+) -> StartingPoints:
+    found = sweep_planes(views)
+    if own is not None and len(own.positions):
+        both = (np.concatenate(part) for part in ((own.positions, found.positions), (own.colors, found.colors)))
+        return _chosen(PointCloud(*both), StartSource.CAPTURE, count, generator)
+    if len(found.positions) < MIN_POINTS:
+        return _ball_points(views, count, generator)
+    return _chosen(found, StartSource.STEREO, count, generator)
+
+
+def _chosen(points: PointCloud, source: StartSource, count: int, generator: np.random.Generator) -> StartingPoints:
+    kept = np.arange(len(points.positions))
     if len(kept) > count:
         kept = np.sort(generator.choice(kept, count, replace=False))
-    return StartingPoints(points.positions[kept], points.colors[kept], StartSource.CAPTURE)
+    return StartingPoints(points.positions[kept], points.colors[kept], source)
 
 
 def _hull_points(

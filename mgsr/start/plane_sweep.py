@@ -1,0 +1,169 @@
+"""Points on a surface that no mask shows, by plane-sweep stereo (Collins 1996).
+
+A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where
+they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. Only
+the unit ball is searched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as functional
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import reduce_area
+from mgsr.data.scene import PointCloud, View
+from mgsr.parallel import map_ahead, one_torch_thread
+
+SIDE = 128  # images are reduced to this side: a start needs no more
+PLANES = 64  # evenly in inverse depth, as disparity is
+REACH = 1.1  # of the planes around the origin
+NEIGHBOURS, APART, FARTHEST = 4, 15.0, 45.0  # views compared; degrees that they are best apart, and at most
+WINDOW = 5  # pixels a side
+NOISE = 0.01  # standard deviation; windows of less contrast correlate with nothing
+AGREEMENT = 0.6  # least correlation of a depth that counts
+LEAD, BESIDE = 0.03, 4  # by which it must beat all planes further from it than this many
+CONFIRMED, TOLERANCE = 2, 0.02  # other views that must have the same depth, to this share
+SPACING = 0.02  # points closer than this are one
+CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY deviations farther than is usual
+
+
+def sweep_planes(views: Sequence[View]) -> PointCloud:
+    """Points of the surfaces inside the unit ball, as far as the views have contrast; maybe none."""
+    looks = [_look(view) for view in views]
+    with one_torch_thread():
+        maps = list(map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None))
+    clouds = [_confirmed(index, looks, maps) for index in range(len(looks))]
+    positions, colors = (np.concatenate(part) for part in zip(*clouds, strict=True))
+    kept = _thinned(positions)
+    return PointCloud(positions[kept], colors[kept])
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A view as it is compared: its reduced camera, image [h,w,3] sRGB 0..255 and grey [1,h,w] 0..1."""
+
+    camera: Camera
+    image: np.ndarray
+    grey: Tensor
+
+
+def _look(view: View) -> _Look:
+    camera, image = view.camera, view.image.astype(np.float32)
+    shrink = SIDE / max(camera.width, camera.height)
+    if shrink < 1:
+        camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
+        image = reduce_area(image, camera.width, camera.height)
+    return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255))
+
+
+def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
+    """Camera z [h,w] where the neighbours agree; infinite where they don't."""
+    look, neighbours = looks[index], _neighbours([each.camera for each in looks], index)
+    nearest, farthest = (look.camera.cam_from_world[2, 3] + shift for shift in (-REACH, REACH))
+    unknown = np.full(look.grey.shape[1:], np.inf)
+    if farthest <= 0 or len(neighbours) < 2:
+        return unknown
+    nearest = max(nearest, 0.05 * farthest)
+    inverse = torch.linspace(1 / farthest, 1 / nearest, PLANES)
+    scores = torch.stack([_correlations(look, looks[other], inverse) for other in neighbours])
+    # The better half: a neighbour that does not see the place says nothing of it.
+    agreement = scores.topk(max(2, len(neighbours) // 2), dim=0).values.mean(dim=0)
+    plane, sure = _best_plane(agreement)
+    depth = 1 / (1 / farthest + (1 / nearest - 1 / farthest) * plane / (PLANES - 1))
+    return np.where(sure.numpy(), depth.numpy(), unknown)
+
+
+def _neighbours(cameras: Sequence[Camera], index: int) -> np.ndarray:
+    """The views that see the unit ball from about APART degrees beside view `index`."""
+    away = np.array([camera.center for camera in cameras])
+    away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    angles = np.degrees(np.arccos(np.clip(away @ away[index], -1, 1)))
+    angles[index] = np.inf
+    order = np.argsort(np.abs(angles - APART), kind="stable")[:NEIGHBOURS]
+    return order[angles[order] < FARTHEST]
+
+
+def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
+    """How well `other` fits to `look` [D,h,w] on planes at these inverse depths [D]; -1 where it does not see."""
+    camera, neighbour = look.camera, other.camera
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(x - camera.K[0, 2]) / camera.K[0, 0], (y - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(x)], -1)
+    pose = neighbour.cam_from_world @ np.linalg.inv(camera.cam_from_world)
+    turned = torch.from_numpy(rays @ (neighbour.K @ pose[:3, :3]).T).float()
+    moved = torch.from_numpy(neighbour.K @ pose[:3, 3]).float()
+    places = turned + inverse[:, None, None, None] * moved
+    places = places[..., :2] / places[..., 2:].clamp(min=1e-6)
+    places = places / torch.tensor([neighbour.width, neighbour.height]) * 2 - 1
+    seen = functional.grid_sample(
+        other.grey[None].expand(PLANES, -1, -1, -1), places, padding_mode="border", align_corners=False
+    )[:, 0]
+    own, mean, seen_mean = look.grey, _window_mean(look.grey), _window_mean(seen)
+    variance = _window_mean(own * own) - mean * mean + NOISE**2
+    seen_variance = _window_mean(seen * seen) - seen_mean * seen_mean + NOISE**2
+    correlation = (_window_mean(seen * own) - seen_mean * mean) / (variance * seen_variance).clamp(min=1e-12).sqrt()
+    return torch.where((places.abs() < 1).all(dim=-1), correlation, -1.0)
+
+
+def _window_mean(images: Tensor) -> Tensor:
+    """The mean [N,h,w] over the WINDOW around each pixel."""
+    half = WINDOW // 2
+    padded = functional.pad(images[None], (half,) * 4, mode="replicate")[0]
+    height, width = images.shape[1:]
+    rows = sum(padded[:, shift : shift + height] for shift in range(WINDOW))
+    assert isinstance(rows, Tensor)
+    columns = sum(rows[:, :, shift : shift + width] for shift in range(WINDOW))
+    assert isinstance(columns, Tensor)
+    return columns / WINDOW**2
+
+
+def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
+    """The plane [h,w] of the best agreement [D,h,w], between planes by a parabola, and whether it stands out."""
+    best, at = agreement.max(dim=0)
+    planes = torch.arange(PLANES)[:, None, None]
+    rival = torch.where((planes - at).abs() > BESIDE, agreement, -1.0).amax(dim=0)
+    sure = (at > 0) & (at < PLANES - 1) & (best > AGREEMENT) & (best - rival > LEAD)
+    middle = at.clamp(1, PLANES - 2)[None]
+    before, here, after = (agreement.gather(0, middle + step)[0] for step in (-1, 0, 1))
+    step = (after - before) / (2 * (2 * here - before - after)).clamp(min=1e-6)
+    return middle[0] + step.clamp(-0.5, 0.5), sure
+
+
+def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The points [P,3] of a view's depth map that other views' maps confirm more often than they see through them, and
+    their colours [P,3] uint8."""
+    camera, depth = looks[index].camera, maps[index]
+    rows, columns = np.nonzero(np.isfinite(depth))
+    pixels = np.stack([columns, rows], axis=1) + 0.5
+    local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
+    positions = (local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+    confirming, against = np.zeros(len(positions), int), np.zeros(len(positions), int)
+    for other, (look, found) in enumerate(zip(looks, maps, strict=True)):
+        if other == index:
+            continue
+        places, depths = look.camera.project(positions)
+        inside = (depths > 0) & (places >= 0).all(1) & (places < (look.camera.width, look.camera.height)).all(1)
+        at = np.flatnonzero(inside)
+        across, down = places[at].astype(int).T
+        gaps = found[down, across] / depths[at] - 1
+        confirming[at] += np.abs(gaps) < TOLERANCE
+        against[at] += np.isfinite(gaps) & (gaps > 2 * TOLERANCE)
+    good = (confirming >= CONFIRMED) & (confirming > against) & (np.linalg.norm(positions, axis=1) < REACH)
+    colors = looks[index].image[rows, columns].round().clip(0, 255).astype(np.uint8)
+    return positions[good], colors[good]
+
+
+def _thinned(positions: np.ndarray) -> np.ndarray:
+    """Which points to keep, by index: one a cell of SPACING, without those that stand alone."""
+    _, first = np.unique(np.floor(positions / SPACING).astype(int), axis=0, return_index=True)
+    first.sort()
+    if len(first) <= CROWD:
+        return first
+    distances = cKDTree(positions[first]).query(positions[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
+    return first[distances <= distances.mean() + LONELY * distances.std()]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from mgsr.gaussians.scales import linear_scales
 from mgsr.ops.harmonics import harmonics_to_rgb
 
 
@@ -38,7 +39,7 @@ class SurfelModel:
 
     def scales(self) -> Tensor:
         """Standard deviations along the tangents, [N,2], in the scene's unit."""
-        return self.log_scales.exp()
+        return linear_scales(self.log_scales)
 
     def opacities(self) -> Tensor:
         """[N], in (0, 1)."""

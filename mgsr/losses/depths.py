@@ -6,6 +6,8 @@ from torch import Tensor
 
 from mgsr.config import DepthUnit
 
+LEAST_DISTANCE = 0.1  # scene units
+
 
 def depth_agreement(volume_depth: Tensor, surfel_depth: Tensor, covered: Tensor, unit: float | Tensor) -> Tensor:
     """L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where covered, a scalar.
@@ -18,5 +20,6 @@ def depth_agreement(volume_depth: Tensor, surfel_depth: Tensor, covered: Tensor,
 
 def depth_unit(kind: DepthUnit, volume_depth: Tensor, distance: float) -> float | Tensor:
     """What `depth_agreement` divides by: the camera's distance from the scene's centre, or, as in the paper, the
-    maximum of the depth (one for both, so that depths which agree still agree after it)."""
-    return distance if kind is DepthUnit.DISTANCE else volume_depth.detach().max().clamp(min=1e-6)
+    maximum of the depth (one for both, so that depths which agree still agree after it). A distance under 0.1 counts
+    as that: a camera in the middle of the scene, whose radius is 1, would else weigh without bound."""
+    return max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else volume_depth.detach().max().clamp(min=1e-6)

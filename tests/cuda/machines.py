@@ -40,6 +40,7 @@ CPU = torch.device("cpu")
 SHIM = Machine("shim", CPU, Order.ASCENDING)
 OTHER_ORDERS = (Machine("shim-descending", CPU, Order.DESCENDING), Machine("shim-shuffled", CPU, Order.SHUFFLED))
 CARD = Machine("cuda", torch.device("cuda"), None)
+PROCESSOR = Machine("processor", CPU, None)  # the CPU kernels, for tests that hold both to the same
 
 
 def _mark(machine: Machine) -> object:
@@ -48,6 +49,8 @@ def _mark(machine: Machine) -> object:
 
 
 MACHINES = [_mark(machine) for machine in (SHIM, CARD)]
+EVERY_KERNEL = [_mark(machine) for machine in (PROCESSOR, SHIM, CARD)]
 ALL_MACHINES = [_mark(machine) for machine in (SHIM, *OTHER_ORDERS, CARD)]
 on_each_machine = pytest.mark.parametrize("machine", MACHINES)
+on_every_kernel = pytest.mark.parametrize("machine", EVERY_KERNEL)
 on_each_machine_and_order = pytest.mark.parametrize("machine", ALL_MACHINES)

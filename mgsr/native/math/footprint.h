@@ -17,6 +17,14 @@ MGSR_HD T footprint_root(const ProjectedGaussian<T>& g, T root[3]) {
   return det;
 }
 
+// Whether the footprint is so much longer than wide (over 30 times, by its root) that the products which take its gradient
+// back lose the longer axis' share in float.
+template <class T>
+MGSR_HD bool is_needle(const T root[3]) {
+  const T trace = root[0] * root[0] + root[1] * root[1] + root[2] * root[2], product = root[0] * root[2];
+  return trace * trace > T(1e3) * product * product;
+}
+
 // From the exponent's gradient, by its moments over the pixels' offsets from the centre, to those of the projection (but
 // for its compensation); v_depth is passed on.
 template <class T>

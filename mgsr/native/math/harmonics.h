@@ -14,11 +14,13 @@ MGSR_HD T inverse_length(T dx, T dy, T dz) {
   return T(1) / MGSR_SQRT(squared < T(1e-24f) ? T(1e-24f) : squared);
 }
 
-// v_d += derivative of (dx, dy, dz) * inverse_length, given the unit vector u and its inverse length.
+// v_d += derivative of (dx, dy, dz) * inverse_length, given the unit vector u and its inverse length; none where the
+// length was too short to be a direction.
 template <class T>
 MGSR_HD void unit_vector_vjp(const T u[3], T inverse, const T v_u[3], T v_d[3]) {
   const T along = u[0] * v_u[0] + u[1] * v_u[1] + u[2] * v_u[2];
-  for (int i = 0; i < 3; ++i) v_d[i] += (v_u[i] - along * u[i]) * inverse;
+  const T factor = inverse < 9e11f ? inverse : T{};
+  for (int i = 0; i < 3; ++i) v_d[i] += (v_u[i] - along * u[i]) * factor;
 }
 
 // b: [(D+1)^2], the basis functions along the unit vector u.

@@ -5,11 +5,30 @@
 
 namespace mgsr {
 
+// Divides q into the unit quaternion u and returns the inverse of its length. Squares of numbers under 1e-19 vanish in
+// float and those over 1e19 overflow: such a q is divided by its largest number first.
+template <class T>
+MGSR_HD T unit_quat(const T q[4], T u[4]) {
+  const T squared = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+  T before = T(1), inverse = T(1) / MGSR_SQRT(squared);
+  const Condition<T> extreme = (squared < T(1e-30f)) | (squared > T(1e30f));
+  if (any(extreme)) {
+    T largest = T(0), again = T(0);
+    for (int i = 0; i < 4; ++i) largest = select(q[i] > largest, q[i], select(-q[i] > largest, -q[i], largest));
+    before = select(extreme, T(1) / largest, T(1));
+    for (int i = 0; i < 4; ++i) again += (q[i] * before) * (q[i] * before);
+    inverse = select(extreme, T(1) / MGSR_SQRT(again), inverse);
+  }
+  for (int i = 0; i < 4; ++i) u[i] = q[i] * before * inverse;
+  return before * inverse;
+}
+
 // R: [9], row-major. A zero or non-finite quaternion gives a non-finite R, which callers cull.
 template <class T>
 MGSR_HD void quat_to_rotation(const T q[4], T R[9]) {
-  const T s = T(1) / MGSR_SQRT(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  const T w = q[0] * s, x = q[1] * s, y = q[2] * s, z = q[3] * s;
+  T u[4];
+  unit_quat(q, u);
+  const T w = u[0], x = u[1], y = u[2], z = u[3];
   R[0] = 1 - 2 * (y * y + z * z), R[1] = 2 * (x * y - w * z), R[2] = 2 * (x * z + w * y);
   R[3] = 2 * (x * y + w * z), R[4] = 1 - 2 * (x * x + z * z), R[5] = 2 * (y * z - w * x);
   R[6] = 2 * (x * z - w * y), R[7] = 2 * (y * z + w * x), R[8] = 1 - 2 * (x * x + y * y);
@@ -18,8 +37,9 @@ MGSR_HD void quat_to_rotation(const T q[4], T R[9]) {
 // v_q += (dR/dq)^T v_R, through the normalisation.
 template <class T>
 MGSR_HD void quat_to_rotation_vjp(const T q[4], const T v[9], T v_q[4]) {
-  const T s = T(1) / MGSR_SQRT(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  const T w = q[0] * s, x = q[1] * s, y = q[2] * s, z = q[3] * s;
+  T u[4];
+  const T s = unit_quat(q, u);
+  const T w = u[0], x = u[1], y = u[2], z = u[3];
   const T n[4] = {
       2 * (x * (v[7] - v[5]) + y * (v[2] - v[6]) + z * (v[3] - v[1])),
       2 * (-2 * x * (v[4] + v[8]) + y * (v[1] + v[3]) + z * (v[2] + v[6]) + w * (v[7] - v[5])),

@@ -15,6 +15,8 @@ namespace mgsr {
 
 // Under this |sine| between the viewing ray and the plane nothing but the low-pass is seen of a splat.
 constexpr float kEdgeOnSine = 1e-3f;
+// A shorter axis counts as this long: its disk is seen nowhere either way, and its inverse stays finite.
+constexpr float kShortest = 1e-18f;
 
 template <class T>
 struct ProjectedSurfel {
@@ -35,6 +37,11 @@ struct SurfelFrame {
   bool edge_on;
   T G[9];                  // H^-1, row-major; zero when edge-on
 };
+
+template <class T>
+MGSR_HD T at_least(T x, T low) {
+  return x < low ? low : x;
+}
 
 template <class T>
 MGSR_HD void rotate_column(const Camera<T>& cam, const T R[9], int column, T out[3]) {
@@ -62,8 +69,8 @@ MGSR_HD void surfel_frame(const Camera<T>& cam, const T mean[3], const T quat[4]
   const T distance2 = f.p[0] * f.p[0] + f.p[1] * f.p[1] + f.p[2] * f.p[2];
   f.edge_on = f.plane * f.plane < T(kEdgeOnSine * kEdgeOnSine) * distance2;
   const T inverse = f.edge_on ? T(0) : T(1) / f.plane;
-  scaled_cross(f.tv, f.p, inverse / scale[0], f.G);
-  scaled_cross(f.p, f.tu, inverse / scale[1], f.G + 3);
+  scaled_cross(f.tv, f.p, inverse / at_least(scale[0], T(kShortest)), f.G);
+  scaled_cross(f.p, f.tu, inverse / at_least(scale[1], T(kShortest)), f.G + 3);
   for (int i = 0; i < 3; ++i) f.G[6 + i] = inverse * f.n[i];
 }
 
@@ -98,8 +105,8 @@ MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T s
   T v_H[9];  // by columns: of s_u t_u, s_v t_v, p
   for (int k = 0; k < 3; ++k)
     for (int i = 0; i < 3; ++i) v_H[3 * k + i] = -(f.G[i] * W[k] + f.G[3 + i] * W[3 + k] + f.G[6 + i] * W[6 + k]);
-  v_scale[0] -= f.edge_on ? T(0) : W[0] / scale[0];
-  v_scale[1] -= f.edge_on ? T(0) : W[4] / scale[1];
+  v_scale[0] -= f.edge_on || scale[0] < T(kShortest) ? T(0) : W[0] / scale[0];
+  v_scale[1] -= f.edge_on || scale[1] < T(kShortest) ? T(0) : W[4] / scale[1];
 
   T v_R[9];
   for (int i = 0; i < 3; ++i) {

@@ -30,23 +30,27 @@ MGSR_HD EllipseForm<float> ellipse_of_box(const SurfelBox& b) {
   return {b.x0 + hx, b.y0 + hy, hx, hy, 0.0f, 0.0f, hx * hx, 0.0f};
 }
 
-MGSR_HD void widen(SurfelBox& box, const Camera<float>& cam, const float p[3]) {
-  const float x = cam.fx * p[0] / p[2] + cam.cx, y = cam.fy * p[1] / p[2] + cam.cy;
+MGSR_HD void widen(SurfelBox& box, const Camera<float>& cam, const double p[3]) {
+  const float x = float(cam.fx * p[0] / p[2] + cam.cx), y = float(cam.fy * p[1] / p[2] + cam.cy);
   box = {smaller(box.x0, x), larger(box.x1, x), smaller(box.y0, y), larger(box.y1, y)};
 }
 
-// The image of that part of the disk's bounding square (half side r in u and v) that lies beyond `near`.
+// The image of that part of the disk's bounding square (half side r in u and v) that lies beyond `near`. Of an axis much
+// longer than the distance, only how far it reaches is lost in float, but so is where the other one lies beside it: hence
+// float64, and no axis beyond where it meets its vanishing point.
 MGSR_HD SurfelBox clipped_square(const Camera<float>& cam, const SurfelFrame<float>& f, const float scale[2], float r,
                                  float near) {
   SurfelBox box = {1e9f, -1e9f, 1e9f, -1e9f};
-  float last[3] = {};
+  const double farthest = 1e7 * MGSR_SQRT(double(f.p[0]) * f.p[0] + double(f.p[1]) * f.p[1] + double(f.p[2]) * f.p[2]);
+  double last[3] = {}, reach[2];
+  for (int i = 0; i < 2; ++i) reach[i] = double(r) * scale[i] < farthest ? double(r) * scale[i] : farthest;
   for (int corner = 0; corner < 5; ++corner) {
-    const float u = corner % 4 == 1 || corner % 4 == 2 ? r : -r, v = corner % 4 >= 2 ? r : -r;
-    float p[3];
-    for (int i = 0; i < 3; ++i) p[i] = f.p[i] + (u * scale[0] * f.tu[i] + v * scale[1] * f.tv[i]);
+    const double u = corner % 4 == 1 || corner % 4 == 2 ? reach[0] : -reach[0], v = corner % 4 >= 2 ? reach[1] : -reach[1];
+    double p[3];
+    for (int i = 0; i < 3; ++i) p[i] = f.p[i] + (u * f.tu[i] + v * f.tv[i]);
     if (corner > 0 && (p[2] > near) != (last[2] > near)) {
-      const float t = (near - last[2]) / (p[2] - last[2]);
-      const float cut[3] = {last[0] + t * (p[0] - last[0]), last[1] + t * (p[1] - last[1]), near};
+      const double t = (near - last[2]) / (p[2] - last[2]);
+      const double cut[3] = {last[0] + t * (p[0] - last[0]), last[1] + t * (p[1] - last[1]), near};
       widen(box, cam, cut);
     }
     if (p[2] > near) widen(box, cam, p);
@@ -71,7 +75,9 @@ MGSR_HD SurfelBounds surfel_bounds(const Camera<float>& cam, const SurfelImage& 
   SurfelBounds b = {{}, s.x, s.y, low_pass_radius(s, f.edge_on, log_strength, image.low_pass), false};
   SurfelOutline<float> o;
   if (surfel_outline(cam, f, scale, r2, image.near, o)) {
-    b.disk = make_ellipse(s.x + o.x, s.y + o.y, o.cxx, o.cxy, o.cyy, 1.0f);
+    // A disk without any width, of a vanishing scale, has no shape to divide by.
+    const float least = 1e-20f;
+    b.disk = make_ellipse(s.x + o.x, s.y + o.y, at_least(o.cxx, least), o.cxy, at_least(o.cyy, least), 1.0f);
     b.disk.w2 += 1e-6f * o.cxx;  // the rounding of a thin ellipse's determinant
   } else {
     b.clipped = true;

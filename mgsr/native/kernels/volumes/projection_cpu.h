@@ -9,6 +9,7 @@
 #include "kernels/common/blending.h"
 #include "kernels/common/lanes.h"
 #include "kernels/volumes/backward_cpu.h"
+#include "kernels/volumes/needle.h"
 #include "kernels/volumes/volumes.h"
 #include "math/footprint.h"
 #include "math/gaussian.h"
@@ -149,6 +150,19 @@ float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, c
   return factor > 0 ? (total[kOpacity] + total[kReflOpacity]) / factor : 0.0f;
 }
 
+// The gradients of one needle's geometry, in float64: they need its digits.
+void needle_backward(const VolumeInputs& in, int64_t i, const float total[kPairFields], float v_compensation,
+                     const VolumeGradients& v) {
+  double mean[3], quat[4], scale[3], v_mean[3] = {}, v_quat[4] = {}, v_scale[3] = {};
+  for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
+  for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
+  const auto g = needle_gradients(camera_as<double>(in.camera), mean, quat, scale, double(in.low_pass), total, v_compensation,
+                                  v_mean, v_quat, v_scale);
+  for (int k = 0; k < 3; ++k) v.means[3 * i + k] = float(v_mean[k]), v.scales[3 * i + k] = float(v_scale[k]);
+  for (int k = 0; k < 4; ++k) v.quats[4 * i + k] = float(v_quat[k]);
+  v.means2d[2 * i] = float(g.x), v.means2d[2 * i + 1] = float(g.y);
+}
+
 // From the sums over the pairs of `count` splats (the other lanes repeat one of them) to their gradients.
 // sums: [lanes, kPairFields], used up.
 void splats_backward(const VolumeInputs& in, const VolumeState& state, const int64_t splats[Floats::kCount], int count,
@@ -175,6 +189,7 @@ void splats_backward(const VolumeInputs& in, const VolumeState& state, const int
     for (int k = 0; k < 4; ++k) v.quats[4 * i + k] = v_quat[k][lane];
     for (int k = 0; k < 3; ++k) v.scales[3 * i + k] = v_scale[k][lane];
     v.means2d[2 * i] = g.x[lane], v.means2d[2 * i + 1] = g.y[lane];
+    if (is_needle(state.records[i].root)) needle_backward(in, i, sums[lane], v_compensation[lane], v);
   }
 }
 

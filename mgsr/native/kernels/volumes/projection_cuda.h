@@ -3,6 +3,7 @@
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
+#include "kernels/volumes/needle.h"
 #include "kernels/volumes/record.h"
 #include "math/blending.h"
 #include "math/footprint.h"
@@ -103,7 +104,15 @@ __device__ inline void volume_gradients(const VolumeGradientParams& p, int64_t i
   float total[kPairFields] = {}, mean[3] = {}, quat[4] = {}, scale[3] = {}, x = 0.0f, y = 0.0f;
   for (int k = 0; k < kPairFields && touched; ++k) total[k] = p.sums[i * kPairFields + k];
   const float v_compensation = light_gradients(p, i, total);
-  if (touched) {
+  if (touched && is_needle(p.records[i].root)) {
+    double m[3], q[4], s[3], v_m[3] = {}, v_q[4] = {}, v_s[3] = {};
+    for (int k = 0; k < 3; ++k) m[k] = in.means[3 * i + k], s[k] = in.scales[3 * i + k];
+    for (int k = 0; k < 4; ++k) q[k] = in.quats[4 * i + k];
+    const auto g = needle_gradients(camera_as<double>(in.camera), m, q, s, double(in.low_pass), total, v_compensation, v_m, v_q, v_s);
+    x = float(g.x), y = float(g.y);
+    for (int k = 0; k < 3; ++k) mean[k] = float(v_m[k]), scale[k] = float(v_s[k]);
+    for (int k = 0; k < 4; ++k) quat[k] = float(v_q[k]);
+  } else if (touched) {
     auto g = footprint_vjp(p.records[i].root, total[kDx], total[kDy], total[kDxx], total[kDxy], total[kDyy], total[kDepth]);
     g.compensation = v_compensation, x = g.x, y = g.y;
     project_gaussian_vjp(in.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 3 * i, in.low_pass, g, mean, quat, scale);

@@ -16,7 +16,7 @@ namespace MGSR_ISA {
 namespace {
 
 void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, float* radii) {
-  const bool dual = in.refl_opacities != nullptr;
+  const bool dual = out.reflected != nullptr;  // of no splats at all, the inputs have no address either
   project_all(in, state, radii);
   sort_by_depth(state.sort, state.depths);
   lay_out_lists(state.lists, state.sort.order);
@@ -27,7 +27,7 @@ void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out
 
 void backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
               const VolumeGradients& v) {
-  const bool dual = in.refl_opacities != nullptr;
+  const bool dual = out.reflected != nullptr;
   if (dual) {
     v_out.depth ? blend_backward<true, true>(in, state, out, v_out) : blend_backward<true, false>(in, state, out, v_out);
   } else {

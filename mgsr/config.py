@@ -261,7 +261,7 @@ class WatchConfig:
     curve_every: int = 250  # iterations between rows of the curve
     curve_views: int = 2  # test views that the curve is measured on; they decide nothing
     preview_every: int | None = None  # iterations between previews; none is never
-    check_every: int = 25  # iterations between checks for non-finite numbers
+    check_every: int = 25  # iterations between looks back for parameters or a loss that went bad, which are undone
     checkpoint_every: int = 1000  # iterations between checkpoints, where a path is given
     checkpoint_seconds: float | None = None  # and at most so long between two; none is any time
 

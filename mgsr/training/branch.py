@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import torch
 from torch import Tensor
@@ -20,6 +20,7 @@ from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 
 Model = TypeVar("Model", SurfelModel, VolumeModel)
+Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
 # Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
 # together there.
 ORDER_EVERY = 2000
@@ -93,13 +94,22 @@ class Branch(Generic[Model]):
         for name, lowered in lowered_opacities(self.model.parameters(), self.densify.reset_opacity).items():
             self.optimizer.replace(name, lowered)
 
-    def bad_gradients(self) -> list[str]:
-        """Names of the parameters whose gradient is not finite."""
-        return [
-            f"{self.name}.{name}"
-            for name, tensor in self.model.parameters().items()
-            if tensor.grad is not None and not bool(torch.isfinite(tensor.grad.sum()))
-        ]
+    def skip_step(self) -> None:
+        """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
+        for tensor in self.optimizer.params.values():
+            tensor.grad = None
+        self.steps += 1
+
+    def tensors(self, kind: Kind) -> dict[str, Tensor]:
+        """The parameters' values, or the gradients of those that have one, by name."""
+        if kind == "values":
+            return {name: tensor.detach() for name, tensor in self.optimizer.params.items()}
+        return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
+
+    def bad(self, kind: Kind) -> list[str]:
+        """Names of the parameters whose value, or gradient, is not finite or has a square that is not."""
+        tensors = self.tensors(kind).items()
+        return [f"{self.name}.{name}" for name, tensor in tensors if not bool(tensor.square().sum().isfinite())]
 
     def state(self) -> dict[str, Any]:
         """Everything that the next iteration depends on, for a checkpoint."""

@@ -65,13 +65,17 @@ class StageReport:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained branches (None for one that the method lacks) without gradients, and how they came about."""
+    """The trained branches (None for one that the method lacks) without gradients, and how they came about.
+
+    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100.
+    """
 
     surfels: SurfelModel | None
     volumes: VolumeModel | None
     stages: list[StageReport]
     curve: list[CurveRow]
     seconds: float
+    incidents: list[str] = field(default_factory=list)
 
 
 ProgressCallback = Callable[[Progress], None]

@@ -75,4 +75,5 @@ def train(
             stages=trainer.reports,
             curve=trainer.curve,
             seconds=trainer.seconds,
+            incidents=trainer.incidents,
         )

@@ -11,11 +11,12 @@ from typing import Any
 import torch
 
 from mgsr.config import TrainConfig
-from mgsr.errors import Cancelled, TrainingError
+from mgsr.errors import Cancelled
 from mgsr.losses.objective import Terms
 from mgsr.training.branch import Branch
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
+from mgsr.training.guard import Guard
 from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
@@ -52,6 +53,7 @@ class Trainer:
         self.stage_index = 0
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
+        self.incidents: list[str] = []
         self._clock_start = time.perf_counter()
         self._saved_at = 0.0
 
@@ -86,6 +88,7 @@ class Trainer:
             "branches": {branch.name: branch.state() for branch in self.plan.branches},
             "reports": [asdict(report) for report in self.reports],
             "curve": [asdict(row) for row in self.curve],
+            "incidents": self.incidents,
         }
 
     def resume(self) -> None:
@@ -101,16 +104,18 @@ class Trainer:
             branch.restore(state["branches"][branch.name])
         self.reports = [StageReport(**report) for report in state["reports"]]
         self.curve = [CurveRow(**row) for row in state["curve"]]
+        self.incidents = state["incidents"]
 
     def _run_stage(self, stage: Stage, begun: float) -> str:
         """Iterate to the stage's end; returns why it ended."""
         reason = "iterations"
+        guard = Guard(stage, self.config.watch.check_every, self.incidents)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - begun
             self._heed_caller(stage)
             if self.deadline is not None and self.seconds > self.deadline:
                 return "deadline"
-            terms, converged = self._iterate(stage)
+            terms, converged = self._iterate(stage, guard)
             stage.seconds = self.seconds - begun
             last = converged or stage.iteration == stage.iterations
             self._watch(stage, terms, last)
@@ -125,7 +130,7 @@ class Trainer:
             kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
             raise Cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations{kept}")
 
-    def _iterate(self, stage: Stage) -> tuple[Terms, bool]:
+    def _iterate(self, stage: Stage, guard: Guard) -> tuple[Terms, bool]:
         """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
         view = stage.views[stage.cycle.next()]
         background = pick_background(self.config.background, self.masked, stage.cycle.generator)
@@ -133,14 +138,17 @@ class Trainer:
         loss = torch.stack(list(step.terms.values())).sum()
         loss.backward()
         stage.iteration += 1
-        if stage.iteration % self.config.watch.check_every == 0:
-            self._check_finite(stage, step.terms)
-        self._update(stage, step, view.camera.width, view.camera.height)
+        if not guard.admits(step, loss, view.name):
+            for branch in stage.branches:
+                branch.skip_step()
+            return step.terms, False
+        self._update(stage, step, view.camera.width, view.camera.height, guard)
+        guard.look_back(loss)
         if stage.convergence is None:
             return step.terms, False
         return step.terms, stage.convergence.converged(loss.detach(), stage.iteration, stage.cycle.at_epoch_end)
 
-    def _update(self, stage: Stage, step: Step, width: int, height: int) -> None:
+    def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
         for branch in stage.branches:
             branch.step(stage.progress(branch, stage.iteration))
@@ -155,15 +163,7 @@ class Trainer:
             reset = branch.densify.reset_every
             if reset is not None and stage.iteration % reset == 0 and stage.iteration + reset <= last:
                 branch.reset_opacities()
-
-    def _check_finite(self, stage: Stage, terms: Terms) -> None:
-        bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
-        bad = bad or [name for branch in stage.branches for name in branch.bad_gradients()]
-        if bad:
-            raise TrainingError(
-                f"{stage.name}, iteration {stage.iteration}: {', '.join(bad)} not finite; lower the learning rates or "
-                "that term's weight, and look for broken images or poses"
-            )
+                guard.expect_anew()
 
     def _watch(self, stage: Stage, terms: Terms, last: bool) -> None:
         """Note the curve, report and save, each where it is due."""

@@ -1,0 +1,141 @@
+"""Keeps a training from carrying on after a step that went bad: it is noticed, undone and logged."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mgsr.errors import TrainingError
+from mgsr.training.branch import Branch, Kind
+from mgsr.training.stages import Stage, Step
+
+log = logging.getLogger("mgsr.training")
+
+# A loss blows up when its mean over a stretch is this many times the usual one, and this much more: a loss of
+# images within 0..1 starts near 0.3 and ends near 0.03.
+BLOW_UP_FACTOR, BLOW_UP_RISE = 5.0, 0.1
+# Steps in a row that may be bad before the branches go back, and goings back in a row before the training ends.
+MOST_BAD_STEPS, MOST_RETURNS = 3, 3
+MOST_INCIDENTS = 100  # that are kept for the report; all are logged
+
+
+class Guard:
+    """Watches one stage's steps.
+
+    A step is bad when its loss or a gradient is not finite or over 1e19 (whose square float32 does not hold, nor Adam's
+    memory of it). It is not taken, and the next view comes. Every `every` steps the guard looks back: where a parameter
+    is not finite, or the loss has blown up, the branches return to how they were at the last good look. On a card
+    nothing is read between two looks: there a bad step's gradients are set to zero.
+    """
+
+    def __init__(self, stage: Stage, every: int, incidents: list[str]) -> None:
+        self.stage = stage
+        self.every = every
+        self.incidents = incidents
+        self._losses: list[Tensor] = []
+        self._dropped: list[Tensor] = []
+        self._bad_steps = self._returns = 0
+        self._usual: float | None = None
+        self._kept = self._copies()
+
+    def admits(self, step: Step, loss: Tensor, view: str) -> bool:
+        """Whether the step may be taken. Raises TrainingError where going back did not help."""
+        size = torch.stack([loss.detach().square(), *self._squares("grad")]).sum()
+        if size.device.type != "cpu":
+            self._drop_where_bad(step, ~torch.isfinite(size))
+            return True
+        if bool(torch.isfinite(size)):
+            self._bad_steps = 0
+            return True
+        self._note(f"the step on view {view} was not taken: {', '.join(self._bad_names(step))} not finite")
+        self._bad_steps += 1
+        if self._bad_steps == MOST_BAD_STEPS:
+            self._go_back(", ".join(self._bad_names(step)) + " not finite")
+        return False
+
+    def look_back(self, loss: Tensor) -> None:
+        """After a step that was taken. Raises TrainingError where going back did not help."""
+        self._losses.append(loss.detach())
+        if len(self._losses) < self.every:
+            return
+        mean = float(torch.stack(self._losses).nanmean())
+        self._report_dropped()
+        trouble = self._trouble(mean)
+        if trouble:
+            self._go_back(trouble)
+            return
+        self._usual = mean if self._usual is None else 0.5 * (self._usual + mean)
+        self._losses, self._returns, self._kept = [], 0, self._copies()
+
+    def expect_anew(self) -> None:
+        """The loss is about to rise for a good reason, such as an opacity reset."""
+        self._usual, self._losses, self._kept = None, [], self._copies()
+
+    def _trouble(self, mean: float) -> str:
+        if not bool(torch.isfinite(torch.stack(self._squares("values")).sum())):
+            return ", ".join(self._bad_names(None)) + " not finite"
+        if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
+            return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
+        return ""
+
+    def _go_back(self, trouble: str) -> None:
+        self._returns += 1
+        where = f"{self.stage.name}, iteration {self.stage.iteration}"
+        if self._returns == MOST_RETURNS:
+            raise TrainingError(
+                f"{where}: {trouble}, also after going back; lower the learning rates or that term's weight, and look "
+                "for broken images or poses"
+            )
+        self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
+        for branch in self.stage.branches:
+            steps = branch.steps  # the rates go on fading
+            branch.restore(copied(self._kept[branch.name]))
+            branch.steps = steps
+        self._losses, self._bad_steps = [], 0
+
+    def _drop_where_bad(self, step: Step, bad: Tensor) -> None:
+        for tensor in _tensors(self.stage.branches, "grad"):
+            tensor.masked_fill_(bad, 0.0)
+        for seen in step.seen:
+            if seen.stats.v_means2d is not None:
+                seen.stats.v_means2d.masked_fill_(bad, 0.0)
+        self._dropped.append(bad)
+
+    def _report_dropped(self) -> None:
+        count = int(torch.stack(self._dropped).sum()) if self._dropped else 0
+        self._dropped = []
+        if count:
+            self._note(f"{count} of the last {self.every} steps were not taken: numbers were not finite")
+
+    def _squares(self, kind: Kind) -> list[Tensor]:
+        """The sums of squares of all parameters' values or gradients: one pass over each, and one number."""
+        return [flat @ flat for flat in (tensor.reshape(-1) for tensor in _tensors(self.stage.branches, kind))]
+
+    def _bad_names(self, step: Step | None) -> list[str]:
+        terms = {} if step is None else step.terms
+        bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
+        kind: Kind = "values" if step is None else "grad"
+        return bad or [name for branch in self.stage.branches for name in branch.bad(kind)]
+
+    def _note(self, text: str) -> None:
+        incident = f"{self.stage.name}, iteration {self.stage.iteration}: {text}"
+        log.warning(incident)
+        if len(self.incidents) < MOST_INCIDENTS:
+            self.incidents.append(incident)
+
+    def _copies(self) -> dict[str, Any]:
+        return {branch.name: copied(branch.state()) for branch in self.stage.branches}
+
+
+def copied(state: Any) -> Any:
+    """A branch's state with tensors of its own."""
+    if isinstance(state, dict):
+        return {name: copied(value) for name, value in state.items()}
+    return state.clone() if isinstance(state, Tensor) else state
+
+
+def _tensors(branches: list[Branch], kind: Kind) -> list[Tensor]:
+    return [tensor for branch in branches for tensor in branch.tensors(kind).values()]

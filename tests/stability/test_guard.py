@@ -1,0 +1,168 @@
+"""Bad steps in training: noticed, undone, logged, and named where going back does not help."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import torch
+
+from mgsr.data.scene import Scene
+from mgsr.errors import TrainingError
+from mgsr.training.branch import Branch
+from mgsr.training.guard import Guard
+from mgsr.training.plan import make_plan
+from mgsr.training.run import train
+from mgsr.training.stages import Stage, Step
+from mgsr.training.views import TrainingView
+from tests.training.ball import ball_points, ball_scene
+from tests.training.test_train import short, tensors
+
+QUICK = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=6")
+
+
+def scene() -> Scene:
+    return ball_scene(24, train=4, test=1)
+
+
+def first_stage(every: int = 3) -> tuple[Stage, Guard, list[str]]:
+    stage, incidents = make_plan(scene(), ball_points(60), short("2dgs", *QUICK)).stages[0], []
+    return stage, Guard(stage, every, incidents), incidents
+
+
+def step_of(stage: Stage) -> tuple[Step, torch.Tensor]:
+    """Rendered and differentiated, not yet taken."""
+    step = stage.compute(stage.views[0], (0.0, 0.0, 0.0), stage.iteration)
+    loss = torch.stack(list(step.terms.values())).sum()
+    loss.backward()
+    return step, loss
+
+
+def values(branch: Branch) -> dict[str, torch.Tensor]:
+    return {name: tensor.clone() for name, tensor in branch.tensors("values").items()}
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e25])
+def test_a_bad_gradient_is_not_stepped_along(bad: float) -> None:
+    stage, guard, incidents = first_stage()
+    step, loss = step_of(stage)
+    stage.branches[0].optimizer.params["means"].grad[3, 1] = bad
+    assert not guard.admits(step, loss, "r_0")
+    assert incidents == ["warmup_surfels, iteration 0: the step on view r_0 was not taken: surfels.means not finite"]
+
+
+def test_a_good_step_is() -> None:
+    stage, guard, incidents = first_stage()
+    step, loss = step_of(stage)
+    assert guard.admits(step, loss, "r_0") and not incidents
+
+
+def test_on_a_card_a_bad_steps_gradients_become_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There nothing is read until the guard looks back."""
+    stage, guard, incidents = first_stage()
+    (branch,) = stage.branches
+    step, _ = step_of(stage)
+    branch.optimizer.params["sh"].grad[5] = float("nan")
+    step.seen[0].stats.v_means2d[0] = float("nan")
+    guard._drop_where_bad(step, torch.tensor(True))
+    assert all(not gradient.any() for gradient in branch.tensors("grad").values())
+    assert not step.seen[0].stats.v_means2d.any()
+    for _ in range(3):
+        guard.look_back(torch.tensor(0.1))
+    assert incidents == ["warmup_surfels, iteration 0: 1 of the last 3 steps were not taken: numbers were not finite"]
+
+
+@pytest.mark.parametrize("what", ["parameter", "loss"])
+def test_the_branches_go_back_to_the_last_good_look(what: str, caplog: pytest.LogCaptureFixture) -> None:
+    stage, guard, incidents = first_stage()
+    (branch,) = stage.branches
+    for _ in range(3):
+        guard.look_back(torch.tensor(0.1))
+    before, first, steps = values(branch), branch.optimizer.state_dict()["first"]["means"].clone(), branch.steps
+    for _ in range(2):
+        step_of(stage)
+        branch.step(0.5)
+        guard.look_back(torch.tensor(0.1 if what == "parameter" else 5.0))
+    if what == "parameter":
+        branch.optimizer.params["means"].data[0, 0] = float("nan")
+    with caplog.at_level(logging.WARNING, "mgsr.training"):
+        guard.look_back(torch.tensor(0.1 if what == "parameter" else 5.0))
+    assert all(torch.equal(tensor, before[name]) for name, tensor in values(branch).items())
+    assert torch.equal(branch.optimizer.state_dict()["first"]["means"], first)
+    assert branch.steps == steps + 2  # the schedule goes on
+    expected = "surfels.means not finite" if what == "parameter" else "the loss rose from 0.1 to 5"
+    assert incidents == [f"warmup_surfels, iteration 0: the last 3 steps were undone: {expected}"]
+    assert incidents[0] in caplog.text
+
+
+def test_what_was_kept_survives_being_gone_back_to() -> None:
+    """Steps after a return must not change the copy that the next return needs."""
+    stage, guard, _ = first_stage()
+    (branch,) = stage.branches
+    before = values(branch)
+    for _ in range(2):
+        for _ in range(3):
+            step_of(stage)
+            branch.step(0.5)
+            branch.optimizer.params["means"].data[0] = float("inf")
+            guard.look_back(torch.tensor(0.1))
+        assert all(torch.equal(tensor, before[name]) for name, tensor in values(branch).items())
+
+
+def test_trouble_that_stays_is_named() -> None:
+    stage, guard, _ = first_stage()
+    with pytest.raises(TrainingError, match=r"iteration 0: surfels\.sh not finite, also after going back"):
+        for _ in range(9):
+            step, loss = step_of(stage)
+            stage.branches[0].optimizer.params["sh"].grad[:] = float("nan")
+            guard.admits(step, loss, "r_0")
+
+
+def test_a_reset_may_raise_the_loss() -> None:
+    _, guard, incidents = first_stage()
+    for loss in (0.02, 0.02, 0.02):
+        guard.look_back(torch.tensor(loss))
+    guard.expect_anew()
+    for loss in (0.8, 0.8, 0.8, 0.8, 0.8, 0.8):
+        guard.look_back(torch.tensor(loss))
+    assert not incidents
+
+
+def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its loss is NaN at every visit; training goes on from the rest, ends finite and says what it left out."""
+    whole = TrainingView.target
+
+    def target(view: TrainingView, background: tuple[float, float, float]) -> object:
+        made = whole(view, background)
+        if view.name == "r_1":
+            made.color[3, 4, 1] = float("nan")
+        return made
+
+    monkeypatch.setattr(TrainingView, "target", target)
+    result = train(scene(), ball_points(60), short("mgsr", *QUICK, "curve_every=100"))
+    assert {text.split("view ")[1].split(" ")[0] for text in result.incidents} == {"r_1"}
+    assert len(result.incidents) >= 5
+    assert all(torch.isfinite(tensor).all() for tensor in tensors(result).values())
+
+
+def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, in the middle, a step throws every colour far off; the training ends near one that had no such step."""
+    config = short(
+        "2dgs", "warmup.surfel_iterations=60", "mutual.iterations=20", "curve_every=1000", "report_every=1000"
+    )
+    calm = train(scene(), ball_points(100), config)
+    taken, steps = Branch.step, iter(range(10_000))
+
+    def step(branch: Branch, progress: float) -> None:
+        taken(branch, progress)
+        if next(steps) == 30:
+            branch.optimizer.params["sh"].data.mul_(1e4)
+
+    monkeypatch.setattr(Branch, "step", step)
+    result = train(scene(), ball_points(100), config)
+    assert any("were undone: the loss rose" in text for text in result.incidents)
+    assert result.curve[-1].psnr > calm.curve[-1].psnr - 2
+
+
+def test_a_training_without_trouble_has_no_incident() -> None:
+    assert train(scene(), ball_points(60), short("mgsr", *QUICK)).incidents == []

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from mgsr.errors import TrainingError
 from mgsr.training.branch import Branch, Kind
+from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
 
 log = logging.getLogger("mgsr.training")
@@ -43,7 +44,9 @@ class Guard:
 
     def admits(self, step: Step, loss: Tensor, view: str) -> bool:
         """Whether the step may be taken. Raises TrainingError where going back did not help."""
-        size = torch.stack([loss.detach().square(), *self._squares("grad")]).sum()
+        # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
+        judged = _tensors(self.stage.branches, "grad", without=SH_NAMES)
+        size = torch.stack([loss.detach().square(), *_squares(judged)]).sum()
         if size.device.type != "cpu":
             self._drop_where_bad(step, ~torch.isfinite(size))
             return True
@@ -75,7 +78,7 @@ class Guard:
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def _trouble(self, mean: float) -> str:
-        if not bool(torch.isfinite(torch.stack(self._squares("values")).sum())):
+        if not bool(torch.isfinite(torch.stack(_squares(_tensors(self.stage.branches, "values"))).sum())):
             return ", ".join(self._bad_names(None)) + " not finite"
         if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
             return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
@@ -110,10 +113,6 @@ class Guard:
         if count:
             self._note(f"{count} of the last {self.every} steps were not taken: numbers were not finite")
 
-    def _squares(self, kind: Kind) -> list[Tensor]:
-        """The sums of squares of all parameters' values or gradients: one pass over each, and one number."""
-        return [flat @ flat for flat in (tensor.reshape(-1) for tensor in _tensors(self.stage.branches, kind))]
-
     def _bad_names(self, step: Step | None) -> list[str]:
         terms = {} if step is None else step.terms
         bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
@@ -137,5 +136,11 @@ def copied(state: Any) -> Any:
     return state.clone() if isinstance(state, Tensor) else state
 
 
-def _tensors(branches: list[Branch], kind: Kind) -> list[Tensor]:
-    return [tensor for branch in branches for tensor in branch.tensors(kind).values()]
+def _squares(tensors: list[Tensor]) -> list[Tensor]:
+    """Each one's sum of squares: one pass over its numbers, and one number that shows whether all are finite."""
+    return [flat @ flat for flat in (tensor.reshape(-1) for tensor in tensors)]
+
+
+def _tensors(branches: list[Branch], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
+    named = (item for branch in branches for item in branch.tensors(kind).items())
+    return [tensor for name, tensor in named if name not in without]

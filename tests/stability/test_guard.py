@@ -111,10 +111,10 @@ def test_what_was_kept_survives_being_gone_back_to() -> None:
 
 def test_trouble_that_stays_is_named() -> None:
     stage, guard, _ = first_stage()
-    with pytest.raises(TrainingError, match=r"iteration 0: surfels\.sh not finite, also after going back"):
+    with pytest.raises(TrainingError, match=r"iteration 0: surfels\.quats not finite, also after going back"):
         for _ in range(9):
             step, loss = step_of(stage)
-            stage.branches[0].optimizer.params["sh"].grad[:] = float("nan")
+            stage.branches[0].optimizer.params["quats"].grad[:] = float("nan")
             guard.admits(step, loss, "r_0")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.data.silhouettes import Silhouette
+from mgsr.parallel import map_ahead
 
 # A part of space is judged only if this share of the views looks at it: what lies outside nearly all images is
 # carved by nobody and would stay as a false block.
@@ -67,17 +68,21 @@ def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np
     enough views see it [P] bool; where they don't, the point counts as outside."""
     lowest = np.full(len(points), np.inf, dtype=np.float32)
     seen = np.zeros(len(points), dtype=np.int32)
-    for outline in outlines:
-        camera = outline.camera
-        pixels, depth = camera.project(points)
-        x, y = pixels.T
-        inside = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+    for inside, distance in map_ahead(lambda outline: _one_field(outline, points), outlines, None):
         seen += inside
-        place = [y - 0.5, x - 0.5]
-        distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
-        unit = depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-        np.minimum(lowest, distance * unit, out=lowest, where=inside)
+        np.minimum(lowest, distance, out=lowest, where=inside)
     return lowest, seen >= max(2, MIN_SEEN * len(outlines))
+
+
+def _one_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether one view sees each point [P], and its signed distance [P] there, in world units."""
+    camera = outline.camera
+    pixels, depth = camera.project(points)
+    x, y = pixels.T
+    inside = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+    place = [y - 0.5, x - 0.5]
+    distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
+    return inside, distance * (depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
 
 
 def _children(parents: np.ndarray) -> np.ndarray:

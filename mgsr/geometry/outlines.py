@@ -18,6 +18,7 @@ from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
 from mgsr.geometry.raycast import RayCaster, interpolation
 from mgsr.geometry.triangles import vertex_normals
+from mgsr.parallel import map_ahead
 
 SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
 STEP = 0.25  # pixels between two rays
@@ -80,8 +81,7 @@ def outline_gaps(
     how many points of outlines [V] say so; 0 where none does."""
     caster = RayCaster(vertices, faces)
     sums, touched = np.zeros(len(vertices)), np.zeros(len(vertices))
-    for outline in outlines:
-        rims = _rims(caster, outline)
+    for rims in map_ahead(lambda outline: _rims(caster, outline), outlines, None):
         corners = faces[rims.faces]
         facing = ((normals[corners] * rims.shares[..., None]).sum(1) * rims.outwards).sum(1)
         good = facing > FACING

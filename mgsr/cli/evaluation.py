@@ -84,8 +84,16 @@ def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | Non
     color, alpha = read_image(path, path.name)
     if alpha is None or color.shape != view.image.shape:
         return None
-    matte = np.dstack([color, alpha])
-    return split_score(matte, straight_color(image.transmitted, image.alpha), photograph(view))
+    photo = photograph(view) if view.alpha is not None else off_white(view.image, alpha)
+    return split_score(np.dstack([color, alpha]), straight_color(image.transmitted, image.alpha), photo)
+
+
+def off_white(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Straight colours [H,W,3], float 0..1, of an image [H,W,3] that lies on white as alpha [H,W] says; both uint8.
+
+    For photographs whose masks were put aside, so that their outlines count as they do with masks."""
+    cover = alpha[..., None] / 255.0
+    return np.clip((image / 255.0 - (1 - cover)) / np.maximum(cover, 1 / 255), 0, 1)
 
 
 def _mean(views: dict[str, dict[str, float]], name: str) -> float | None:

@@ -19,7 +19,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(shell find m
 	touch $@
 
 demo: setup
-	$(BIN)/mgsr-worker run examples/glossy_knot -o out/demo --preset draft
+	$(BIN)/mgsr demo
 
 lint: setup
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ from typing import Any
 import typer
 
 from mgsr.cli.convert import convert
+from mgsr.cli.demo import demo
 from mgsr.cli.options import (
     DeviceOption,
     MethodOption,
@@ -32,6 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command()(run)
+app.command()(demo)
 app.command()(poses)
 app.command()(convert)
 

@@ -1,0 +1,40 @@
+"""The command `demo`: the example capture that comes with the package, reconstructed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mgsr.cli.options import DeviceOption, PresetOption, ResumeOption, refusals
+from mgsr.cli.run import run
+from mgsr.errors import MgsrError
+
+EXAMPLE = Path("examples/glossy_knot")
+
+DemoOutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
+
+
+def demo(
+    out: DemoOutOption = Path("out/demo"),
+    preset: PresetOption = "draft",
+    device: DeviceOption = "auto",
+    resume: ResumeOption = False,
+) -> None:
+    """Reconstruct the example that comes with MGSR, a glossy knot under a flash, and say where the results lie."""
+    with refusals():
+        scene = find_example()
+    run(scene, out, preset=preset, device=device, resume=resume)
+
+
+def find_example() -> Path:
+    """The example capture: inside an installed package, or beside it in the sources. Raises MgsrError without."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package, package.parent):
+        if (folder / EXAMPLE).is_dir():
+            return folder / EXAMPLE
+    raise MgsrError(
+        f"the example capture: expected {EXAMPLE} in {package} or {package.parent}; install MGSR again, or run a "
+        "capture of your own with `mgsr run`"
+    )

@@ -24,6 +24,7 @@ LAYERS = (
     ("render",),
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
+    ("bench",),
     ("cli",),
     ("service",),
     ("worker",),

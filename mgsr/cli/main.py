@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from mgsr.cli.bench import bench
 from mgsr.cli.convert import convert
 from mgsr.cli.demo import demo
 from mgsr.cli.options import (
@@ -36,6 +37,7 @@ app.command()(run)
 app.command()(demo)
 app.command()(poses)
 app.command()(convert)
+app.command()(bench)
 
 
 @app.command()

@@ -1,0 +1,130 @@
+"""The matrix: its cells, their names and settings."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mgsr.bench.ablations import PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
+from mgsr.config import Config, make_config
+from mgsr.errors import ConfigError
+
+PLAIN = ""
+LONGEST = 80  # letters of a variant in a folder's name
+GROUPS = {"ablations": PAPER_ROWS, "paper-choices": PAPER_CHOICES}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Settings under a name; the plain one has neither. method: the one that it needs, None for any."""
+
+    name: str = PLAIN
+    overrides: tuple[str, ...] = ()
+    method: str | None = None
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of the matrix: a scene's folder or archive, and all that shapes the run."""
+
+    scene: Path
+    method: str = "mgsr"
+    preset: str = "standard"
+    device: str = "cpu"
+    seed: int = 0
+    variant: Variant = Variant()
+
+    @property
+    def name(self) -> str:
+        """A folder's name: the scene, then what differs from a plain run on the processor."""
+        parts = [self.scene.name, self.preset, self.method]
+        parts += [self.device] if self.device != "cpu" else []
+        parts += [f"seed{self.seed}"] if self.seed else []
+        parts += [_short(self.variant.name)] if self.variant.name else []
+        return "-".join(parts)
+
+    def config(self) -> Config:
+        """Its settings. Raises ConfigError."""
+        return make_config(self.preset, self.method, self.seed, self.variant.overrides)
+
+    def settings(self) -> dict[str, Any]:
+        """Its settings as report.json has them."""
+        plain: dict[str, Any] = json.loads(json.dumps(asdict(self.config())))
+        return plain
+
+    def arguments(self, out: Path) -> list[str]:
+        """What follows `mgsr` on its command line."""
+        words = ["run", str(self.scene), "-o", str(out), "--preset", self.preset, "--method", self.method]
+        words += ["--device", self.device, "--seed", str(self.seed)]
+        return words + [word for setting in self.variant.overrides for word in ("--set", setting)]
+
+
+def matrix(
+    scenes: Sequence[Path],
+    methods: Sequence[str] = ("mgsr",),
+    presets: Sequence[str] = ("standard",),
+    devices: Sequence[str] = ("cpu",),
+    seeds: Sequence[int] = (0,),
+    variants: Sequence[Variant] = (Variant(),),
+) -> list[Cell]:
+    """Every combination once, scene by scene, so that a matrix that is stopped early has whole scenes. A variant that
+    needs a method of its own is run with that one alone.
+
+    Raises ConfigError for what no run would take, before any run is made.
+    """
+    cells = []
+    for scene, preset, device, seed, variant in itertools.product(scenes, presets, devices, seeds, variants):
+        for method in methods if variant.method is None else (variant.method,):
+            cells.append(Cell(scene, method, preset, device, seed, replace(variant, method=None)))
+    for cell in cells:
+        cell.config()
+    return list(dict.fromkeys(cells))
+
+
+def read_variants(words: Sequence[str], settings: Sequence[str] = ()) -> list[Variant]:
+    """Variants as a person names them: `plain`, an ablation row (`K`), a group of rows (`ablations`,
+    `paper-choices`), or settings (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for
+    all of them, below a variant's own, and stand in their names.
+
+    Raises ConfigError for another word.
+    """
+    found: list[Variant] = []
+    for word in words:
+        found += [of_row(row) for row in GROUPS[word]] if word in GROUPS else [_variant(word)]
+    return [_with_settings(variant, settings) for variant in dict.fromkeys(found)]
+
+
+def _with_settings(variant: Variant, settings: Sequence[str]) -> Variant:
+    name = " ".join(word for word in (variant.name, *settings) if word)
+    return Variant(name, (*settings, *variant.overrides), variant.method)
+
+
+def of_row(row: AblationRow) -> Variant:
+    """The variant that runs an ablation row; the plain one, with its method, for a row without settings."""
+    return Variant(row.name if row.overrides else PLAIN, row.overrides, row.method)
+
+
+def _variant(word: str) -> Variant:
+    rows = named_rows()
+    if word == "plain":
+        return Variant()
+    if word in rows:
+        return of_row(rows[word])
+    if "=" in word:
+        return Variant(word, tuple(word.split(",")))
+    raise ConfigError(
+        f"--variant {word}: expected plain, key=value[,key=value], one of {', '.join(GROUPS)}, or a row: "
+        + ", ".join(rows)
+    )
+
+
+def _short(name: str) -> str:
+    """A variant's name as a part of a folder's, which may not be long."""
+    plain = re.sub(r"[^\w.=-]+", "_", name)
+    return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]}~{hashlib.sha256(name.encode()).hexdigest()[:8]}"

@@ -1,0 +1,89 @@
+"""What a figure was measured on: the program's commit, the machine, and how busy others kept it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import resource
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import mgsr
+
+# What a run computes comes from these; a change of tests or pages makes no figure stale.
+COMPUTED_BY = ("mgsr", "CMakeLists.txt", ":(exclude)mgsr/bench", ":(exclude)mgsr/report")
+ROOT = Path(mgsr.__file__).resolve().parents[1]
+
+
+def program_commit() -> str:
+    """The commit that last changed what a run computes, with a plus and a mark of the changes where the checkout has
+    uncommitted ones; the version where the program is no checkout."""
+    name = _git("log", "-1", "--format=%h", "--", *COMPUTED_BY).strip()
+    if not name:
+        return mgsr.__version__
+    changes = _git("diff", "HEAD", "--", *COMPUTED_BY) + _git("status", "--porcelain", "--", *COMPUTED_BY)
+    return name + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:6]}" if changes else "")
+
+
+def _git(*words: str) -> str:
+    try:
+        asked = subprocess.run(["git", "-C", str(ROOT), *words], capture_output=True, text=True)
+    except FileNotFoundError:
+        return ""
+    return asked.stdout if asked.returncode == 0 else ""
+
+
+def processor_name() -> str:
+    """The processor's name as the system tells it, with the number of cores that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{_cpu_model()}, {cores} cores"
+
+
+def _cpu_model() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+@dataclass(frozen=True)
+class Load:
+    """wall: seconds; others: processors that programs other than this one's children kept busy, on average; None where
+    the system does not tell."""
+
+    wall: float
+    others: float | None
+
+
+class LoadWatch:
+    """Measures what others did with the machine while a child process ran."""
+
+    def __init__(self) -> None:
+        self._begun, self._busy, self._own = time.monotonic(), _busy_seconds(), _children_seconds()
+
+    def read(self) -> Load:
+        """Since the watch was made; the child must have ended."""
+        wall, busy = time.monotonic() - self._begun, _busy_seconds()
+        if busy is None or self._busy is None:
+            return Load(wall, None)
+        own = _children_seconds() - self._own
+        return Load(wall, max(0.0, busy - self._busy - own) / max(wall, 1e-3))
+
+
+def _children_seconds() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def _busy_seconds() -> float | None:
+    """Processor seconds of all programs since the machine started."""
+    stat = Path("/proc/stat")
+    if not stat.is_file():
+        return None
+    user, nice, system, _, _, irq, soft_irq = (int(word) for word in stat.read_text().split()[1:8])
+    return (user + nice + system + irq + soft_irq) / os.sysconf("SC_CLK_TCK")

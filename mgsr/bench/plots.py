@@ -1,0 +1,201 @@
+"""Plots of the results as SVG: transparent, with colours that can be read on white and on black alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mgsr.bench.results import DONE, Curve, Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TEXT, GRID = "#767676", "#76767640"
+# Each at least 3 : 1 against white and against a page of #0d1117; tests/bench holds them to it.
+COLORS = {"mgsr": "#2f7ed8", "2dgs": "#d9622b", "3dgs": "#1f9a6d"}
+OTHER = "#a35bd0"
+MARKERS = {"draft": "v", "standard": "o", "high": "^"}
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",  # text stays text: small files, and the reader's own font
+    "svg.hashsalt": "mgsr",  # the same results give the same bytes
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    **{key: TEXT for key in ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color")},
+    "grid.color": GRID,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+SCORES = (
+    ("chamfer", "Chamfer, ‰ of the radius"),
+    ("normal_consistency", "normal consistency × 100"),
+    ("psnr", "PSNR, dB"),
+)
+
+
+def have_matplotlib() -> bool:
+    """Whether plots can be drawn here (`pip install 'mgsr[bench]'`)."""
+    from importlib.util import find_spec
+
+    return find_spec("matplotlib") is not None
+
+
+def write_plots(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> list[Path]:
+    """error_seconds.svg, error_gaussians.svg and memory.svg of the done rows: the plain ones, or the variants where
+    there is no plain one. No file without a row."""
+    done = [row for row in rows if row.state == DONE and row.seconds is not None]
+    rows = [row for row in done if not row.variant] or done
+    if not rows:
+        return []
+    with _style():
+        return [error_over_seconds(folder, rows, curves), error_over_gaussians(folder, rows), memory(folder, rows)]
+
+
+def write_kernel_plot(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
+    """(kernel, variant, milliseconds, largest error) on two logarithmic axes."""
+    with _style():
+        return time_and_error(path, points)
+
+
+def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> Path:
+    """A column of panels for each scene: the end points of runs, and the PSNR on the way there."""
+    scenes = _scenes(rows)
+    figure, panels = _panels(len(SCORES), len(scenes), "seconds, whole run")
+    for column, scene in enumerate(scenes):
+        for line, (score, label) in enumerate(SCORES):
+            panel = panels[line][column]
+            if score == "psnr":
+                _draw_curves(panel, scene, rows, curves)
+            _draw_fronts(panel, [row for row in rows if row.scene == scene], score)
+            panel.set_ylabel(label if column == 0 else "")
+        panels[0][column].set_title(scene, fontsize=9)
+    return _save(figure, folder / "error_seconds.svg", rows)
+
+
+def error_over_gaussians(folder: Path, rows: Sequence[Row]) -> Path:
+    """A column of panels for each scene: Gaussians of both branches against each score."""
+    scenes = _scenes(rows)
+    figure, panels = _panels(len(SCORES), len(scenes), "thousand Gaussians")
+    for column, scene in enumerate(scenes):
+        for line, (score, label) in enumerate(SCORES):
+            for row in rows:
+                value = getattr(row, score)
+                if row.scene == scene and value is not None and row.splats is not None:
+                    _dot(panels[line][column], row, row.splats / 1000, value)
+            panels[line][column].set_ylabel(label if column == 0 else "")
+            panels[line][column].set_xlim(left=0)
+        panels[0][column].set_title(scene, fontsize=9)
+    return _save(figure, folder / "error_gaussians.svg", rows)
+
+
+def memory(folder: Path, rows: Sequence[Row]) -> Path:
+    """Bars of the most memory that each run held."""
+    known = [row for row in rows if row.memory_mib is not None]
+    figure = _figure(7, 0.8 + 0.22 * len(known))
+    panel = figure.subplots()
+    names = [f"{row.scene} {row.preset}" + (f" seed {row.seed}" if row.seed else "") for row in known]
+    panel.barh(range(len(known)), [row.memory_mib or 0 for row in known], color=[_color(row) for row in known])
+    panel.set_yticks(range(len(known)), names)
+    panel.invert_yaxis()
+    panel.grid(axis="y", visible=False)
+    panel.set_xlabel("most memory held, MiB")
+    return _save(figure, folder / "memory.svg", known)
+
+
+def time_and_error(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
+    """Kernels: (kernel, variant, milliseconds, largest error), both axes logarithmic; a line joins a kernel's
+    variants, which its name stands beside."""
+    figure = _figure(8, 4.5)
+    panel = figure.subplots()
+    shapes = dict(zip(dict.fromkeys(variant for _, variant, _, _ in points), "os^Dv", strict=False))
+    for kernel in dict.fromkeys(name for name, _, _, _ in points):
+        own = [point for point in points if point[0] == kernel]
+        panel.plot([ms for _, _, ms, _ in own], [error for *_, error in own], color=GRID, zorder=1)
+        for _, variant, ms, error in own:
+            panel.scatter(ms, error, marker=shapes[variant], color=COLORS["mgsr"], s=22, zorder=2)
+        panel.annotate(kernel, (own[-1][2], own[-1][3]), xytext=(5, 3), textcoords="offset points", fontsize=7)
+    for variant, shape in shapes.items():
+        panel.scatter([], [], marker=shape, color=COLORS["mgsr"], s=22, label=variant)
+    panel.set(xscale="log", yscale="log", xlabel="milliseconds, forward and backward", ylabel="largest error")
+    panel.legend(loc="upper left", bbox_to_anchor=(1, 1))
+    return _write(figure, path)
+
+
+def _style() -> AbstractContextManager[None]:
+    """Ours on top of matplotlib's own, whatever the person's is."""
+    from matplotlib import style
+
+    return style.context(["default", STYLE])
+
+
+def _figure(width: float, height: float) -> Figure:
+    """Inches. Not by pyplot, which would keep every figure alive."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _panels(lines: int, columns: int, x_label: str) -> tuple[Figure, list[list[Axes]]]:
+    figure = _figure(2.4 * columns + 0.6, 1.7 * lines + 0.6)
+    panels = figure.subplots(lines, columns, squeeze=False, sharex="col")
+    for panel in panels[-1]:
+        panel.set_xlabel(x_label)
+    return figure, panels.tolist()
+
+
+def _draw_fronts(panel: Axes, rows: Sequence[Row], score: str) -> None:
+    """The presets of each method joined in the order of their time, and a dot for each."""
+    done = [row for row in rows if getattr(row, score) is not None]
+    for method in dict.fromkeys(row.method for row in done):
+        own = sorted((row for row in done if row.method == method), key=lambda row: row.seconds or 0)
+        if len({row.preset for row in own}) > 1:
+            points = [(row.seconds or 0, getattr(row, score)) for row in own if row.seed == own[0].seed]
+            panel.plot(*zip(*points, strict=True), color=_color(own[0]), linewidth=1, zorder=2)
+        for row in own:
+            _dot(panel, row, row.seconds or 0, getattr(row, score))
+
+
+def _draw_curves(panel: Axes, scene: str, rows: Sequence[Row], curves: Sequence[Curve]) -> None:
+    """The curve of each run, shifted by what came before its training."""
+    known = {row.key: row for row in rows if row.scene == scene}
+    for curve in curves:
+        row = known.get(curve.key)
+        if row is not None and curve.points:
+            shift = row.start_seconds or 0
+            xs, ys = [shift + x for x, _ in curve.points], [y for _, y in curve.points]
+            panel.plot(xs, ys, color=_color(row), linewidth=0.9, linestyle=":", zorder=1)
+
+
+def _dot(panel: Axes, row: Row, x: float, y: float) -> None:
+    panel.scatter(x, y, color=_color(row), marker=MARKERS.get(row.preset, "s"), s=26, zorder=3)
+
+
+def _color(row: Row) -> str:
+    return COLORS.get(row.method, OTHER)
+
+
+def _scenes(rows: Sequence[Row]) -> list[str]:
+    return list(dict.fromkeys(row.scene for row in rows))
+
+
+def _save(figure: Figure, path: Path, rows: Sequence[Row]) -> Path:
+    """With a legend of the methods by colour and the presets by shape."""
+    from matplotlib.lines import Line2D
+
+    dot: dict[str, Any] = {"linestyle": "", "markersize": 5}
+    methods = dict.fromkeys(row.method for row in rows)
+    presets = [preset for preset in MARKERS if preset in {row.preset for row in rows}]
+    marks = [Line2D([], [], color=COLORS.get(name, OTHER), marker="s", label=name, **dot) for name in methods]
+    marks += [Line2D([], [], color=TEXT, marker=MARKERS[name], label=name, **dot) for name in presets]
+    figure.legend(handles=marks, loc="outside upper center", ncols=len(marks))
+    return _write(figure, path)
+
+
+def _write(figure: Figure, path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    return path

@@ -1,0 +1,189 @@
+"""The results of a matrix: a row for each cell, and the curve within each run, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shlex
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from mgsr.bench.cells import Cell
+from mgsr.bench.running import MEASURED
+
+RUNS, CURVES = "runs.csv", "curves.csv"
+DONE = "done"
+KEY = ("scene", "variant", "method", "preset", "device", "seed")
+MIB = 2**20
+
+
+@dataclass(frozen=True)
+class Row:
+    """One cell of the matrix; None where a run has no such figure.
+
+    state: done, or why the cell is broken. seconds: of the whole run; start, train and mesh are parts of it. psnr,
+    ssim: test views on white; psnr_object: on the object's pixels. chamfer: thousandths of the object's radius;
+    f_score: at 0.5% of it; normal_consistency: times 100; normal_error: degrees; split_gain: dB by which the
+    transmitted light is nearer to the object's matte look than the photograph is. model_mib: the splats' files.
+    memory_mib: the most that the run held. others: processors that other programs kept busy meanwhile. scored_by:
+    report, or the evaluator's name. command: what makes this run again.
+    """
+
+    scene: str
+    variant: str
+    method: str
+    preset: str
+    device: str
+    seed: int
+    state: str = DONE
+    seconds: float | None = None
+    start_seconds: float | None = None
+    train_seconds: float | None = None
+    mesh_seconds: float | None = None
+    psnr: float | None = None
+    psnr_object: float | None = None
+    ssim: float | None = None
+    chamfer: float | None = None
+    f_score: float | None = None
+    normal_consistency: float | None = None
+    normal_error: float | None = None
+    split_psnr: float | None = None
+    split_gain: float | None = None
+    surfels: int | None = None
+    volumes: int | None = None
+    faces: int | None = None
+    model_mib: float | None = None
+    memory_mib: float | None = None
+    others: float | None = None
+    scored_by: str = ""
+    commit: str = ""
+    machine: str = ""
+    versions: str = ""
+    command: str = ""
+    note: str = ""
+
+    @property
+    def key(self) -> tuple[str | int, ...]:
+        """What makes it this cell."""
+        return tuple(getattr(self, name) for name in KEY)
+
+    @property
+    def splats(self) -> int | None:
+        """Gaussians of both branches."""
+        return None if self.surfels is None or self.volumes is None else self.surfels + self.volumes
+
+
+@dataclass(frozen=True)
+class Curve:
+    """The curve within the run of one cell, by its key; points: (seconds of training, PSNR in dB)."""
+
+    key: tuple[str | int, ...]
+    points: tuple[tuple[float, float], ...]
+
+
+def finished_row(
+    cell: Cell, folder: Path, report: dict[str, Any], scores: dict[str, float | None], scored_by: str, commit: str
+) -> Row:
+    """The row of a run that ended well."""
+    seconds, splats = report["seconds"], report["gaussians"]
+    measured = json.loads((folder / MEASURED).read_text())
+    figures: dict[str, Any] = {f"{step}_seconds": seconds.get(step) for step in ("start", "train", "mesh")}
+    figures |= {name: splats.get(name, 0) for name in ("surfels", "volumes")} | scores
+    return Row(
+        **_identity(cell),
+        **figures,
+        seconds=seconds["total"],
+        faces=(report.get("mesh") or {}).get("faces"),
+        model_mib=sum(path.stat().st_size for path in folder.glob("splats_*.ply")) / MIB,
+        memory_mib=report["peak_memory_mib"],
+        others=measured["others"],
+        scored_by=scored_by,
+        commit=commit,
+        machine=f"{measured['processor']}, {(report.get('machine') or {}).get('kernels', 'unknown')} kernels",
+        versions=" ".join(f"{name} {version}" for name, version in report["versions"].items()),
+        command=shlex.join(["mgsr", *cell.arguments(folder)]),
+    )
+
+
+def broken_row(cell: Cell, reason: str, commit: str) -> Row:
+    """The row of a run without results."""
+    return Row(**_identity(cell), state=f"broken: {reason}", commit=commit)
+
+
+def run_curve(cell: Cell, report: dict[str, Any]) -> Curve:
+    """The PSNR of a few test views while the run trained; no point where it had none."""
+    points = ((row["seconds"], row["psnr"]) for row in report["curve"] if row.get("psnr") is not None)
+    return Curve(tuple(_identity(cell).values()), tuple(points))
+
+
+def _identity(cell: Cell) -> dict[str, Any]:
+    values = (cell.scene.name, cell.variant.name, cell.method, cell.preset, cell.device, cell.seed)
+    return dict(zip(KEY, values, strict=True))
+
+
+def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
+    """Both, sorted; a new row takes the place of the old one of its cell, unless it is broken."""
+    rows = {row.key: row for row in old}
+    for row in new:
+        if row.state == DONE or row.key not in rows:
+            rows[row.key] = row
+    return sorted(rows.values(), key=lambda row: row.key)
+
+
+def keep_curves(old: Iterable[Curve], new: Iterable[Curve]) -> list[Curve]:
+    """Both, sorted; a new curve takes the place of the old one of its cell."""
+    return sorted({curve.key: curve for curve in (*old, *new)}.values(), key=lambda curve: curve.key)
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Six digits of each figure, in the order of the fields."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(each.name for each in fields(Row))
+        writer.writerows([_text(value) for value in asdict(row).values()] for row in rows)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """What `write_rows` wrote; no rows where there is no file."""
+    if not path.is_file():
+        return []
+    kinds = get_type_hints(Row)
+    with open(path, newline="", encoding="utf-8") as file:
+        return [Row(**{name: _value(text, kinds[name]) for name, text in row.items()}) for row in csv.DictReader(file)]
+
+
+def write_curves(path: Path, curves: Sequence[Curve]) -> None:
+    """A line for each point: the cell's key, seconds, PSNR."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow((*KEY, "seconds", "psnr"))
+        for curve in curves:
+            writer.writerows((*curve.key, f"{x:.1f}", f"{y:.2f}") for x, y in curve.points)
+
+
+def read_curves(path: Path) -> list[Curve]:
+    """What `write_curves` wrote; no curves where there is no file."""
+    if not path.is_file():
+        return []
+    points: dict[tuple[str | int, ...], list[tuple[float, float]]] = {}
+    with open(path, newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            key = (*(row[name] for name in KEY[:-1]), int(row["seed"]))
+            points.setdefault(key, []).append((float(row["seconds"]), float(row["psnr"])))
+    return [Curve(key, tuple(found)) for key, found in points.items()]
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _value(text: str, kind: Any) -> Any:
+    if kind is str:
+        return text
+    if text == "":
+        return None
+    return int(text) if kind in (int, int | None) else float(text)

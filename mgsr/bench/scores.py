@@ -1,0 +1,70 @@
+"""The scores of a finished run under one set of names, from its report or from an independent evaluator."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from mgsr.bench.running import REPORT, BrokenCell
+
+KEPT = "evaluate.json"
+
+# Our name: the report's section and name, the evaluator's name, and the factor of both.
+NAMES: dict[str, tuple[str, str, str, float]] = {
+    "psnr": ("", "psnr_test", "psnr", 1),
+    "psnr_object": ("", "psnr_fg_test", "psnr_fg", 1),
+    "ssim": ("", "ssim_test", "ssim", 1),
+    "chamfer": ("gt", "chamfer", "chamfer", 1000),
+    "f_score": ("gt", "f_005", "F@0.005", 1),
+    "normal_consistency": ("gt", "normal_consistency", "normal_consistency", 100),
+    "normal_error": ("gt", "normal_error", "normal_mae_deg", 1),
+    "split_psnr": ("split", "split_psnr", "split_psnr", 1),
+    "split_gain": ("split", "split_gain", "split_gain", 1),
+}
+
+
+def report_scores(report: dict[str, Any]) -> dict[str, float | None]:
+    """The program's own scores: `gt`, `split` and the test views of report.json."""
+    found = {}
+    for name, (section, key, _, factor) in NAMES.items():
+        value = ((report.get(section) or {}) if section else report).get(key)
+        found[name] = None if value is None else factor * value
+    return found
+
+
+def evaluator_scores(evaluator: Path, scene: Path, folder: Path) -> dict[str, float | None]:
+    """The scores of a script that is called as `evaluate.py SCENE --mesh MESH --renders FOLDER` and ends with a line of
+    JSON. They are kept beside the run.
+
+    Raises BrokenCell where it fails.
+    """
+    kept = folder / KEPT
+    if not kept.is_file():
+        kept.write_text(_evaluate(evaluator, scene, folder))
+    try:
+        values = json.loads(kept.read_text())
+    except ValueError as error:
+        kept.unlink()
+        raise BrokenCell(f"{evaluator.name}: expected a last line of JSON, got something else ({error})") from error
+    return {
+        name: None if values.get(key) is None else factor * values[key] for name, (_, _, key, factor) in NAMES.items()
+    }
+
+
+def _evaluate(evaluator: Path, scene: Path, folder: Path) -> str:
+    command = [sys.executable, str(evaluator), str(scene), "--mesh", str(folder / "mesh.ply")]
+    command += ["--renders", str(folder / "renders" / "test")]
+    asked = subprocess.run(command, capture_output=True, text=True)
+    if asked.returncode != 0:
+        said = asked.stderr.strip().splitlines()
+        raise BrokenCell(f"{evaluator.name}: exit code {asked.returncode}: {said[-1] if said else 'it said nothing'}")
+    return (asked.stdout.strip().splitlines() or [""])[-1]
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """report.json of a finished run."""
+    report: dict[str, Any] = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    return report

@@ -1,0 +1,101 @@
+"""`mgsr bench`: a matrix of runs, one table and plots of speed against error."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mgsr.cli.options import refusals
+from mgsr.cli.signals import INTERRUPTED, stop_on_signals
+from mgsr.errors import ConfigError
+
+ScenesArgument = Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Folders or archives of photographs.")]
+OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of runs, table and plots.")]
+MethodsOption = Annotated[str, typer.Option(help="Comma-separated: mgsr, 2dgs, 3dgs.")]
+PresetsOption = Annotated[str, typer.Option(help="Comma-separated: draft, standard, high.")]
+DevicesOption = Annotated[str, typer.Option(help="Comma-separated: cpu, cuda.")]
+SeedsOption = Annotated[str, typer.Option(help="Comma-separated numbers.")]
+VariantOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="plain, an ablation row (A to N), ablations (all of them), paper-choices, or KEY=VALUE[,KEY=VALUE]; may "
+        "be repeated. Only plain runs without."
+    ),
+]
+SettingsOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of every run; may be repeated.")
+]
+EvaluateOption = Annotated[
+    Path | None, typer.Option(metavar="PATH", help="A script that scores the runs instead of their reports.")
+]
+KeepOption = Annotated[Path | None, typer.Option(metavar="FOLDER", help="A folder whose tables take the rows in too.")]
+AnyCommitOption = Annotated[
+    bool, typer.Option("--any-commit", help="Take finished runs of another commit of the program too.")
+]
+
+
+def bench(
+    scenes: ScenesArgument,
+    out: OutOption,
+    methods: MethodsOption = "mgsr",
+    presets: PresetsOption = "standard",
+    devices: DevicesOption = "cpu",
+    seeds: SeedsOption = "0",
+    variant: VariantOption = None,
+    settings: SettingsOption = None,
+    evaluate: EvaluateOption = None,
+    keep: KeepOption = None,
+    any_commit: AnyCommitOption = False,
+) -> None:
+    """Run every SCENE with every method, preset, device, seed and variant, one after another, each in a process of its
+    own, and write runs.csv, runs.md, curves.csv and plots to OUT. What is finished there already is not run again; what
+    fails is reported, and the rest goes on."""
+    from mgsr.bench.cells import matrix, read_variants
+    from mgsr.bench.machine import program_commit
+    from mgsr.bench.matrix import Bench
+
+    with refusals():
+        numbers = [_whole_number(word) for word in _words(seeds)]
+        wanted = read_variants(variant or ["plain"], settings or [])
+        cells = matrix(scenes, _words(methods), _words(presets), _words(devices), numbers, wanted)
+        command = shlex.join(["mgsr", *sys.argv[1:]])
+        folders = (out,) if keep is None else (out, keep)
+        code = _run(cells, Bench(out, program_commit(), command, folders, evaluate, any_commit))
+    raise typer.Exit(code)
+
+
+def _run(cells: list, bench: object) -> int:
+    """The exit code: 0, 1 where a cell broke, 130 where it was stopped."""
+    from mgsr.bench.matrix import Bench, run_matrix
+    from mgsr.bench.plots import have_matplotlib, write_plots
+    from mgsr.bench.results import CURVES, DONE, RUNS, read_curves, read_rows
+    from mgsr.bench.running import Stopped
+
+    assert isinstance(bench, Bench)
+    try:
+        with stop_on_signals() as stop:
+            rows, _ = run_matrix(cells, bench, print, stop)
+    except Stopped:
+        print("stopped; the same command goes on with the cell that was running", file=sys.stderr)
+        return INTERRUPTED
+    if have_matplotlib():
+        write_plots(bench.out, read_rows(bench.out / RUNS), read_curves(bench.out / CURVES))
+    else:
+        print("no plots: matplotlib is not installed; pip install 'mgsr[bench]'")
+    broken = sum(row.state != DONE for row in rows)
+    print(f"{bench.out / RUNS}: {len(rows) - broken} of {len(rows)} cells have results")
+    return 1 if broken else 0
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _whole_number(word: str) -> int:
+    if not word.isdigit():
+        raise ConfigError(f"--seeds: expected whole numbers with commas between them, got {word!r}")
+    return int(word)

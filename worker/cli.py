@@ -1,4 +1,5 @@
-"""`mgsr-worker`: takes jobs of the service; `mgsr-worker run` makes one run on this machine, as `mgsr run` does."""
+"""`mgsr-worker`: takes jobs of the service; `mgsr-worker run` makes one run on this machine, as `mgsr run` does,
+and `mgsr-worker health` is for health checks."""
 
 from __future__ import annotations
 
@@ -30,6 +31,19 @@ def main(context: typer.Context, gpus: GpusOption = None) -> None:
         from worker.start import start_workers
 
         start_workers(gpus)
+
+
+@app.command()
+def health() -> None:
+    """Say whether a worker of this machine lives; exit code 1 if none does. For health checks of containers."""
+    with refusals():
+        from service.contract.queue import connect
+        from service.contract.settings import Settings
+        from worker.health import worker_health
+
+        alive, line = worker_health(connect(Settings().need_redis()))
+    print(line)
+    raise typer.Exit(0 if alive else 1)
 
 
 if __name__ == "__main__":

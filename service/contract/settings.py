@@ -37,6 +37,7 @@ class Settings(BaseSettings):
     redis_url: str | None = None  # none: `mgsr serve` starts a server of its own
     store: str | None = None  # a folder or s3://bucket/prefix; none is home/store
     scratch: Path | None = None  # where workers unpack and train; none is home/scratch
+    signed_urls: bool = True  # results in a bucket: send callers there (307), not the bytes through the service
     allowed_hosts: str = ""  # host names, comma-separated, under which a service without keys may be addressed
 
     max_upload: ByteSize = ByteSize(8 * GIB)

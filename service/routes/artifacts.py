@@ -156,9 +156,10 @@ async def _send(
     headers = {"ETag": etag, "Accept-Ranges": "bytes", "Cache-Control": "private, no-cache"}
     if if_none_match is not None and (etag in if_none_match or if_none_match.strip() == "*"):
         return Response(status_code=304, headers=headers)
-    address = await run_in_threadpool(parts.jobs.store.signed_url, key)
-    if address is not None:
-        return RedirectResponse(address, 307)
+    if parts.settings.signed_urls:
+        address = await run_in_threadpool(parts.jobs.store.signed_url, key)
+        if address is not None:
+            return RedirectResponse(address, 307)
     span = None if if_range is not None and if_range != etag else parse_range(wanted, artifact.size)
     start, end = span or (0, artifact.size)
     headers["Content-Length"] = str(end - start)

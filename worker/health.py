@@ -1,0 +1,33 @@
+"""Whether a worker of this machine lives: what a container's health check asks."""
+
+from __future__ import annotations
+
+import socket
+from datetime import UTC, datetime
+
+from redis import Redis, RedisError
+from rq import Worker
+
+# An idle worker says that it lives every 45 s, one with a job every 10 s.
+SILENT_SECONDS = 120.0
+
+
+def worker_health(redis: Redis) -> tuple[bool, str]:
+    """Whether a worker that was started on this host has spoken lately, and a line about it. A Redis server that does
+    not answer says nothing about the worker, which waits for it: that counts as healthy."""
+    host = socket.gethostname()
+    try:
+        workers = [worker for worker in Worker.all(connection=redis) if worker.name.rsplit(".", 2)[0] == host]
+    except RedisError as error:
+        return True, f"not known: no answer from Redis: {error}"
+    if not workers:
+        return False, f"no worker of {host} has registered"
+    silent = min(_silence(worker) for worker in workers)
+    return silent < SILENT_SECONDS, f"{len(workers)} of {host}, the last word {silent:.0f} s ago"
+
+
+def _silence(worker: Worker) -> float:
+    spoke = worker.last_heartbeat
+    if spoke is None:
+        return float("inf")
+    return (datetime.now(UTC) - spoke.replace(tzinfo=spoke.tzinfo or UTC)).total_seconds()

@@ -1,0 +1,39 @@
+"""Prints what an image installs beside MGSR itself, from pyproject.toml alone, for `pip install -r`.
+
+python requirements.py service|worker-cpu|worker-gpu [PYPROJECT]
+
+The service's image leaves out the library's dependencies (torch and the like), which it never imports.
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+
+# Extras of each image, and whether it runs the library.
+IMAGES = {"service": (("service",), False), "worker-cpu": (("worker",), True), "worker-gpu": (("worker", "cuda"), True)}
+# Of the library's dependencies, those that the console programs and the service import too.
+SHARED = ("pydantic", "typer", "rich")
+
+
+def requirements(image: str, project: dict[str, object]) -> list[str]:
+    """The requirements of an image. Raises KeyError for an image that does not exist."""
+    extras, with_library = IMAGES[image]
+    base: list[str] = project["dependencies"]  # type: ignore[assignment]
+    chosen = [line for line in base if with_library or line.startswith(SHARED)]
+    return chosen + [line for extra in extras for line in _of_extra(extra, project["optional-dependencies"])]  # type: ignore[arg-type]
+
+
+def _of_extra(extra: str, all_extras: dict[str, list[str]]) -> list[str]:
+    """An extra's requirements; `mgsr[other]` in it stands for the other's."""
+    found: list[str] = []
+    for line in all_extras[extra]:
+        own = line.startswith("mgsr[")
+        found += _of_extra(line[len("mgsr[") : -1], all_extras) if own else [line]
+    return found
+
+
+if __name__ == "__main__":
+    pyproject = Path(sys.argv[2] if len(sys.argv) > 2 else "pyproject.toml")
+    print("\n".join(requirements(sys.argv[1], tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"])))

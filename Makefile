@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PY := $(BIN)/python
 
-.PHONY: setup demo test test-all test-service lint clean
+.PHONY: setup demo test test-all test-service lint docs clean
 setup: $(VENV)/.installed
 
 $(PY):
@@ -34,6 +34,10 @@ test-all: lint
 # The service's tests alone, with the slow ones: load, chaos, S3.
 test-service: setup
 	$(PY) -m pytest tests/service tests/worker
+
+# The documentation as a site, in build/site; broken links and pages that no menu names are errors.
+docs: setup
+	$(BIN)/mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) build out mgsr/native/*.so

@@ -1,0 +1,19 @@
+"""What each wheel must do where it was installed: load every extension, run a kernel, find and read the example."""
+
+from __future__ import annotations
+
+import torch
+
+from mgsr.cli.demo import find_example
+from mgsr.config import DataConfig
+from mgsr.data.readers import load_scene
+from mgsr.native.runtime import FAMILIES, isas
+from mgsr.ops.depth_normals import depth_to_normals
+
+scene = load_scene(find_example(), DataConfig())
+camera = scene.train[0].camera
+normals = depth_to_normals(torch.full((camera.height, camera.width), 2.0), camera)
+expected = torch.from_numpy(-camera.cam_from_world[2, :3]).float()  # a plane before the camera faces it
+if not torch.allclose(normals[5, 5], expected, atol=1e-5):
+    raise SystemExit(f"normal of a plane: expected {expected.tolist()}, got {normals[5, 5].tolist()}")
+print(f"{len(FAMILIES)} extensions, variants {' '.join(isas())}; {len(scene.train)} training views")

@@ -1,11 +1,11 @@
 """Builds the images' file systems without Docker: reads the Dockerfiles and does what they say, in chroots.
 
 debootstrap --variant=minbase bookworm BASE
-python deploy/by_hand.py BASE OUT [--only service] [--build-arg NAME=VALUE] [--bind PATH]
+python deploy/by_hand.py BASE OUT [--only service] [--build-arg NAME=VALUE] [--bind PATH[:INSIDE]]
 
 Needs root. OUT/<image> becomes the final stage's root, OUT/<image>.json its ENV, USER, WORKDIR, HEALTHCHECK and CMD.
 BASE stands for every FROM that names no stage. --bind shows a path of this machine to the commands while they run,
-such as certificates or a package index. It knows the instructions that our Dockerfiles use, and refuses others.
+read-only, such as certificates or a package index; PIP_* variables are passed on. It knows the instructions that our Dockerfiles use, and refuses others.
 """
 
 from __future__ import annotations
@@ -124,10 +124,12 @@ _PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 @contextmanager
 def mounted(root: Path, binds: list[str]) -> Iterator[None]:
-    """/proc, /dev and paths of this machine inside a root, for a while."""
+    """/proc, /dev and paths of this machine inside a root, for a while. Read-only: what a package's installation writes
+    there (certificates, for one) would land in this machine."""
     with ExitStack() as undo:
-        for path in ["/proc", "/dev", *binds]:
-            inside = root / path.lstrip("/")
+        for bind in ["/proc", "/dev", *binds]:
+            path, _, place = bind.partition(":")
+            inside = root / (place or path).lstrip("/")
             if Path(path).is_dir():
                 inside.mkdir(parents=True, exist_ok=True)
             else:
@@ -135,6 +137,7 @@ def mounted(root: Path, binds: list[str]) -> Iterator[None]:
                 inside.touch()
             subprocess.run(["mount", "--bind", path, inside], check=True)
             undo.callback(subprocess.run, ["umount", "-l", inside], check=True)
+            subprocess.run(["mount", "-o", "remount,bind,ro", inside], check=True)
         yield
 
 

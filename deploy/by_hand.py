@@ -5,7 +5,8 @@ python deploy/by_hand.py BASE OUT [--only service] [--build-arg NAME=VALUE] [--b
 
 Needs root. OUT/<image> becomes the final stage's root, OUT/<image>.json its ENV, USER, WORKDIR, HEALTHCHECK and CMD.
 BASE stands for every FROM that names no stage. --bind shows a path of this machine to the commands while they run,
-read-only, such as certificates or a package index; PIP_* variables are passed on. It knows the instructions that our Dockerfiles use, and refuses others.
+read-only, such as certificates or a package index; PIP_* variables are passed on. It knows the instructions that our
+Dockerfiles use, and refuses others.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 
 from redis import Redis, RedisError
 from rq import Worker
+from rq.worker import BaseWorker
 
 # An idle worker says that it lives every 45 s, one with a job every 10 s.
 SILENT_SECONDS = 120.0
@@ -26,7 +27,7 @@ def worker_health(redis: Redis) -> tuple[bool, str]:
     return silent < SILENT_SECONDS, f"{len(workers)} of {host}, the last word {silent:.0f} s ago"
 
 
-def _silence(worker: Worker) -> float:
+def _silence(worker: BaseWorker) -> float:
     spoke = worker.last_heartbeat
     if spoke is None:
         return float("inf")

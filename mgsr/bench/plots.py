@@ -31,8 +31,8 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
 }
 SCORES = (
-    ("chamfer", "Chamfer, ‰ of the radius"),
-    ("normal_consistency", "normal consistency × 100"),
+    ("chamfer", "Chamfer × 1000"),
+    ("normal_consistency", "NC × 100"),
     ("psnr", "PSNR, dB"),
 )
 
@@ -71,7 +71,7 @@ def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve
             if score == "psnr":
                 _draw_curves(panel, scene, rows, curves)
             _draw_fronts(panel, [row for row in rows if row.scene == scene], score)
-            panel.set_ylabel(label if column == 0 else "")
+            _finish(panel, score, label if column == 0 else "")
         panels[0][column].set_title(scene, fontsize=9)
     return _save(figure, folder / "error_seconds.svg", rows)
 
@@ -86,8 +86,7 @@ def error_over_gaussians(folder: Path, rows: Sequence[Row]) -> Path:
                 value = getattr(row, score)
                 if row.scene == scene and value is not None and row.splats is not None:
                     _dot(panels[line][column], row, row.splats / 1000, value)
-            panels[line][column].set_ylabel(label if column == 0 else "")
-            panels[line][column].set_xlim(left=0)
+            _finish(panels[line][column], score, label if column == 0 else "")
         panels[0][column].set_title(scene, fontsize=9)
     return _save(figure, folder / "error_gaussians.svg", rows)
 
@@ -145,6 +144,19 @@ def _panels(lines: int, columns: int, x_label: str) -> tuple[Figure, list[list[A
     for panel in panels[-1]:
         panel.set_xlabel(x_label)
     return figure, panels.tolist()
+
+
+def _finish(panel: Axes, score: str, label: str) -> None:
+    """The label, x from zero, and for Chamfer, which differs by a factor, a logarithmic scale with plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    panel.set_ylabel(label)
+    panel.set_xlim(left=0)
+    if score == "chamfer":
+        panel.set_yscale("log")
+        panel.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _draw_fronts(panel: Axes, rows: Sequence[Row], score: str) -> None:

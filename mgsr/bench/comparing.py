@@ -1,0 +1,112 @@
+"""Comparisons of runs that differ in one thing, scene by scene, put in words."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mgsr.bench.results import DONE, Row
+
+PRESET = "standard"
+BUSY = 0.25  # processors that others keep busy; more, and seconds are not quoted as the program's own
+
+# Each score's name in words, unit, format, and whether less of it is better.
+SCORES: dict[str, tuple[str, str, str, bool]] = {
+    "psnr": ("PSNR", " dB", ".2f", False),
+    "normal_consistency": ("normal consistency", "", ".2f", False),
+    "chamfer": ("Chamfer", "", ".2f", True),
+    "f_score": ("F", "", ".3f", False),
+    "normal_error": ("normal error", "°", ".2f", True),
+    "split_gain": ("split gain", " dB", ".2f", False),
+    "seconds": ("time", " s", ".0f", True),
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One score of two runs on the scenes that both have: each scene's gain, first over second, above zero where the
+    first is better, as the tables round it."""
+
+    score: str
+    gains: dict[str, float]
+    same_commit: bool
+    busy: bool
+
+    @property
+    def better(self) -> list[str]:
+        """The scenes on which the first is better."""
+        return [scene for scene, gain in self.gains.items() if gain > 0]
+
+    @property
+    def worse(self) -> list[str]:
+        """The scenes on which the first is worse."""
+        return [scene for scene, gain in self.gains.items() if gain < 0]
+
+    def words(self) -> str:
+        """The mean gain, its range, and on how many scenes it is one."""
+        name, unit, form, _ = SCORES[self.score]
+        gains = list(self.gains.values())
+        mean, low, high = (f"{value:+z{form}}" for value in (statistics.fmean(gains), min(gains), max(gains)))
+        told = f"{name} better on {len(self.better)}, worse on {len(self.worse)} of {len(gains)} scenes"
+        return f"{told} (gain {mean}{unit} in the mean, {low} to {high})"
+
+
+def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", preset: str = PRESET) -> dict[str, Row]:
+    """By scene, the done runs of a method and variant with the first seed, on the processor."""
+    found: dict[str, Row] = {}
+    for row in sorted(rows, key=lambda row: row.seed):
+        if (row.method, row.variant, row.preset, row.device, row.state) == (method, variant, preset, "cpu", DONE):
+            found.setdefault(row.scene, row)
+    return found
+
+
+def compare(first: dict[str, Row], second: dict[str, Row], score: str) -> Comparison | None:
+    """None where no scene has the score in both."""
+    gains, commits, busy = {}, set(), False
+    for scene in first:
+        if scene not in second:
+            continue
+        a, b = getattr(first[scene], score), getattr(second[scene], score)
+        if a is not None and b is not None:
+            gains[scene] = gain(score, a, b)
+            commits |= {first[scene].commit, second[scene].commit}
+            busy |= is_busy(first[scene]) or is_busy(second[scene])
+    return Comparison(score, gains, len(commits) == 1, busy) if gains else None
+
+
+def gain(score: str, first: float, second: float) -> float:
+    """How much better the first is, as the tables round both."""
+    *_, form, lower_is_better = SCORES[score]
+    difference = float(format(first, form)) - float(format(second, form))
+    return -difference if lower_is_better else difference
+
+
+def is_busy(row: Row) -> bool:
+    """Whether others had so much of the machine that the seconds are not the program's own."""
+    return "Shared" in row.note if row.others is None else row.others > BUSY
+
+
+def seed_spread(rows: Sequence[Row], score: str) -> float | None:
+    """The standard deviation of a score over the seeds of plain runs, in the mean over scenes; None where no scene has
+    two seeds."""
+    values: dict[str, list[float]] = {}
+    for row in rows:
+        if (row.method, row.variant, row.preset, row.device, row.state) == ("mgsr", "", PRESET, "cpu", DONE):
+            values.setdefault(row.scene, []).append(getattr(row, score))
+    spreads = [statistics.stdev(found) for found in values.values() if len(found) > 1 and None not in found]
+    return statistics.fmean(spreads) if spreads else None
+
+
+def verdict(comparison: Comparison | None, spread: float | None) -> str:
+    """Whether a finding holds, in one word or some."""
+    if comparison is None:
+        return "not run yet"
+    mean = statistics.fmean(comparison.gains.values())
+    if spread is not None and abs(mean) < spread:
+        return "no difference beyond that of seeds"
+    if len(comparison.better) == len(comparison.gains):
+        return "holds"
+    if not comparison.better:
+        return "does not hold"
+    return "mixed"

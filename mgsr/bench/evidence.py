@@ -1,0 +1,350 @@
+"""Makes docs/evidence.md and its plots from the result files:
+
+    python -m mgsr.bench.evidence [benchmarks/results] [docs]
+
+Every figure of the page comes from those files, and each sentence that judges does so by comparing them here.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mgsr.bench.ablation_page import ablation_section, choices_section
+from mgsr.bench.comparing import compare, is_busy, plain_runs
+from mgsr.bench.kernel_page import kernel_section
+from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels
+from mgsr.bench.plots import write_kernel_plot, write_plots
+from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, read_curves, read_rows
+from mgsr.bench.table import markdown, number
+
+PAGE, IMAGES = "evidence.md", Path("images") / "evidence"
+COMMAND = "python -m mgsr.bench.evidence"
+SCENES = "scenes.csv"
+NEAR_BEST = 0.1  # dB; a curve that is so near its best has little left to gain
+BEFORE_SHADING = "before-shading"
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """What a scene is, and what the visual hull of its masks alone scores."""
+
+    scene: str
+    what: str
+    hull_chamfer: float
+    hull_f_score: float
+    hull_normal_error: float
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All result files."""
+
+    rows: list[Row]
+    curves: list[Curve]
+    scenes: list[SceneFacts]
+    kernels: list[KernelRow]
+
+
+def read_evidence(results: Path) -> Evidence:
+    """The files of a results folder."""
+    with open(results / SCENES, newline="", encoding="utf-8") as file:
+        scenes = [
+            SceneFacts(row.pop("scene"), row.pop("what"), *(float(text) for text in row.values()))
+            for row in csv.DictReader(file)
+        ]
+    rows = [row for row in read_rows(results / RUNS) if row.state == DONE]
+    return Evidence(rows, read_curves(results / CURVES), scenes, read_kernels(results / KERNELS))
+
+
+def write_evidence(results: Path, docs: Path) -> Path:
+    """The page and its plots; its path."""
+    evidence = read_evidence(results)
+    write_plots(docs / IMAGES, evidence.rows, evidence.curves)
+    points = [(row.kernel, row.variant, row.both, row.error_max) for row in evidence.kernels]
+    if points:
+        write_kernel_plot(docs / IMAGES / "kernels.svg", points)
+    (docs / PAGE).write_text(evidence_page(evidence), encoding="utf-8")
+    return docs / PAGE
+
+
+def evidence_page(evidence: Evidence) -> str:
+    """The page as Markdown."""
+    sections = (
+        _lead(evidence),
+        _weak_section(evidence),
+        _surface_section(evidence),
+        _methods_section(evidence),
+        _curve_section(evidence),
+        _light_section(evidence),
+        _need_section(evidence),
+        ablation_section(evidence.rows),
+        choices_section(evidence.rows),
+        kernel_section(evidence.kernels),
+        _making_section(evidence),
+    )
+    return "\n\n".join(section for section in sections if section) + "\n"
+
+
+def _lead(evidence: Evidence) -> str:
+    runs = evidence.rows
+    scenes = ", ".join(dict.fromkeys(row.scene for row in runs))
+    return (
+        "# Evidence: speed against error\n\n"
+        f"How long MGSR takes, how wrong its results are, and which of its parts earn their time: {len(runs)} runs on "
+        f"the scenes {scenes}, path-traced objects whose true shape is known. Chamfer is the mean distance between "
+        "surface and truth, in thousandths of the object's radius; F the share of the surface within 0.5% of the "
+        "radius; the normal error in degrees; NC the normal consistency times 100; PSNR of views that training never "
+        f"saw, on white. This page is made by `{COMMAND}` from [benchmarks/results](../benchmarks/results), its "
+        "figures and its judgements alike: change the results, not the page."
+    )
+
+
+def _weak_section(evidence: Evidence) -> str:
+    """What speaks against us, before anything that speaks for us."""
+    points = [*_weak_scores(evidence), *_weak_measurements(evidence)]
+    return "## What is weak\n\n" + "\n".join(f"- {point}" for point in points) if points else ""
+
+
+def _weak_scores(evidence: Evidence) -> list[str]:
+    mgsr, points = plain_runs(evidence.rows), []
+    surfels = plain_runs(evidence.rows, "2dgs")
+    for score in ("chamfer", "normal_error"):
+        found = compare(mgsr, surfels, score)
+        if found is not None and len(found.worse) > len(found.better):
+            points.append(f"The surface is no better than that of the 2D branch alone: {found.words()}.")
+    harmed = [row for row in evidence.rows if row.split_gain is not None and row.split_gain < 0]
+    if harmed:
+        told = ", ".join(f"{_label(row)} {row.split_gain:.2f} dB" for row in harmed)
+        points.append(f"The light split does harm (the photograph itself is nearer to the matte look): {told}.")
+    low = [row for row in mgsr.values() if row.f_score is not None and row.f_score < 0.8]
+    points += [f"On {row.scene} only {row.f_score:.0%} of the surface lies within 0.5% (F)." for row in low]
+    return points
+
+
+def _weak_measurements(evidence: Evidence) -> list[str]:
+    rows, points = evidence.rows, []
+    busy = [row for row in rows if row.seconds is not None and is_busy(row)]
+    timed = [row for row in rows if row.seconds is not None]
+    if busy:
+        points.append(
+            f"{len(busy)} of {len(timed)} runs shared the machine with other work: their seconds are too many by an "
+            "unknown share, and no two of them can be compared."
+        )
+    presets = {row.preset for row in rows}
+    if missing := [name for name in ("draft", "standard", "high") if name not in presets]:
+        points.append(f"Presets without any run here: {', '.join(missing)}. So there is no front of presets yet.")
+    if len({row.seed for row in rows}) == 1:
+        points.append("One seed each: nothing here says how much a result changes by chance.")
+    if not any(row.device == "cuda" for row in rows):
+        points.append("No run on a card.")
+    if len({row.commit for row in timed}) > 1:
+        points.append("The runs are of several commits; each row of the results names its own.")
+    return points
+
+
+def _surface_section(evidence: Evidence) -> str:
+    """Each scene's scores beside the hull's."""
+    runs = plain_runs(evidence.rows)
+    facts = [fact for fact in evidence.scenes if fact.scene in runs]
+    head = ["scene", "what is hard", "Chamfer (hull)", "F (hull)", "normal error (hull)", "NC", "PSNR", "SSIM"]
+    cells = [[fact.scene, fact.what, *_beside_the_hull(runs[fact.scene], fact)] for fact in facts]
+    ratios = [(runs[f.scene].chamfer or 0) / f.hull_chamfer for f in facts if runs[f.scene].chamfer]
+    parts = [
+        "## The surface, beside what the masks alone give",
+        "The visual hull, which the masks give without any training, nearly solves such scenes: a result counts where "
+        "it beats the hull. `standard`, method `mgsr`:",
+        markdown(head, cells),
+    ]
+    if ratios:
+        parts.append(f"Chamfer is {min(ratios):.0%} to {max(ratios):.0%} of the hull's.")
+    return "\n\n".join([*parts, *_with_one_change(evidence)])
+
+
+def _beside_the_hull(row: Row, fact: SceneFacts) -> list[str]:
+    return [
+        f"{number(row.chamfer, '.2f')} ({fact.hull_chamfer:.2f})",
+        f"{number(row.f_score, '.3f')} ({fact.hull_f_score:.3f})",
+        f"{number(row.normal_error, '.1f')} ({fact.hull_normal_error:.1f})",
+        *(
+            number(value, form)
+            for value, form in ((row.normal_consistency, ".1f"), (row.psnr, ".1f"), (row.ssim, ".4f"))
+        ),
+    ]
+
+
+def _with_one_change(evidence: Evidence) -> list[str]:
+    """Runs without masks, and those before shading refined the surface."""
+    told, runs = [], plain_runs(evidence.rows)
+    for scene, row in plain_runs(evidence.rows, variant="masks=off").items():
+        beside = f" (with them {runs[scene].chamfer:.2f})" if scene in runs else ""
+        told.append(
+            f"Without masks, which is how it is for most photographs, {scene} has Chamfer {number(row.chamfer, '.2f')}"
+            f"{beside}, F {number(row.f_score, '.3f')}, normal error {number(row.normal_error, '.1f')}°, PSNR "
+            f"{number(row.psnr, '.1f')} dB."
+        )
+    shading = compare(runs, plain_runs(evidence.rows, variant=BEFORE_SHADING), "chamfer")
+    if shading is not None:
+        each = ", ".join(f"{scene} {gain:+z.2f}" for scene, gain in shading.gains.items())
+        told.append(f"What came with refining the surface by shading (and with all else since): Chamfer gains {each}.")
+    return told
+
+
+def _methods_section(evidence: Evidence) -> str:
+    """The plot of error over seconds, and the rows behind it."""
+    plain = [row for row in evidence.rows if not row.variant]
+    head = ["scene", "method", "preset", "seconds", "start", "train", "mesh", "PSNR", "on the object", "Chamfer", "NC"]
+    forms = (
+        *(("seconds", ".0f"), ("start_seconds", ".0f"), ("train_seconds", ".0f"), ("mesh_seconds", ".0f")),
+        *(("psnr", ".2f"), ("psnr_object", ".2f"), ("chamfer", ".2f"), ("normal_consistency", ".2f")),
+    )
+    cells = [
+        [row.scene, row.method, row.preset]
+        + [
+            number(getattr(row, field), form) + ("*" if field == "seconds" and is_busy(row) else "")
+            for field, form in forms
+        ]
+        for row in plain
+    ]
+    return "\n\n".join(
+        (
+            "## Speed against error",
+            "![Chamfer, normal consistency and PSNR over seconds, a column for each scene; a dot is a finished run, a "
+            f"dotted line the PSNR of some test views while it trained]({_image('error_seconds.svg')})",
+            markdown(head, cells),
+            "A star: others kept the machine busy meanwhile. The dotted lines are of two test views and the dots of "
+            "all, so a line need not end at its dot; Chamfer is drawn on a logarithmic scale.",
+            *_method_words(evidence),
+        )
+    )
+
+
+def _method_words(evidence: Evidence) -> list[str]:
+    told, mgsr = [], plain_runs(evidence.rows)
+    for other, score in (("3dgs", "psnr"), ("3dgs", "chamfer"), ("2dgs", "psnr"), ("2dgs", "chamfer")):
+        found = compare(mgsr, plain_runs(evidence.rows, other), score)
+        if found is not None:
+            told.append(f"- `mgsr` beside `{other}`: {found.words()}.")
+    return ["\n".join(told)] if told else []
+
+
+def _curve_section(evidence: Evidence) -> str:
+    """How soon each plain run was near its best."""
+    rows, cells = {row.key: row for row in evidence.rows}, []
+    for curve in evidence.curves:
+        row = rows.get(curve.key)
+        if row is None or row.variant or not curve.points:
+            continue
+        best, end = max(y for _, y in curve.points), curve.points[-1][0]
+        near = next(x for x, y in curve.points if y >= best - NEAR_BEST)
+        cells.append(
+            [row.scene, row.method, row.preset, f"{end:.0f}", f"{near:.0f}", f"{near / end:.0%}", f"{best:.2f}"]
+        )
+    if not cells:
+        return ""
+    head = ["scene", "method", "preset", "training, s", "near its best after, s", "share", "best, dB"]
+    return "\n\n".join(
+        (
+            "## Within a run",
+            f"When the PSNR of the two test views that the curve watches first came within {NEAR_BEST} dB of its best. "
+            "What training does after that must show in the surface, or it is wasted; a run that was near its best "
+            "only at its end would have gained from more. The two views decide nothing in the run itself, and no run "
+            "measures its Chamfer on the way.",
+            markdown(head, cells),
+        )
+    )
+
+
+def _light_section(evidence: Evidence) -> str:
+    rows = [row for row in evidence.rows if row.split_gain is not None and row.split_psnr is not None]
+    if not rows:
+        return ""
+    cells = [
+        [row.scene, row.variant or "-", f"{row.split_psnr:.2f}", f"{row.split_psnr - row.split_gain:.2f}",
+         f"{row.split_gain:+.2f}"]
+        for row in rows if row.split_psnr is not None and row.split_gain is not None
+    ]  # fmt: skip
+    return "\n\n".join(
+        (
+            "## How true the light split is",
+            "The same views path-traced without any gloss, against the transmitted half of the render and against the "
+            "photograph itself, on the object, after a gain of each channel. Below zero, the split does harm.",
+            markdown(["scene", "variant", "transmitted, dB", "photograph, dB", "split gain, dB"], cells),
+        )
+    )
+
+
+def _need_section(evidence: Evidence) -> str:
+    """Model size, time and memory from the simplest scene to the hardest."""
+    runs = plain_runs(evidence.rows)
+    ordered = [runs[fact.scene] for fact in evidence.scenes if fact.scene in runs]
+    cells = [
+        [row.scene, str(row.surfels), str(row.volumes), number(row.model_mib, ".1f"), str(row.faces),
+         number(row.memory_mib, ".0f"), number(row.seconds, ".0f") + ("*" if is_busy(row) else "")]
+        for row in ordered
+    ]  # fmt: skip
+    head = ["scene", "surfels", "volumes", "splats, MiB", "faces", "most memory, MiB", "seconds"]
+    return "\n\n".join(
+        (
+            "## Only what a scene needs",
+            "A simple scene should end as a simple model. From the simplest scene to the hardest (by the hull's "
+            "Chamfer):",
+            markdown(head, cells),
+            _size_words(ordered),
+            f"![Gaussians of both branches against each score]({_image('error_gaussians.svg')})",
+            f"![The most memory that each run held]({_image('memory.svg')})",
+        )
+    )
+
+
+def _size_words(rows: Sequence[Row]) -> str:
+    if len(rows) < 2:
+        return ""
+    sizes = [row.model_mib for row in rows if row.model_mib is not None]
+    full = [row for row in rows if row.surfels == max(other.surfels or 0 for other in rows)]
+    if len(full) == len(rows):
+        return (
+            f"It does not yet: every scene ends with the same {rows[0].surfels} surfels, the most that the preset "
+            f"allows, and with {min(sizes):.1f} to {max(sizes):.1f} MiB of splats."
+        )
+    first = rows[0].model_mib or 0
+    return f"The simplest scene's splats take {first:.1f} MiB, the largest model {max(sizes):.1f} MiB."
+
+
+def _making_section(evidence: Evidence) -> str:
+    machines = dict.fromkeys(row.machine for row in evidence.rows if row.machine)
+    commits = dict.fromkeys(row.commit for row in evidence.rows if row.commit)
+    return "\n\n".join(
+        (
+            "## How this was made",
+            f"Runs on {'; '.join(machines)}; program at {', '.join(commits)}. Every row of "
+            "[runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes "
+            "([as a page](../benchmarks/results/runs.md)). To run what is missing, take it into the results and make "
+            "this page anew:",
+            "```sh\n"
+            "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr,bunny_flash,wingnut_dark} -o out/bench \\\n"
+            "    --methods mgsr,2dgs,3dgs --presets draft,standard --evaluate ../shared/tools/evaluate.py \\\n"
+            "    --keep benchmarks/results\n"
+            "mgsr bench ../shared/data/scenes/{spot_soft,bunny_flash} -o out/bench --variant ablations \\\n"
+            "    --variant paper-choices --evaluate ../shared/tools/evaluate.py --keep benchmarks/results\n"
+            "PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster --keep benchmarks/results\n"
+            f"{COMMAND}\n"
+            "```",
+        )
+    )
+
+
+def _label(row: Row) -> str:
+    return " ".join(word for word in (row.scene, row.variant) if word)
+
+
+def _image(name: str) -> str:
+    return (IMAGES / name).as_posix()
+
+
+if __name__ == "__main__":
+    given = [Path(word) for word in sys.argv[1:]]
+    print(write_evidence(*given, *[Path("benchmarks/results"), Path("docs")][len(given) :]))

@@ -1,0 +1,69 @@
+"""The part of the evidence page on the kernels: time against error to float64."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mgsr.bench.kernel_results import KernelRow
+from mgsr.bench.table import markdown, number
+
+# Where an image is off by more than this, a splat crossed a threshold (1/255 of alpha) that it did not in float64.
+ROUNDING = 1e-4
+
+
+def kernel_section(rows: Sequence[KernelRow]) -> str:
+    """The table, the plot, and what they come to; empty without rows."""
+    if not rows:
+        return ""
+    notes = dict.fromkeys(f"{row.machine}, {row.commit}{': ' + row.note if row.note else ''}" for row in rows)
+    return "\n\n".join(
+        (
+            "## The kernels: time against error",
+            "Every kernel computes in float32; the errors are those against float64 (outputs in their own units, "
+            "gradients relative to the largest and to the mean true gradient of the same input). Times are "
+            f"milliseconds with all threads; CPU is what all threads spent together. {'; '.join(notes)}.",
+            "![Milliseconds against the largest error of each kernel and variant](images/evidence/kernels.svg)",
+            kernel_table(rows),
+            _words(rows),
+        )
+    )
+
+
+def kernel_table(rows: Sequence[KernelRow]) -> str:
+    """Every row."""
+    head = ["kernel", "variant", "timed on", "forward", "backward", "both, least", "CPU", "largest error", "mean error"]
+    head += ["gradient: largest", "mean", "against"]
+    return markdown(head, [_cells(row) for row in rows])
+
+
+def _cells(row: KernelRow) -> list[str]:
+    times = [number(value, ".2f") for value in (row.forward, row.backward, row.least, row.cpu)]
+    errors = [number(x, ".1e") for x in (row.error_max, row.error_mean, row.gradient_max, row.gradient_mean)]
+    return [row.kernel, row.variant, row.size, *times, *errors, row.witness]
+
+
+def _words(rows: Sequence[KernelRow]) -> str:
+    told = []
+    variants = list(dict.fromkeys(row.variant for row in rows))
+    fastest = variants[0]
+    gains = [
+        (other.cpu / row.cpu, row.kernel)
+        for row in rows
+        for other in rows
+        if (row.variant, other.variant, other.kernel) == (fastest, "baseline", row.kernel) and fastest != "baseline"
+    ]
+    if gains:
+        (low, slow), (high, quick) = min(gains), max(gains)
+        told.append(
+            f"`{fastest}` takes {1 / high:.0%} ({quick}) to {1 / low:.0%} ({slow}) of the baseline's processor time."
+        )
+    crossed = list(dict.fromkeys(row.kernel for row in rows if row.error_max > ROUNDING))
+    if crossed:
+        told.append(
+            f"Errors above {ROUNDING:.0e} are no rounding of colours but a splat that falls on the other side of a "
+            f"threshold, or a depth where hardly anything is seen: {', '.join(crossed)}."
+        )
+    lacking = [name for name in ("avx512", "cuda") if name not in variants]
+    if lacking:
+        told.append(f"Not measured, for want of such a machine: {', '.join(lacking)}.")
+    return " ".join(told)

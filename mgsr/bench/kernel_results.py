@@ -1,0 +1,72 @@
+"""Time and error of the kernels, as `benchmarks/kernels.py` measures them: a row for each kernel and variant."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import get_type_hints
+
+KERNELS = "kernels.csv"
+
+
+@dataclass(frozen=True)
+class KernelRow:
+    """One kernel in one variant (avx512, avx2, baseline: the processor's; cuda: a card's).
+
+    size: what the times are for. forward, backward, least, cpu: milliseconds; medians of each way, the least of both
+    together, and the median processor time of all threads. error_max, error_mean: of the output images or values
+    against float64. gradient_max, gradient_mean: of the gradients, relative to the largest and to the mean true
+    gradient of the same input; the worst input counts. None where there is none. witness: what float64 the errors are
+    against, on what.
+    """
+
+    kernel: str
+    variant: str
+    size: str
+    forward: float
+    backward: float | None
+    least: float
+    cpu: float
+    error_max: float
+    error_mean: float
+    gradient_max: float | None
+    gradient_mean: float | None
+    witness: str
+    commit: str
+    machine: str
+    note: str = ""
+
+    @property
+    def both(self) -> float:
+        """Milliseconds of forward and backward."""
+        return self.forward + (self.backward or 0.0)
+
+
+def write_kernels(path: Path, rows: Sequence[KernelRow]) -> None:
+    """Four digits of each figure."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(each.name for each in fields(KernelRow))
+        for row in rows:
+            writer.writerow(
+                "" if value is None else f"{value:.4g}" if isinstance(value, float) else value
+                for value in asdict(row).values()
+            )
+
+
+def read_kernels(path: Path) -> list[KernelRow]:
+    """What `write_kernels` wrote; no rows where there is no file."""
+    if not path.is_file():
+        return []
+    kinds = get_type_hints(KernelRow)
+    with open(path, newline="", encoding="utf-8") as file:
+        return [
+            KernelRow(**{name: text if kinds[name] is str else _figure(text) for name, text in row.items()})  # type: ignore[arg-type]
+            for row in csv.DictReader(file)
+        ]
+
+
+def _figure(text: str) -> float | None:
+    return float(text) if text else None

@@ -1,0 +1,108 @@
+"""docs/evidence.md is what the committed results give, and its judgements follow them."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from mgsr.bench.comparing import compare, plain_runs, seed_spread, verdict
+from mgsr.bench.evidence import IMAGES, PAGE, Evidence, SceneFacts, evidence_page, read_evidence, write_evidence
+from mgsr.bench.results import Curve, Row
+from tests.bench.samples import sample_row, sample_rows
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"
+MAKE = "make it anew: python -m mgsr.bench.evidence"
+
+
+def page_of(rows: list[Row], curves: tuple[Curve, ...] = ()) -> str:
+    scenes = [SceneFacts("apple", "round", 5.0, 0.8, 12.0), SceneFacts("pear", "less so", 10.0, 0.7, 13.0)]
+    return evidence_page(Evidence(rows, list(curves), scenes, []))
+
+
+def test_the_committed_page_is_what_the_committed_results_give() -> None:
+    assert evidence_page(read_evidence(RESULTS)) == (DOCS / PAGE).read_text(encoding="utf-8"), MAKE
+
+
+def test_the_committed_plots_are_what_the_committed_results_give(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="PLOTS NEED THE EXTRA bench")
+    write_evidence(RESULTS, tmp_path)
+    made = {path.name: path.read_bytes() for path in (tmp_path / IMAGES).iterdir()}
+    assert made == {path.name: path.read_bytes() for path in (DOCS / IMAGES).iterdir()}, MAKE
+
+
+def test_every_picture_of_the_page_is_there() -> None:
+    text = (DOCS / PAGE).read_text(encoding="utf-8")
+    named = {line.rpartition("](")[2].rstrip(")") for line in text.splitlines() if line.startswith("![")}
+    assert named == {path.relative_to(DOCS).as_posix() for path in (DOCS / IMAGES).iterdir()}
+
+
+def test_a_changed_result_changes_the_page(tmp_path: Path) -> None:
+    shutil.copytree(RESULTS, tmp_path / "results")
+    path = tmp_path / "results" / "scenes.csv"
+    path.write_text(path.read_text().replace(",6.54,", ",5.54,"))
+    assert "(5.54)" in evidence_page(read_evidence(tmp_path / "results"))
+
+
+def test_a_finding_holds_where_every_scene_says_so() -> None:
+    rows = sample_rows()  # K has half a dB less PSNR on both scenes
+    line = next(line for line in page_of(rows).splitlines() if "(row K)" in line)
+    assert "**holds**: PSNR better on 2, worse on 0 of 2 scenes (gain +0.50 dB in the mean" in line
+    assert "**does not hold**: Chamfer better on 0, worse on 0 of 2 scenes" in line
+
+
+def test_what_was_not_run_is_said_to_be_so() -> None:
+    page = page_of(sample_rows())
+    assert "| N | no TV losses | not run |" in page and "TV losses help (row N). Not run yet." in page
+    assert "Presets without any run here: high." in page and "paper-photo" in page
+
+
+def test_row_b_is_the_method_2dgs() -> None:
+    line = next(line for line in page_of(sample_rows()).splitlines() if line.startswith("| B |"))
+    assert "| 2 | 30.00 (-4.00) |" in line and "90.16 (-0.44)" in line
+
+
+def test_what_is_bad_comes_first_and_only_where_it_is_so() -> None:
+    page = page_of(sample_rows())
+    assert page.index("## What is weak") < page.index("## The surface")
+    assert "no better than that of the 2D branch alone: Chamfer better on 0, worse on 2" in page
+    better = [replace(row, chamfer=3.0) if row.method == "2dgs" else row for row in sample_rows()]
+    assert "no better than that of the 2D branch alone: Chamfer" not in page_of(better)
+    harmed = [*sample_rows(), sample_row("plum", split_psnr=28.0, split_gain=-1.25)]
+    assert "The light split does harm" not in page and "plum -1.25 dB" in page_of(harmed)
+
+
+def test_seconds_of_a_busy_machine_are_not_compared() -> None:
+    rows = [*sample_rows(), sample_row("apple", "L", seconds=350.0), sample_row("pear", "L", seconds=380.0)]
+    line = next(line for line in page_of(rows).splitlines() if "(row L)" in line)
+    assert "**holds**: time better on 2, worse on 0 of 2 scenes (gain +65 s in the mean" in line
+    busy = [replace(row, others=1.4) if row.variant == "L" else row for row in rows]
+    line = next(line for line in page_of(busy).splitlines() if "(row L)" in line)
+    assert "the machine was busy" in line and "+65" not in line
+
+
+def test_a_difference_smaller_than_that_of_seeds_does_not_count() -> None:
+    rows = [*sample_rows(), *(replace(sample_row(scene, psnr=36.0), seed=1) for scene in ("apple", "pear"))]
+    spread = seed_spread(rows, "psnr")
+    assert spread == pytest.approx(2**0.5)  # of 34 and 36
+    found = compare(plain_runs(rows), plain_runs(rows, variant="K"), "psnr")
+    assert verdict(found, spread) == "no difference beyond that of seeds" and verdict(found, 0.1) == "holds"
+
+
+def test_runs_of_different_commits_are_named_as_such() -> None:
+    rows = [replace(row, commit="def") if row.variant == "K" else row for row in sample_rows()]
+    assert "runs of different commits" in next(line for line in page_of(rows).splitlines() if "(row K)" in line)
+
+
+def test_when_a_run_was_near_its_best() -> None:
+    curve = Curve(sample_row("apple").key, ((50.0, 30.0), (120.0, 33.95), (200.0, 34.0)))
+    assert "| apple | mgsr | standard | 200 | 120 | 60% | 34.00 |" in page_of(sample_rows(), (curve,))
+
+
+def test_gains_are_those_of_the_rounded_figures() -> None:
+    first, second = ({"apple": sample_row("apple", chamfer=value)} for value in (2.5049, 2.5051))
+    found = compare(first, second, "chamfer")
+    assert found is not None and found.gains["apple"] == pytest.approx(0.01)

@@ -9,7 +9,6 @@ from contextlib import asynccontextmanager, suppress
 
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
-from fastapi.responses import RedirectResponse
 from redis import RedisError
 from redis.asyncio import Redis as AsyncRedis
 
@@ -29,7 +28,7 @@ from service.openapi import describe
 from service.parts import Parts
 from service.polls import Polls
 from service.problems import install
-from service.routes import artifacts, health, jobs, options, webhooks
+from service.routes import artifacts, health, jobs, options, page, webhooks
 from service.snapshots import Snapshots
 
 log = logging.getLogger("mgsr.service")
@@ -49,9 +48,8 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.parts = parts
     install(app)
-    for routes in (jobs.router, artifacts.router, options.router, webhooks.router, health.router):
+    for routes in (jobs.router, artifacts.router, options.router, webhooks.router, health.router, page.router):
         app.include_router(routes)
-    app.add_api_route("/", lambda: RedirectResponse("docs", 307), include_in_schema=False)
     # The last is asked first: the guard, the count, the polls, the routes.
     polled = next(route for route in jobs.router.routes if getattr(route, "endpoint", None) is jobs.get_job)
     app.add_middleware(Polls, keys=parts.keys, snapshots=parts.snapshots, route=polled)

@@ -26,9 +26,11 @@ _EXAMPLE: JsonDict = {
     "total": 3200,
     "progress": 0.61,
     "eta_seconds": 94.0,
+    "training_seconds": 142.5,
     "losses": {"l1": 0.02, "ssim": 0.05},
     "psnr": 29.4,
     "splats": {"surfels": 12000, "volumes": 9000},
+    "previews": {"render": 1200, "normals": 1200},
     "curve": [{"seconds": 20.0, "stage": "warmup_surfels", "iteration": 250, "loss": 0.12, "psnr": 24.1}],
     "queue_position": None,
     "attempt": 1,
@@ -68,9 +70,13 @@ class JobView(BaseModel):
     total: int | None = Field(None, description="Planned iterations of this stage.")
     progress: float = Field(0.0, ge=0, le=1)
     eta_seconds: float | None = Field(None, description="Estimated time left.")
+    training_seconds: float | None = Field(None, description="Spent in training so far.")
     losses: dict[str, float | None] = Field({}, description="The last iteration's loss terms, times their weights.")
     psnr: float | None = Field(None, description="dB on held-back views.")
     splats: dict[str, int] = {}
+    previews: dict[str, int] = Field(
+        {}, description="The pictures at previews/{name}.webp, and of which iteration of its stage each is."
+    )
     curve: list[CurvePoint] = []
     queue_position: int | None = Field(None, description="From 1; of a queued job.")
     attempt: int | None = None
@@ -90,8 +96,8 @@ class JobList(BaseModel):
 
 # Fields that are taken over from a worker's progress.
 _PROGRESS = (
-    *("step", "stage", "iteration", "total", "progress", "eta_seconds", "losses", "psnr", "splats", "curve"),
-    *("attempt", "memory_bytes"),
+    *("step", "stage", "iteration", "total", "progress", "eta_seconds", "training_seconds", "losses", "psnr"),
+    *("splats", "previews", "curve", "attempt", "memory_bytes"),
 )
 
 

@@ -26,7 +26,7 @@ def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Arti
         if path.is_file() and name not in _KEPT_BACK:
             store.upload(attempt_path(job, attempt, name), path)
             size = path.stat().st_size
-            artifacts.append(Artifact(name=name, size=size, sha256=_sha256(path), content_type=_type(path)))
+            artifacts.append(Artifact(name=name, size=size, sha256=_sha256(path), content_type=media_type(name)))
     return artifacts
 
 
@@ -41,5 +41,6 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _type(path: Path) -> str:
-    return _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "application/octet-stream"
+def media_type(name: str) -> str:
+    """Of a result file, by its name."""
+    return _TYPES.get(Path(name).suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"

@@ -41,6 +41,7 @@ class Reporter:
         self._begun = time.monotonic()
         self._last = float("-inf")
         self._curve: list[dict[str, Any]] = []
+        self._pictures: dict[str, int] = {}
         self._progress = 0.0
         self._after = AFTER_SECONDS
 
@@ -57,6 +58,7 @@ class Reporter:
     def _train(self, training: Progress) -> None:
         for name, picture in training.previews.items():
             self._write_preview(name, picture)
+            self._pictures[name] = training.iteration
         at_end = training.iteration == training.total
         if time.monotonic() - self._last < EVERY and not at_end:
             return
@@ -70,9 +72,11 @@ class Reporter:
             iteration=training.iteration,
             total=training.total,
             **self._place(BEFORE["train"] if left is None else self._reached(left, training.seconds), left),
+            training_seconds=round(training.seconds, 1),
             losses={name: _finite(value) for name, value in training.losses.items()},
             psnr=_finite(training.psnr),
             splats=training.counts,
+            previews=self._pictures,
             curve=self._curve,
         )
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Response
+from fastapi import APIRouter, Header, Path, Query, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import RedirectResponse, StreamingResponse
 from pydantic import BaseModel
@@ -15,6 +16,7 @@ from service.contract.records import Artifact, JobStatus
 from service.parts import Parts, PartsDep, SnapshotDep
 from service.problems import Problem, answers
 from service.ranges import parse_range
+from service.routes.page import REPORT_POLICY
 from service.snapshots import Snapshot
 
 router = APIRouter(prefix="/jobs/{job_id}", tags=["results"])
@@ -55,6 +57,9 @@ def _file(kind: str) -> dict[int | str, dict[str, Any]]:
 RangeHeader = Annotated[str | None, Header(alias="Range", max_length=200)]
 IfNoneMatch = Annotated[str | None, Header(max_length=1000)]
 IfRange = Annotated[str | None, Header(max_length=200)]
+Redirect = Annotated[
+    bool, Query(description="false: from this address itself, also where the store could send the file (no 307).")
+]
 
 
 @router.get("/artifacts", responses=answers(404, 422))
@@ -71,9 +76,10 @@ async def get_artifact(
     wanted: RangeHeader = None,
     if_none_match: IfNoneMatch = None,
     if_range: IfRange = None,
+    redirect: Redirect = True,
 ) -> Response:
     """A result file by its name in the list."""
-    return await _send(parts, snapshot, name, wanted, if_none_match, if_range)
+    return await _send(parts, snapshot, name, wanted, if_none_match, if_range, redirect)
 
 
 @router.get("/renders/{name:path}", response_class=Response, responses=_file("image/png"))
@@ -103,14 +109,24 @@ async def get_log(snapshot: SnapshotDep, parts: PartsDep) -> Response:
 @router.get(
     "/previews/{name}.webp",
     response_class=Response,
-    responses={200: {"description": "A picture.", "content": {"image/webp": {}}}, **answers(404, 422)},
+    responses={
+        200: {"description": "A picture.", "content": {"image/webp": {}}},
+        304: {"description": "Unchanged since the ETag that you gave."},
+        **answers(404, 422),
+    },
 )
 async def get_preview(
-    snapshot: SnapshotDep, parts: PartsDep, name: Annotated[str, Path(pattern="^[a-z_]{1,40}$", examples=["render"])]
+    snapshot: SnapshotDep,
+    parts: PartsDep,
+    name: Annotated[str, Path(pattern="^[a-z_]{1,40}$", examples=["render"])],
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """How a view looks now: `render`, `normals`, `transmitted` or `reflected`, refreshed during training."""
     data = await _from_last_attempt(parts, snapshot, f"previews/{name}.webp")
-    return Response(data, media_type="image/webp", headers={"Cache-Control": "no-cache"})
+    headers = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:32]}"', "Cache-Control": "no-cache"}
+    if if_none_match is not None and headers["ETag"] in if_none_match:
+        return Response(status_code=304, headers=headers)
+    return Response(data, media_type="image/webp", headers=headers)
 
 
 def _add_single(file: str, kind: str) -> None:
@@ -148,6 +164,7 @@ async def _send(
     wanted: str | None,
     if_none_match: str | None,
     if_range: str | None,
+    redirect: bool = True,
 ) -> Response:
     artifact = _find(snapshot, name)
     assert snapshot.outcome is not None and snapshot.outcome.attempt is not None
@@ -156,13 +173,15 @@ async def _send(
     headers = {"ETag": etag, "Accept-Ranges": "bytes", "Cache-Control": "private, no-cache"}
     if if_none_match is not None and (etag in if_none_match or if_none_match.strip() == "*"):
         return Response(status_code=304, headers=headers)
-    if parts.settings.signed_urls:
+    if redirect and parts.settings.signed_urls:
         address = await run_in_threadpool(parts.jobs.store.signed_url, key)
         if address is not None:
             return RedirectResponse(address, 307)
     span = None if if_range is not None and if_range != etag else parse_range(wanted, artifact.size)
     start, end = span or (0, artifact.size)
     headers["Content-Length"] = str(end - start)
+    if artifact.content_type.startswith("text/html"):
+        headers["Content-Security-Policy"] = REPORT_POLICY
     if span is not None:
         headers["Content-Range"] = f"bytes {start}-{end - 1}/{artifact.size}"
     body = parts.jobs.store.stream(key, start, end) if end > start else _nothing()

@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from service.contract.options import METHODS, PRESETS, SETTINGS, JobOptions
-from service.parts import OwnerDep
+from service.parts import OwnerDep, PartsDep
 from service.problems import answers
 
 router = APIRouter(tags=["options"])
@@ -21,9 +21,16 @@ class OptionsView(BaseModel):
     presets: dict[str, dict[str, str]] = Field(description="What each preset changes.")
     methods: dict[str, dict[str, str]] = Field(description="What each method changes.")
     settings: dict[str, dict[str, Any]] = Field(description="JSON schema of each single setting.")
+    max_upload: int = Field(description="Bytes that an archive may have.")
 
 
 @router.get("/options", responses=answers())
-async def get_options(owner: OwnerDep) -> OptionsView:
-    """The options' schema, the presets, and every single setting with its default."""
-    return OptionsView(options=JobOptions.model_json_schema(), presets=PRESETS, methods=METHODS, settings=SETTINGS)
+async def get_options(owner: OwnerDep, parts: PartsDep) -> OptionsView:
+    """The options' schema, the presets, every single setting with its default, and how large an archive may be."""
+    return OptionsView(
+        options=JobOptions.model_json_schema(),
+        presets=PRESETS,
+        methods=METHODS,
+        settings=SETTINGS,
+        max_upload=parts.settings.max_upload,
+    )

@@ -1,0 +1,111 @@
+// The service's API. Every method throws Problem, Unreachable, or the AbortError of its signal.
+
+import { Connection } from "./connection";
+import { Problem, Unreachable, isAbort, readProblem } from "./problem";
+import type { Artifact, JobList, Options } from "./types";
+
+const KEY = "mgsr-key";
+
+export class Service extends EventTarget {
+  readonly connection = new Connection();
+
+  /** The API key; it lasts as long as the browser's tab. */
+  get key(): string | null {
+    return sessionStorage.getItem(KEY);
+  }
+
+  set key(value: string | null) {
+    if (value === null) sessionStorage.removeItem(KEY);
+    else sessionStorage.setItem(KEY, value);
+  }
+
+  /** The headers that say who asks. */
+  get credentials(): Record<string, string> {
+    return this.key === null ? {} : { Authorization: `Bearer ${this.key}` };
+  }
+
+  /** The answer to a request, if it is no error. A refused key is also dispatched, as the event `key`. */
+  async request(path: string, init: RequestInit = {}): Promise<Response> {
+    const answer = await this.send(path, init);
+    if (answer.ok || answer.status === 304) return answer;
+    const problem = readProblem(answer.status, await answer.text());
+    this.refused(problem);
+    throw problem;
+  }
+
+  /** Note a problem of a request that was made elsewhere. */
+  refused(problem: Problem): void {
+    if (problem.status === 401) this.dispatchEvent(new CustomEvent("key", { detail: problem }));
+  }
+
+  options(): Promise<Options> {
+    return this.json("/options");
+  }
+
+  jobs(limit: number): Promise<JobList> {
+    return this.json(`/jobs?limit=${limit}`);
+  }
+
+  async cancel(job: string): Promise<void> {
+    await this.request(`/jobs/${job}`, { method: "DELETE" });
+  }
+
+  async retry(job: string): Promise<void> {
+    await this.request(`/jobs/${job}/retry`, { method: "POST" });
+  }
+
+  async remove(job: string): Promise<void> {
+    await this.request(`/jobs/${job}/data`, { method: "DELETE" });
+  }
+
+  async artifacts(job: string): Promise<Artifact[]> {
+    return (await this.json<{ artifacts: Artifact[] }>(`/jobs/${job}/artifacts`)).artifacts;
+  }
+
+  /** A result file. The service sends it itself: the page may not connect to the bucket behind it. */
+  async file(job: string, artifact: Artifact, progress?: (share: number) => void): Promise<Blob> {
+    const name = artifact.name.split("/").map(encodeURIComponent).join("/");
+    const answer = await this.request(`/jobs/${job}/artifacts/${name}?redirect=false`);
+    const chunks: Uint8Array<ArrayBuffer>[] = [];
+    let received = 0;
+    try {
+      for await (const chunk of answer.body!) {
+        chunks.push(chunk);
+        received += chunk.length;
+        progress?.(received / artifact.size);
+      }
+    } catch {
+      throw this.unreachable();
+    }
+    return new Blob(chunks, { type: artifact.content_type });
+  }
+
+  /** A picture of a job that trains, with its version; null while it has the version that is known. */
+  async preview(job: string, name: string, version: string): Promise<{ picture: Blob; version: string } | null> {
+    const answer = await this.request(`/jobs/${job}/previews/${name}.webp`, { headers: { "If-None-Match": version } });
+    if (answer.status === 304) return null;
+    return { picture: await answer.blob(), version: answer.headers.get("ETag") ?? "" };
+  }
+
+  async log(job: string): Promise<string> {
+    return (await this.request(`/jobs/${job}/log.txt`)).text();
+  }
+
+  private async json<T>(path: string): Promise<T> {
+    return (await this.request(path)).json() as Promise<T>;
+  }
+
+  private async send(path: string, init: RequestInit): Promise<Response> {
+    try {
+      return await fetch(path, { ...init, headers: { ...this.credentials, ...init.headers }, cache: "no-store" });
+    } catch (error) {
+      if (isAbort(error)) throw error;
+      throw this.unreachable();
+    }
+  }
+
+  private unreachable(): Unreachable {
+    this.connection.lost();
+    return new Unreachable();
+  }
+}

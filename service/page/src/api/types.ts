@@ -1,0 +1,102 @@
+// What the service sends, as /openapi.json describes it.
+
+export type JobStatus = "queued" | "running" | "succeeded" | "failed" | "cancelled";
+
+export interface CurvePoint {
+  /** Of training, so far. */
+  seconds: number;
+  stage: string;
+  iteration: number;
+  loss: number | null;
+  /** dB on held-back views. */
+  psnr: number | null;
+}
+
+export interface Failure {
+  code: string;
+  message: string;
+  retryable: boolean;
+  peak_memory_bytes: number | null;
+}
+
+/** What changes while a job runs: a progress event carries some of these. */
+export interface Progress {
+  status: JobStatus;
+  step: string | null;
+  message: string | null;
+  stage: string | null;
+  iteration: number | null;
+  total: number | null;
+  progress: number;
+  eta_seconds: number | null;
+  training_seconds: number | null;
+  losses: Record<string, number | null>;
+  psnr: number | null;
+  splats: Record<string, number>;
+  /** Each picture that there is, and after how many iterations of training it was made. */
+  previews: Record<string, number>;
+  attempt: number | null;
+  memory_bytes: number | null;
+}
+
+export interface Job extends Progress {
+  id: string;
+  name: string | null;
+  created: string;
+  finished: string | null;
+  cancelling: boolean;
+  curve: CurvePoint[];
+  queue_position: number | null;
+  round: number;
+  error: Failure | null;
+  metrics: Metrics;
+  options: JobOptions;
+}
+
+/** The headline figures of report.json. */
+export interface Metrics {
+  psnr_test?: number;
+  ssim_test?: number;
+  mesh?: { vertices?: number; faces?: number };
+  gaussians?: Record<string, number>;
+  seconds?: number | Record<string, number>;
+  peak_memory_mib?: number;
+}
+
+export type SettingValue = boolean | number | string | null;
+
+export interface JobOptions {
+  name?: string | null;
+  preset?: string;
+  method?: string;
+  settings?: Record<string, SettingValue>;
+}
+
+export interface JobList {
+  jobs: Job[];
+  next: string | null;
+}
+
+export interface Artifact {
+  name: string;
+  size: number;
+  sha256: string;
+  content_type: string;
+}
+
+/** The part of JSON schema that settings use. */
+export interface SettingSchema {
+  type?: "boolean" | "integer" | "number" | "string";
+  enum?: string[];
+  minimum?: number;
+  default?: SettingValue;
+  anyOf?: { type: string; minimum?: number }[];
+}
+
+export interface Options {
+  presets: Record<string, Record<string, string>>;
+  methods: Record<string, Record<string, string>>;
+  settings: Record<string, SettingSchema>;
+  /** Bytes that an archive may have. */
+  max_upload: number;
+}

@@ -1,0 +1,69 @@
+// The mesh of a GLB as MGSR writes it: one node, colours at the vertices.
+
+import { Box3, DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial } from "three";
+import { MeshStandardMaterial, Sphere, Vector3, type Material, type Object3D, type Quaternion } from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+
+/** colour: as it is, without lights; clay: grey under lights, for the shape. */
+export type Surface = "colour" | "clay" | "normals" | "wireframe";
+
+/** How the cameras' frame lies in the scene: turned, then moved by `shift`. */
+export interface Placement {
+  turn: Quaternion;
+  shift: Vector3;
+}
+
+export class MeshObject {
+  readonly object = new Group();
+  readonly bounds: Sphere;
+  private readonly materials: Record<Surface, Material> = {
+    colour: new MeshBasicMaterial({ vertexColors: true, side: DoubleSide }),
+    clay: new MeshStandardMaterial({ color: 0xb9b6b0, roughness: 0.75, side: DoubleSide }),
+    normals: new MeshNormalMaterial({ side: DoubleSide }),
+    wireframe: new MeshBasicMaterial({ color: 0x3a86c8, wireframe: true }),
+  };
+
+  constructor(
+    private readonly mesh: Mesh,
+    readonly placement: Placement,
+  ) {
+    this.object.add(mesh, new HemisphereLight(0xffffff, 0x8d8a85, 1.6), keyLight());
+    this.bounds = new Box3().setFromObject(mesh).getBoundingSphere(new Sphere());
+  }
+
+  /** Draw the surface so. */
+  show(surface: Surface): void {
+    this.mesh.material = this.materials[surface];
+  }
+
+  dispose(): void {
+    this.mesh.geometry.dispose();
+    for (const material of Object.values(this.materials)) material.dispose();
+  }
+}
+
+/** The mesh, moved to the scene's origin. Throws where there is none in the file. */
+export async function loadMesh(file: ArrayBuffer): Promise<MeshObject> {
+  const { scene } = await new GLTFLoader().parseAsync(file, "");
+  const mesh = firstMesh(scene);
+  // The node puts the positions into the cameras' frame; near the origin they keep their precision on the card.
+  const shift = mesh.position.clone().negate();
+  const turn = mesh.quaternion.clone();
+  mesh.position.set(0, 0, 0);
+  return new MeshObject(mesh, { turn, shift });
+}
+
+function firstMesh(scene: Object3D): Mesh {
+  let found: Mesh | undefined;
+  scene.traverse((node) => {
+    if (found === undefined && node instanceof Mesh) found = node;
+  });
+  if (found === undefined) throw new Error("mesh.glb has no mesh");
+  return found;
+}
+
+function keyLight(): DirectionalLight {
+  const light = new DirectionalLight(0xffffff, 1.8);
+  light.position.set(0.6, 1, 0.8);
+  return light;
+}

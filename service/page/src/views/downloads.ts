@@ -1,0 +1,72 @@
+// The result files.
+
+import type { Service } from "../api/service";
+import type { Artifact, Job } from "../api/types";
+import { h, setText } from "../parts/dom";
+import { bytes, percent } from "../parts/format";
+import { announce } from "../parts/notice";
+import { explain } from "../parts/words";
+
+const ABOUT: Record<string, string> = {
+  "mesh.glb": "Mesh for viewers and modelling programs, y up",
+  "mesh.ply": "Mesh in the frame of your cameras",
+  "splats_3d.ply": "3D Gaussians, for splat viewers",
+  "splats_2d.ply": "Flat Gaussians (surfels), for splat viewers",
+  "report.html": "The report, one file that needs nothing else",
+  "report.json": "The report's figures, for programs",
+};
+
+/** The section of all files. */
+export function downloadSection(service: Service, job: Job, artifacts: Artifact[]): HTMLElement {
+  const known = Object.keys(ABOUT);
+  const first = artifacts.filter(({ name }) => known.includes(name)).sort((a, b) => known.indexOf(a.name) - known.indexOf(b.name));
+  const rest = artifacts.filter(({ name }) => !known.includes(name));
+  return h(
+    "section",
+    { "aria-labelledby": "files-title" },
+    h("h2", { id: "files-title" }, "Downloads"),
+    listing(service, job, first),
+    rest.length > 0 && h("details", {}, h("summary", {}, `All other files (${rest.length})`), listing(service, job, rest)),
+  );
+}
+
+function listing(service: Service, job: Job, artifacts: Artifact[]): HTMLElement {
+  return h("ul", { class: "files" }, ...artifacts.map((artifact) => row(service, job, artifact)));
+}
+
+function row(service: Service, job: Job, artifact: Artifact): HTMLElement {
+  const state = h("span", {}, "Download");
+  const button = h("button", { type: "button", "aria-label": `Download ${artifact.name}` }, state);
+  button.addEventListener("click", async () => {
+    button.disabled = true;
+    try {
+      save(await service.file(job.id, artifact, (share) => setText(state, percent(share))), fileName(job, artifact));
+      setText(state, "Download");
+      announce(`${artifact.name} is downloaded`);
+    } catch (error) {
+      setText(state, "Try again");
+      announce(explain(error).headline);
+    }
+    button.disabled = false;
+  });
+  return h(
+    "li",
+    {},
+    h("span", { class: "name" }, artifact.name),
+    h("span", { class: "note" }, [ABOUT[artifact.name], bytes(artifact.size)].filter(Boolean).join(" · ")),
+    button,
+  );
+}
+
+/** "vase-mesh.glb" for the mesh of the job "vase". */
+function fileName(job: Job, artifact: Artifact): string {
+  const name = (job.name ?? "mgsr").replace(/[^\p{L}\p{N}._-]+/gu, "_");
+  return `${name}-${artifact.name.replaceAll("/", "-")}`;
+}
+
+function save(file: Blob, name: string): void {
+  const link = h("a", { href: URL.createObjectURL(file), download: name });
+  link.click();
+  // The browser has begun to read it by then.
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}

@@ -1,0 +1,161 @@
+// The light of a view, taken apart: what shows the object's own colour, what its surface mirrors, and their sum.
+
+import type { Service } from "../api/service";
+import type { Artifact, Job } from "../api/types";
+import { h, newId, setText } from "../parts/dom";
+import { errorBox } from "../parts/notice";
+
+const PARTS = ["", "_transmitted", "_reflected", "_weight"];
+const STOPS = [
+  { at: -100, name: "Own colour", note: "The object's own colour: what light passes through its surface and comes back, the same from every side." },
+  { at: 0, name: "Full", note: "The render: own colour, and reflections added." },
+  { at: 100, name: "Reflections", note: "What the surface mirrors, times the learnt weight that lets it through." },
+];
+
+/** Shows one view at a time; the slider goes from own colour over the sum to the reflections. */
+export class LightSplit {
+  readonly element: HTMLElement;
+  private readonly canvas = h("canvas", { role: "img" });
+  private readonly slider: HTMLInputElement;
+  private readonly note = h("p", { class: "note", "aria-live": "polite" });
+  private readonly trouble = h("div");
+  private layers: Layers | null = null;
+  private left = false;
+
+  /** The section; null where the job's light was not split. */
+  static of(service: Service, job: Job, artifacts: Artifact[]): LightSplit | null {
+    const held = new Map(artifacts.map((artifact) => [artifact.name, artifact]));
+    const views = artifacts
+      .filter(({ name }) => name.endsWith("_reflected.png"))
+      .map(({ name }) => name.slice(0, -"_reflected.png".length))
+      .filter((view) => PARTS.every((part) => held.has(`${view}${part}.png`)));
+    return views.length === 0 ? null : new LightSplit(service, job, held, views);
+  }
+
+  private constructor(
+    private readonly service: Service,
+    private readonly job: Job,
+    private readonly held: Map<string, Artifact>,
+    views: string[],
+  ) {
+    const id = newId();
+    this.slider = h("input", { type: "range", id, min: -100, max: 100, step: 5, value: 0 });
+    this.slider.addEventListener("input", () => this.draw());
+    const stops = STOPS.map(({ at, name }) => h("button", { type: "button", class: "quiet", onclick: () => this.go(at) }, name));
+    this.element = h(
+      "section",
+      { class: "light", "aria-labelledby": "light-title" },
+      h("h2", { id: "light-title" }, "The light, taken apart"),
+      this.trouble,
+      h(
+        "div",
+        { class: "split" },
+        h("div", { class: "tile" }, this.canvas),
+        h(
+          "div",
+          {},
+          h("p", {}, "Each render is a sum of two lights. The mesh takes its colours from the first alone, so no highlight is baked into it."),
+          h("label", { for: id }, "From own colour to reflections"),
+          this.slider,
+          h("div", { class: "stops" }, ...stops),
+          this.note,
+          this.viewChoice(views),
+        ),
+      ),
+    );
+    void this.load(views[0]!);
+  }
+
+  leave(): void {
+    this.left = true;
+  }
+
+  private viewChoice(views: string[]): HTMLElement | null {
+    if (views.length < 2) return null;
+    const id = newId();
+    const options = views.map((view) => h("option", { value: view }, view.replace(/^renders\/(test\/)?/, "")));
+    const choice = h("select", { id }, ...options);
+    choice.addEventListener("change", () => void this.load(choice.value));
+    return h("div", { class: "field" }, h("label", { for: id }, "Held-back view"), choice);
+  }
+
+  private go(at: number): void {
+    this.slider.value = `${at}`;
+    this.draw();
+  }
+
+  private async load(view: string): Promise<void> {
+    try {
+      const [full, transmitted, reflected, weight] = await Promise.all(PARTS.map((part) => this.picture(`${view}${part}.png`)));
+      if (this.left) return;
+      this.layers = { full: full!, transmitted: transmitted!, reflected: weighted(reflected!, weight!) };
+      this.canvas.width = full!.width;
+      this.canvas.height = full!.height;
+      this.draw();
+    } catch (error) {
+      this.trouble.replaceChildren(errorBox(error));
+    }
+  }
+
+  private async picture(name: string): Promise<ImageBitmap> {
+    return createImageBitmap(await this.service.file(this.job.id, this.held.get(name)!));
+  }
+
+  private draw(): void {
+    const at = this.slider.valueAsNumber;
+    const stop = STOPS[at < -50 ? 0 : at > 50 ? 2 : 1]!;
+    const share = at === 0 ? "" : at < 0 ? `, reflections at ${100 + at} %` : `, own colour at ${100 - at} %`;
+    this.slider.setAttribute("aria-valuetext", STOPS.some((one) => one.at === at) ? stop.name : `Own colour and reflections${share}`);
+    this.canvas.setAttribute("aria-label", `A held-back view: ${stop.name.toLowerCase()}`);
+    setText(this.note, stop.note);
+    if (this.layers !== null) paint(this.canvas.getContext("2d")!, this.layers, at / 100);
+  }
+}
+
+/** Pictures of one view, of one size. reflected: times the weight, to be added. */
+interface Layers {
+  full: ImageBitmap;
+  transmitted: ImageBitmap;
+  reflected: HTMLCanvasElement;
+}
+
+/** Draw the own colour at -1, the sum at 0, the reflections at 1, and what lies between. */
+function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): void {
+  const { width, height } = context.canvas;
+  context.globalCompositeOperation = "source-over";
+  context.globalAlpha = 1;
+  context.clearRect(0, 0, width, height);
+  if (at === 0) {
+    context.drawImage(layers.full, 0, 0); // as rendered, not rounded twice
+    return;
+  }
+  context.globalAlpha = Math.min(1, 1 - at);
+  context.drawImage(layers.transmitted, 0, 0);
+  context.globalCompositeOperation = "lighter";
+  context.globalAlpha = Math.min(1, 1 + at);
+  context.drawImage(layers.reflected, 0, 0);
+}
+
+/** The reflected light times its weight, opaque only as far as it is bright: the tile shows through where there is none. */
+function weighted(reflected: ImageBitmap, weight: ImageBitmap): HTMLCanvasElement {
+  const canvas = h("canvas", { width: reflected.width, height: reflected.height });
+  const context = canvas.getContext("2d", { willReadFrequently: true })!;
+  const weights = pixels(context, weight);
+  const light = pixels(context, reflected);
+  for (let i = 0; i < light.data.length; i += 4) {
+    const [red, green, blue] = [light.data[i]!, light.data[i + 1]!, light.data[i + 2]!];
+    const brightest = Math.max(red, green, blue, 1);
+    light.data[i] = (red * 255) / brightest;
+    light.data[i + 1] = (green * 255) / brightest;
+    light.data[i + 2] = (blue * 255) / brightest;
+    light.data[i + 3] = (brightest * weights.data[i]!) / 255;
+  }
+  context.putImageData(light, 0, 0);
+  return canvas;
+}
+
+function pixels(context: CanvasRenderingContext2D, picture: ImageBitmap): ImageData {
+  context.clearRect(0, 0, picture.width, picture.height);
+  context.drawImage(picture, 0, 0);
+  return context.getImageData(0, 0, picture.width, picture.height);
+}

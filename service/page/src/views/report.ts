@@ -1,0 +1,36 @@
+// The report, in a frame of its own (see report.html).
+
+import type { Service } from "../api/service";
+import type { Artifact, Job } from "../api/types";
+import { openDialog } from "../parts/dialog";
+import { h } from "../parts/dom";
+import { errorBox } from "../parts/notice";
+
+/** A button that opens the report. */
+export function reportButton(service: Service, job: Job, artifact: Artifact): HTMLElement {
+  const place = h("div");
+  const button = h("button", { type: "button" }, "Open the report");
+  button.addEventListener("click", async () => {
+    button.disabled = true;
+    place.replaceChildren();
+    try {
+      const report = await (await service.file(job.id, artifact)).text();
+      show(report);
+    } catch (error) {
+      place.replaceChildren(errorBox(error));
+    }
+    button.disabled = false;
+  });
+  return h("div", {}, button, place);
+}
+
+function show(report: string): void {
+  const frame = h("iframe", { src: "/page/report.html", sandbox: "allow-scripts", title: "Report" });
+  const ready = (event: MessageEvent) => {
+    if (event.source === frame.contentWindow && event.data === "ready") frame.contentWindow!.postMessage(report, "*");
+  };
+  addEventListener("message", ready);
+  const close = h("button", { type: "button", class: "close", onclick: () => dialog.close() }, "Close");
+  const dialog = openDialog("Report", "wide", close, frame);
+  dialog.addEventListener("close", () => removeEventListener("message", ready));
+}

@@ -1,0 +1,82 @@
+// The upload under way. It belongs to the whole page, so it goes on while the person looks at other jobs.
+
+import { isAbort } from "../api/problem";
+import type { Service } from "../api/service";
+import type { Job, JobOptions } from "../api/types";
+import { send } from "../api/upload";
+import type { Capture } from "../archive/capture";
+import { h, setText } from "../parts/dom";
+import { bytes, duration, percent } from "../parts/format";
+import { announce, errorBox } from "../parts/notice";
+
+export class UploadTray {
+  private running: AbortController | null = null;
+
+  /** place: where the upload shows; arrived: called with the job that was made. */
+  constructor(
+    private readonly service: Service,
+    private readonly place: HTMLElement,
+    private readonly arrived: (job: Job) => void,
+  ) {
+    addEventListener("beforeunload", (event) => {
+      if (this.running !== null) event.preventDefault();
+    });
+  }
+
+  /** Whether an upload is under way. */
+  get busy(): boolean {
+    return this.running !== null;
+  }
+
+  /** Send a capture; trouble is shown, with a way to try again. */
+  async start(capture: Capture, options: JobOptions, idempotencyKey: string = crypto.randomUUID()): Promise<void> {
+    const stop = new AbortController();
+    this.running = stop;
+    const { type, archive } = capture;
+    const progress = this.show(capture, stop);
+    announce(`Sending ${capture.name}`);
+    try {
+      const job = await send(this.service, { archive, type, options, idempotencyKey }, progress, stop.signal);
+      this.done();
+      announce(`${capture.name} has arrived`);
+      this.arrived(job);
+    } catch (error) {
+      this.done();
+      if (!isAbort(error)) this.fail(error, () => this.start(capture, options, idempotencyKey));
+      else announce("The upload was cancelled");
+    }
+  }
+
+  private show(capture: Capture, stop: AbortController): (sent: number) => void {
+    const bar = h("progress", { max: 1, value: 0, "aria-label": "Upload" });
+    const words = h("span", { class: "note" });
+    const begun = performance.now();
+    this.place.replaceChildren(
+      h(
+        "div",
+        { class: "card tray" },
+        h("p", {}, h("strong", {}, `Sending ${capture.name}`), words),
+        bar,
+        h("button", { type: "button", onclick: () => stop.abort() }, "Cancel the upload"),
+      ),
+    );
+    return (sent) => {
+      const share = Math.min(sent / capture.archive.size, 1);
+      const left = ((performance.now() - begun) / 1000 / share) * (1 - share);
+      bar.value = share;
+      const rest = share >= 1 ? "the service looks at it" : share > 0.02 ? `${duration(left)} left` : "";
+      setText(words, [`${percent(share)} of ${bytes(capture.archive.size)}`, rest].filter(Boolean).join(" · "));
+    };
+  }
+
+  private fail(error: unknown, again: () => void): void {
+    const retry = h("button", { type: "button", class: "main", onclick: again }, "Send it again");
+    const close = h("button", { type: "button", onclick: () => this.done() }, "Dismiss");
+    this.place.replaceChildren(errorBox(error, retry, close));
+  }
+
+  private done(): void {
+    this.running = null;
+    this.place.replaceChildren();
+  }
+}

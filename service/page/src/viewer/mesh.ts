@@ -1,7 +1,7 @@
 // The mesh of a GLB as MGSR writes it: one node, colours at the vertices.
 
-import { Box3, DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial } from "three";
-import { MeshStandardMaterial, Sphere, Vector3, type Material, type Object3D, type Quaternion } from "three";
+import { DirectionalLight, DoubleSide, Group, HemisphereLight, Mesh, MeshBasicMaterial, MeshNormalMaterial } from "three";
+import { MeshStandardMaterial, type Material, type Object3D, type Quaternion, type Sphere, type Vector3 } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 /** colour: as it is, without lights; clay: grey under lights, for the shape. */
@@ -28,7 +28,9 @@ export class MeshObject {
     readonly placement: Placement,
   ) {
     this.object.add(mesh, new HemisphereLight(0xffffff, 0x8d8a85, 1.6), keyLight());
-    this.bounds = new Box3().setFromObject(mesh).getBoundingSphere(new Sphere());
+    mesh.geometry.computeBoundingSphere();
+    mesh.updateWorldMatrix(true, false);
+    this.bounds = mesh.geometry.boundingSphere!.clone().applyMatrix4(mesh.matrixWorld);
   }
 
   /** Draw the surface so. */

@@ -13,6 +13,7 @@ export type Shown = "mesh" | "splats" | "both";
 
 const SHOWN: Record<Shown, string> = { mesh: "Mesh", splats: "Splats", both: "Side by side" };
 const SURFACES: Record<Surface, string> = { colour: "Colour", clay: "Clay", normals: "Normals", wireframe: "Wireframe" };
+const HINT = "Drag or arrow keys: turn. Wheel, pinch, plus and minus: zoom. Right button, two fingers, or Shift and arrows: move. Home: back.";
 const FIELD = 40; // degrees
 const FIRST_DIRECTION = new Vector3(0.55, 0.4, 1).normalize();
 // More pixels than that are not seen, but cost.
@@ -34,23 +35,25 @@ export class Viewer {
   private readonly splatScene = new Scene();
   private readonly watcher: ResizeObserver;
   private readonly divider = h("input", { type: "range", min: 0, max: 100, value: 50, "aria-label": "Where mesh and splats meet", class: "divider" });
+  private readonly hint = h("p", { class: "note hint", id: newId() }, HINT);
+  private readonly line = h("div", { class: "line" });
   private splats: SplatObject | null = null;
   private shown: Shown = "mesh";
   private due = 0;
+  private placed = false;
 
   constructor(
     private readonly renderer: WebGLRenderer,
     private readonly mesh: MeshObject,
     splatFile: ArrayBuffer | null,
   ) {
-    this.element = h("div", { class: "viewer" }, this.stage(), this.toolbar(splatFile));
+    this.element = h("div", { class: "viewer" }, this.stage(), this.toolbar(splatFile), this.hint);
     this.meshScene.add(mesh.object);
     this.controls = new OrbitControls(this.camera, renderer.domElement);
     this.controls.addEventListener("change", () => this.draw());
     byKeyboard(renderer.domElement, this.controls, mesh.bounds.radius, () => this.home());
     this.watcher = new ResizeObserver(() => this.fit());
     this.watcher.observe(this.element);
-    this.home();
     this.setSurface("colour");
     this.show("mesh");
   }
@@ -73,14 +76,12 @@ export class Viewer {
 
   private stage(): HTMLElement {
     const canvas = this.renderer.domElement;
-    const id = newId();
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
     canvas.setAttribute("aria-label", "Three-dimensional view");
-    canvas.setAttribute("aria-describedby", id);
+    canvas.setAttribute("aria-describedby", this.hint.id);
     this.divider.addEventListener("input", () => this.draw());
-    const hint = "Drag or arrow keys: turn. Wheel, pinch, plus and minus: zoom. Right button or Shift and arrows: move. Home: back.";
-    return h("div", { class: "tile stage" }, canvas, this.divider, h("p", { class: "note hint", id }, hint));
+    return h("div", { class: "tile stage" }, canvas, this.line, this.divider);
   }
 
   private toolbar(splatFile: ArrayBuffer | null): HTMLElement {
@@ -105,7 +106,7 @@ export class Viewer {
   private show(shown: Shown): void {
     this.shown = shown;
     this.element.dataset["shown"] = shown;
-    this.divider.hidden = shown !== "both";
+    this.divider.hidden = this.line.hidden = shown !== "both";
     this.draw();
   }
 
@@ -116,9 +117,10 @@ export class Viewer {
   }
 
   private home(): void {
+    this.placed = true;
     const { center, radius }: Sphere = this.mesh.bounds;
     const narrow = Math.min(1, this.camera.aspect);
-    const distance = (radius * 1.1) / Math.sin(((FIELD / 2) * Math.PI) / 180) / narrow;
+    const distance = (radius * 0.96) / Math.sin(((FIELD / 2) * Math.PI) / 180) / narrow;
     this.camera.position.copy(center).addScaledVector(FIRST_DIRECTION, distance);
     this.camera.near = radius / 100;
     this.camera.far = radius * 100;
@@ -135,6 +137,7 @@ export class Viewer {
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    if (!this.placed) this.home(); // only now is known how much fits
     this.draw();
   }
 
@@ -151,7 +154,9 @@ export class Viewer {
   private drawNow(): void {
     const { domElement: canvas } = this.renderer;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    const middle = this.shown === "both" ? (width * this.divider.valueAsNumber) / 100 : this.shown === "mesh" ? width : 0;
+    const share = this.divider.valueAsNumber / 100;
+    const middle = this.shown === "both" ? Math.round(width * share) : this.shown === "mesh" ? width : 0;
+    this.line.style.left = `${middle}px`;
     this.renderer.setScissorTest(true);
     if (middle > 0) this.drawPart(this.meshScene, 0, middle, height);
     if (middle < width) this.drawPart(this.splatScene, middle, width - middle, height);

@@ -5,6 +5,7 @@ import type { Artifact, Job } from "../api/types";
 import { h, setText } from "../parts/dom";
 import { bytes, percent } from "../parts/format";
 import { announce } from "../parts/notice";
+import { onPress } from "../parts/press";
 import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
@@ -37,8 +38,7 @@ function listing(service: Service, job: Job, artifacts: Artifact[]): HTMLElement
 function row(service: Service, job: Job, artifact: Artifact): HTMLElement {
   const state = h("span", {}, "Download");
   const button = h("button", { type: "button", "aria-label": `Download ${artifact.name}` }, state);
-  button.addEventListener("click", async () => {
-    button.disabled = true;
+  onPress(button, async () => {
     try {
       save(await service.file(job.id, artifact, (share) => setText(state, percent(share))), fileName(job, artifact));
       setText(state, "Download");
@@ -47,7 +47,6 @@ function row(service: Service, job: Job, artifact: Artifact): HTMLElement {
       setText(state, "Try again");
       announce(explain(error).headline);
     }
-    button.disabled = false;
   });
   return h(
     "li",

@@ -8,6 +8,7 @@ import { confirmed } from "../parts/dialog";
 import { h, setText } from "../parts/dom";
 import { moment } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
+import { pressButton } from "../parts/press";
 import { activity, statusWord } from "../parts/words";
 import { failureCard } from "./failure";
 import { LivePanel } from "./live";
@@ -125,18 +126,10 @@ class JobView {
   }
 
   private button(text: string, className: string, act: () => Promise<void>): HTMLButtonElement {
-    const button = h("button", { type: "button", class: className }, text);
-    button.addEventListener("click", async () => {
-      button.disabled = true;
+    return pressButton(text, className, async () => {
       this.trouble.replaceChildren();
-      try {
-        await act();
-      } catch (error) {
-        this.trouble.replaceChildren(errorBox(error));
-      }
-      button.disabled = false;
+      await act().catch((error: unknown) => this.trouble.replaceChildren(errorBox(error)));
     });
-    return button;
   }
 
   private async cancel(): Promise<void> {

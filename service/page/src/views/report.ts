@@ -5,21 +5,18 @@ import type { Artifact, Job } from "../api/types";
 import { openDialog } from "../parts/dialog";
 import { h } from "../parts/dom";
 import { errorBox } from "../parts/notice";
+import { pressButton } from "../parts/press";
 
 /** A button that opens the report. */
 export function reportButton(service: Service, job: Job, artifact: Artifact): HTMLElement {
   const place = h("div");
-  const button = h("button", { type: "button" }, "Open the report");
-  button.addEventListener("click", async () => {
-    button.disabled = true;
+  const button = pressButton("Open the report", "", async () => {
     place.replaceChildren();
     try {
-      const report = await (await service.file(job.id, artifact)).text();
-      show(report);
+      show(await (await service.file(job.id, artifact)).text());
     } catch (error) {
       place.replaceChildren(errorBox(error));
     }
-    button.disabled = false;
   });
   return h("div", {}, button, place);
 }

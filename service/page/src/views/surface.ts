@@ -5,6 +5,7 @@ import type { Artifact, Job } from "../api/types";
 import { h, setText } from "../parts/dom";
 import { bytes, percent } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
+import { onPress } from "../parts/press";
 import type { Viewer } from "../viewer/viewer";
 
 const SPLATS = ["splats_3d.ply", "splats_2d.ply"];
@@ -42,10 +43,8 @@ export class SurfaceSection {
     const state = h("span", {}, "Show in 3D");
     const size = h("span", { class: "note" }, bytes(mesh.size + (splats?.size ?? 0)));
     const button = h("button", { type: "button", class: "main" }, state);
-    button.addEventListener("click", () => {
-      button.disabled = true;
-      void this.open(mesh, splats, (share) => setText(state, share < 1 ? `Loading ${percent(share)}` : "Preparing"));
-    });
+    const progress = (share: number) => setText(state, share < 1 ? `Loading ${percent(share)}` : "Preparing");
+    onPress(button, () => this.open(mesh, splats, progress));
     this.stage.replaceChildren(h("div", { class: "invite" }, button, size));
     void this.addPoster();
   }

@@ -1,0 +1,79 @@
+"""A browser that keeps watch: over requests to other hosts, breaches of the page's policy, and errors."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, ConsoleMessage, Page, Request
+
+# As service.md has them: the drawing is done in software, where there is no graphics card.
+FLAGS = [
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+]
+# The browser itself notes each answer with an error status, and each connection that is refused.
+NETWORK_NOTE = "Failed to load resource"
+
+
+def find_chromium() -> str | None:
+    """The installed Chromium or Chrome."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    return next((path for name in names if (path := shutil.which(name)) is not None), None)
+
+
+@dataclass
+class Watch:
+    """What happened that must not."""
+
+    host: str
+    foreign: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+    def see_request(self, request: Request) -> None:
+        """Note a request that goes to another host."""
+        address = urlsplit(request.url)
+        if address.scheme in ("http", "https", "ws", "wss") and address.netloc != self.host:
+            self.foreign.append(request.url)
+
+    def see_message(self, message: ConsoleMessage) -> None:
+        """Note a warning or an error; a breach of the policy is one."""
+        if message.type in ("error", "warning") and not message.text.startswith(NETWORK_NOTE):
+            self.complaints.append(message.text)
+
+
+def until(page: Page, expression: str, seconds: float = 10.0) -> Any:
+    """The value of an expression once it is true. (Playwright's own waiting evaluates inside of the page, whose policy
+    forbids that.)"""
+    ends = time.monotonic() + seconds
+    while not (value := page.evaluate(expression)):
+        assert time.monotonic() < ends, expression
+        page.wait_for_timeout(50)
+    return value
+
+
+@contextmanager
+def watched_page(browser: Browser, url: str, **context: object) -> Iterator[Page]:
+    """A page in a profile of its own, at `url`; in the end nothing may have happened that must not."""
+    held = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **context})  # type: ignore[arg-type]
+    page = held.new_page()
+    page.set_default_timeout(20_000)
+    watch = Watch(urlsplit(url).netloc)
+    held.on("request", watch.see_request)
+    page.on("console", watch.see_message)
+    page.on("pageerror", lambda error: watch.complaints.append(str(error)))
+    page.goto(url)
+    try:
+        yield page
+    finally:
+        held.close()
+    assert not watch.foreign, watch.foreign
+    assert not watch.complaints, watch.complaints

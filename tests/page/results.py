@@ -1,0 +1,74 @@
+"""Results of a job that never ran, written by the library's own exporters: a coloured box, splats on it, one view."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.renders import RenderedView, write_view
+from mgsr.export.splats import write_splats
+
+METRICS = {
+    "psnr_test": 31.42,
+    "ssim_test": 0.951,
+    "mesh": {"vertices": 24, "faces": 12},
+    "gaussians": {"volumes": 400},
+    "seconds": {"total": 75.0},
+}
+# Far from the origin, as maps have it: the viewer must bring mesh and splats together there.
+MIDDLE = np.array([5.0, -3.0, 2.0])
+RED, SIZE = (0.85, 0.1, 0.1), 48
+TRANSMITTED, REFLECTED, WEIGHT = 0.5, 0.4, 0.5
+REPORT = (
+    "<!doctype html><style>p{color:green}</style><p id=text>before</p>"
+    "<script>document.getElementById('text').textContent='made-up report'</script>"
+)
+
+
+def make_results(folder: Path) -> dict[str, bytes]:
+    """Every result file by its name."""
+    box = trimesh.creation.box((2.0, 1.0, 1.0))
+    arrays = (box.vertices + MIDDLE, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
+    write_ply(folder / "mesh.ply", *arrays)
+    write_glb(folder / "mesh.glb", *arrays, up=UpAxis.Z)
+    write_splats(folder / "splats_3d.ply", _splats())
+    write_view(folder / "renders" / "test", "r_0", _view())
+    (folder / "report.html").write_text(REPORT)
+    (folder / "report.json").write_text(json.dumps(METRICS))
+    (folder / "log.txt").write_text("the made-up log")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _splats() -> dict[str, np.ndarray]:
+    """Opaque red blobs inside of the box."""
+    random = np.random.default_rng(0)
+    count = 400
+    sh = np.zeros((count, 4, 3))
+    sh[:, 0] = (np.array(RED) - 0.5) / 0.28209479177387814  # the constant basis function
+    return {
+        "means": MIDDLE + random.uniform(-1, 1, (count, 3)) * (0.9, 0.4, 0.4),
+        "quats": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+        "log_scales": np.full((count, 3), np.log(0.08)),
+        "opacity_logits": np.full(count, 6.0),
+        "sh": sh,
+    }
+
+
+def _view() -> RenderedView:
+    """A grey square with a reflection on its right half."""
+    flat = np.ones((SIZE, SIZE, 3))
+    right = np.zeros((SIZE, SIZE))
+    right[:, SIZE // 2 :] = WEIGHT
+    reflected = flat * REFLECTED
+    return RenderedView(
+        color=flat * TRANSMITTED + right[..., None] * reflected,
+        alpha=np.ones((SIZE, SIZE)),
+        transmitted=flat * TRANSMITTED,
+        reflected=reflected,
+        weight=right,
+        normal=flat,
+    )

@@ -1,0 +1,135 @@
+"""From a person's files to a job."""
+
+from __future__ import annotations
+
+import io
+import re
+import tarfile
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.contract.settings import Settings
+from service.contract.store import Store
+from tests.page.browser import until
+from tests.page.conftest import Opener
+from tests.service.stack import Stack
+from tests.worker.archives import zip_of
+
+pytestmark = pytest.mark.slow
+ARCHIVE = "input[type=file]:not([webkitdirectory])"
+FOLDER = "input[webkitdirectory]"
+
+
+def zip_file(name: str = "kettle.zip", size: int = 2000) -> dict[str, object]:
+    return {"name": name, "mimeType": "application/zip", "buffer": zip_of(("image.png", bytes(size)))}
+
+
+def start(page: Page) -> dict[str, object]:
+    """Press Start, wait for the job's page, and say what the service knows of the job."""
+    page.get_by_role("button", name="Start", exact=True).click()
+    page.wait_for_url(re.compile("#/jobs/"))
+    expect(page.locator("main").get_by_text("queue").first).to_be_visible()
+    job = page.url.rpartition("/")[2]
+    return page.evaluate("job => fetch('/jobs/' + job).then(answer => answer.json())", job)
+
+
+def sent(service: Stack, job: str) -> bytes:
+    """The archive as it lies in the store."""
+    store = Store(Settings(home=service.folder, redis_url=service.server.url).store_url, 5.0)
+    (key,) = [entry.key for entry in store.entries("uploads") if job in entry.key]
+    data = store.read(key)
+    assert data is not None
+    return data
+
+
+def members(archive: bytes) -> dict[str, bytes]:
+    with tarfile.open(fileobj=io.BytesIO(archive)) as held:
+        return {item.name: held.extractfile(item).read() for item in held}  # type: ignore[union-attr]
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    found = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
+    with visit() as page:
+        page.set_input_files(ARCHIVE, zip_file())
+        page.get_by_label("Name").fill("copper kettle")
+        page.get_by_role("radio", name="Draft").check()
+        page.get_by_text("More settings").click()
+        page.get_by_label("Method").select_option("2dgs")
+        page.get_by_label("Most triangles").fill("20000")
+        page.get_by_label("Masks").select_option("off")
+        page.get_by_label("Close holes").check()
+        job = start(page)
+        expect(page.get_by_role("heading", level=1)).to_have_text("copper kettle")
+    options = job["options"]
+    assert isinstance(options, dict)
+    assert (options["preset"], options["method"], options["name"]) == ("draft", "2dgs", "copper kettle")
+    assert options["settings"] == {"data.masks": "off", "mesh.max_faces": 20000, "mesh.close_holes": True}
+
+
+def test_a_folder_arrives_as_it_is(visit: Opener, service: Stack, capture_folder: Path) -> None:
+    """Witness: Python's own tarfile."""
+    with visit() as page:
+        page.set_input_files(FOLDER, capture_folder)
+        expect(page.locator("main").get_by_text("4 files")).to_be_visible()
+        job = start(page)
+    assert job["name"] == "Teekanne"
+    assert members(sent(service, str(job["id"]))) == files_of(capture_folder)
+
+
+def test_a_folder_can_be_dropped(visit: Opener, service: Stack, capture_folder: Path) -> None:
+    with visit() as page:
+        box = page.locator(".zone").bounding_box()
+        assert box is not None
+        devtools = page.context.new_cdp_session(page)
+        drop = {"items": [], "files": [str(capture_folder)], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            place = {"x": box["x"] + 50, "y": box["y"] + 50}
+            devtools.send("Input.dispatchDragEvent", {"type": kind, "data": drop, **place})
+        expect(page.locator("main").get_by_text("4 files")).to_be_visible()
+        job = start(page)
+    assert members(sent(service, str(job["id"]))) == files_of(capture_folder)
+
+
+def test_what_is_no_archive_is_refused_in_words(visit: Opener, service: Stack) -> None:
+    before = len(service.http.get("/jobs?limit=200").json()["jobs"])
+    with visit() as page:
+        page.set_input_files(ARCHIVE, {"name": "holiday.zip", "mimeType": "application/zip", "buffer": b"x" * 1000})
+        page.get_by_role("button", name="Start", exact=True).click()
+        alert = page.get_by_role("alert").filter(has_text="This is no zip, tar or tar.gz archive.")
+        expect(alert).to_be_visible()
+        alert.get_by_role("button", name="Dismiss").click()
+        expect(alert).to_have_count(0)
+    assert len(service.http.get("/jobs?limit=200").json()["jobs"]) == before
+
+
+def test_what_is_too_large_is_not_sent(visit: Opener) -> None:
+    with visit("/#/") as page:
+        page.route("**/options", lambda route: route.fulfill(json={**route.fetch().json(), "max_upload": 1000}))
+        page.reload()
+        page.set_input_files(ARCHIVE, zip_file(size=5000) | {"buffer": b"PK" + bytes(5000)})
+        expect(page.get_by_role("alert")).to_contain_text("This has 5.0 kB; the service takes at most 1.0 kB.")
+        expect(page.get_by_role("button", name="Start", exact=True)).to_have_count(0)
+
+
+def test_progress_is_shown_and_an_upload_can_be_cancelled(visit: Opener, service: Stack) -> None:
+    before = len(service.http.get("/jobs?limit=200").json()["jobs"])
+    with visit() as page:
+        devtools = page.context.new_cdp_session(page)
+        slow = {"offline": False, "latency": 0, "downloadThroughput": -1, "uploadThroughput": 200_000}
+        devtools.send("Network.enable")
+        devtools.send("Network.emulateNetworkConditions", slow)
+        page.set_input_files(ARCHIVE, zip_file() | {"buffer": b"PK" + bytes(2_000_000)})
+        page.get_by_role("button", name="Start", exact=True).click()
+        bar = page.get_by_role("progressbar", name="Upload")
+        expect(bar).to_be_visible()
+        until(page, "document.querySelector('#upload progress').value > 0.1")
+        assert 0.1 < float(bar.evaluate("bar => bar.value")) < 1
+        page.get_by_role("button", name="Cancel the upload").click()
+        expect(bar).to_have_count(0)
+    assert len(service.http.get("/jobs?limit=200").json()["jobs"]) == before

@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PY := $(BIN)/python
 
-.PHONY: setup demo test test-all test-service lint docs clean
+.PHONY: setup demo test test-all test-service lint page page-check docs clean
 setup: $(VENV)/.installed
 
 $(PY):
@@ -34,6 +34,18 @@ test-all: lint
 # The service's tests alone, with the slow ones: load, chaos, S3.
 test-service: setup
 	$(PY) -m pytest tests/service tests/worker
+
+# The web page's bundle, service/page/built, which is committed: only changing the page needs Node 20 and npm.
+page: service/page/node_modules/.installed
+	cd service/page && npm run --silent build
+
+# The page's types, and whether the committed bundle is what its sources give.
+page-check: service/page/node_modules/.installed
+	cd service/page && npm run --silent check
+
+service/page/node_modules/.installed: service/page/package.json service/page/package-lock.json
+	cd service/page && npm ci --ignore-scripts --no-audit --no-fund
+	touch $@
 
 # The documentation as a site, in build/site; broken links and pages that no menu names are errors.
 docs: setup

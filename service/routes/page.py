@@ -23,8 +23,8 @@ _TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _SMALL = 1024  # bytes, below which packing gains nothing
 
 # Everything comes from this service, and no text of the page is run. What Spark, which draws the splats, needs beyond:
-# its decoder is WebAssembly ('wasm-unsafe-eval'; eval stays forbidden), in a worker that it starts from a blob. Pictures
-# come from blobs too, because <img> can't send a key.
+# its decoder is WebAssembly ('wasm-unsafe-eval'; eval stays forbidden), in a worker that it starts from a blob.
+# Pictures come from blobs too, because <img> can't send a key.
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; worker-src blob:; frame-src 'self'; base-uri 'none'; form-action 'none'; "

@@ -22,7 +22,6 @@ def test_first_paint(browser: Browser, service: Stack) -> None:
         with watched_page(browser, service.url) as page:
             expect(page.get_by_role("heading", name="New reconstruction")).to_be_visible()
             times.append(until(page, FIRST_PAINT))
-    print(
-        f"first contentful paint: {statistics.median(times):.0f} ms in the middle, {min(times):.0f} to {max(times):.0f} ms"
-    )
+    middle = statistics.median(times)
+    print(f"first contentful paint: {min(times):.0f} to {max(times):.0f} ms, {middle:.0f} ms in the middle")
     assert min(times) < PROMISED_MS  # what else runs on the machine only adds

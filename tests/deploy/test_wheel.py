@@ -40,6 +40,8 @@ def test_the_wheel_has_what_is_needed_at_run_time_and_no_more(wheel: Path) -> No
     # NVRTC compiles these on the user's machine; the C++ files are done with.
     assert any(name.endswith(".cu") for name in names) and not any(name.endswith(".cpp") for name in names)
     assert not [name for name in names if "node_modules" in name]
+    page = {name.split("/")[2] for name in names if name.startswith("service/page/")}
+    assert page == {"built"} and "service/page/built/index.html" in names
     for text in ("LICENSE", "NOTICE", "THIRD_PARTY.md"):
         assert any(name.endswith(f"licenses/{text}") for name in names), text
 

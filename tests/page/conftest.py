@@ -12,6 +12,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from tests.page.browser import FLAGS, find_chromium, watched_page
 from tests.page.results import make_results
+from tests.service.conftest import tiny_archive as tiny_archive
 from tests.service.stack import Stack
 
 Opener = Callable[..., AbstractContextManager[Page]]

@@ -149,6 +149,9 @@ def test_progress_that_a_person_believes(stack: Stack, tiny_archive: bytes) -> N
     for name in ("render", "normals"):
         picture = _until_there(stack, f"/jobs/{job}/previews/{name}.webp")
         assert Image.open(io.BytesIO(picture.content)).size == (32, 32)
+    known = stack.job(job)
+    assert set(known["previews"]) == {"render", "normals"} and known["previews"]["render"] % 50 == 0
+    assert known["training_seconds"] >= later["training_seconds"] > 0
     assert b"surfels" in _until_there(stack, f"/jobs/{job}/log.txt").content
     assert stack.http.get(f"/jobs/{job}/mesh.ply").json()["code"] == "no_results"
     stack.http.delete(f"/jobs/{job}")

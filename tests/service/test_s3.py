@@ -108,6 +108,9 @@ def test_results_come_from_the_bucket_itself(
         assert answer.status_code == 307
         part = httpx.get(answer.headers["Location"], headers={"Range": "bytes=0-2"})
         assert (part.status_code, part.content) == (206, b"ply")
+        direct = f"/jobs/{job}/artifacts/mesh.ply?redirect=false"
+        part = stack.http.get(direct, headers={"Range": "bytes=0-2"})
+        assert (part.status_code, part.content) == (206, b"ply")
         assert [listed["id"] for listed in stack.http.get("/jobs").json()["jobs"]] == [job]
         assert b"done in" in stack.http.get(f"/jobs/{job}/log.txt").content
         assert not (tmp_path / "store").exists()

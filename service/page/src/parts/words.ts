@@ -123,7 +123,9 @@ export function explain(error: unknown): { headline: string; detail: string | nu
   if (error instanceof Unreachable) return { headline: "The service does not answer right now.", detail: null };
   if (error instanceof Problem) {
     const headline = troubleWord(error.code);
-    return headline === null ? { headline: error.detail, detail: null } : { headline, detail: error.detail };
+    if (headline === null) return { headline: error.detail, detail: null };
+    // What the service says of a missing key is for programs.
+    return { headline, detail: error.status === 401 ? null : error.detail };
   }
   return { headline: "The page has a defect; reloading it may help.", detail: String(error) };
 }

@@ -7,7 +7,7 @@ import { errorBox } from "../parts/notice";
 
 const PARTS = ["", "_transmitted", "_reflected", "_weight"];
 const STOPS = [
-  { at: -100, name: "Own colour", note: "The object's own colour: what light passes through its surface and comes back, the same from every side." },
+  { at: -100, name: "Own colour", note: "The object's own colour, the same from every side." },
   { at: 0, name: "Full", note: "The render: own colour, and reflections added." },
   { at: 100, name: "Reflections", note: "What the surface mirrors, times the learnt weight that lets it through." },
 ];
@@ -134,6 +134,10 @@ function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): v
   context.globalCompositeOperation = "lighter";
   context.globalAlpha = Math.min(1, 1 + at);
   context.drawImage(layers.reflected, 0, 0);
+  // Light alone shows only in the dark: the tile behind it fades with the own colour.
+  context.globalCompositeOperation = "destination-over";
+  context.globalAlpha = Math.max(0, at);
+  context.fillRect(0, 0, width, height);
 }
 
 /** The reflected light times its weight, opaque only as far as it is bright: the tile shows through where there is none. */

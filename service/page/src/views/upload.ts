@@ -54,12 +54,14 @@ export class UploadTray {
     this.place.replaceChildren(
       h(
         "div",
-        { class: "card tray" },
+        { class: "card tray", tabindex: -1 },
         h("p", {}, h("strong", {}, `Sending ${capture.name}`), words),
         bar,
         h("button", { type: "button", onclick: () => stop.abort() }, "Cancel the upload"),
       ),
     );
+    // The button that had the keyboard's focus is gone. Not to the new one: a second Enter would cancel.
+    this.place.querySelector<HTMLElement>(".tray")!.focus();
     return (sent) => {
       const share = Math.min(sent / capture.archive.size, 1);
       const left = ((performance.now() - begun) / 1000 / share) * (1 - share);

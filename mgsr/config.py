@@ -154,7 +154,7 @@ class RatesConfig:
     weight: float = 5e-2  # the reflection weight's logit
     scale: float = 1e-2  # log-scale; published 5e-3
     rotation: float = 4e-3  # published 1e-3
-    final: float = 1.0  # factor that every rate but the position's has reached at the end
+    final: float = 0.1  # factor that every rate but the position's has reached at the end; published 1
     beta1: float = 0.9
     beta2: float = 0.999
     eps: float = 1e-15
@@ -212,14 +212,36 @@ class VolumeConfig:
     max_start: int = 10_000  # splats; more starting points are thinned to this, by the seed
     start_opacity: float = 0.5
     start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
-    start_weight: float = 0.1  # beta; must lie inside (0, 1)
-    start_reflected: float = 0.2  # grey of the reflected colour, 0..1
+    start_weight: float = 0.4  # beta; must lie inside (0, 1)
+    start_reflected: float = 0.05  # grey of the reflected colour, 0..1
     transmitted_tv_weight: float = 0.05  # lambda_2: 1 in the paper, 0.1 in the published program
     depth_tv_weight: float = 0.0  # the published program has 0.05
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
     densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000))
+
+
+class Mirror(StrEnum):
+    """Whether the splats share maps of what the surface mirrors. auto: unless the start has found that neither a flash
+    nor mirrored surroundings explain how brightness changes from view to view; needs both branches and the split."""
+
+    AUTO = "auto"
+    ON = "on"
+    OFF = "off"
+
+
+@dataclass(frozen=True)
+class MirrorConfig:
+    """The light that the surface mirrors, the same for all splats: their reflected colour is added to it."""
+
+    use: Mirror = Mirror.AUTO
+    side: int = 64  # texels along a map's side
+    start: float = 0.007  # the maps' light, 0..1
+    rate: float = 0.03  # learning rate of the light's logits
+    final: float = 0.1  # factor that the rate has reached at the end
+    smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
+    weight_hold: float = 5e-7  # pull of each splat's reflection weight to its start
 
 
 @dataclass(frozen=True)
@@ -243,7 +265,7 @@ class WarmupConfig:
 class MutualConfig:
     """Both branches teach each other (supplement, Algorithm 2)."""
 
-    iterations: int = 3200
+    iterations: int = 1600
     iterations_factor: float = 1.0  # times `iterations`; Models G to J
     surfel_weight: float = 0.5  # of L_2D in the total
     volume_weight: float = 0.5  # of L_3D in the total
@@ -281,6 +303,7 @@ class TrainConfig:
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
     volumes: VolumeConfig = field(default_factory=VolumeConfig)
+    mirror: MirrorConfig = field(default_factory=MirrorConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
@@ -409,7 +432,7 @@ def validate(config: Config) -> None:
     ):
         if degree > 3:
             raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
-    for path in ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight"):
+    for path in ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
     for path in field_types(config):

@@ -6,21 +6,27 @@ from dataclasses import dataclass
 
 import torch
 
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 
 
 @dataclass(frozen=True)
 class Models:
-    """The branches in the scene's frame; None for one that the method lacks. At least one is there."""
+    """The branches in the scene's frame; None for one that the method lacks. At least one is there. light: what the
+    surface mirrors, None where that has no use."""
 
     surfels: SurfelModel | None
     volumes: VolumeModel | None
+    light: MirroredLight | None = None
 
     def to(self, device: torch.device) -> Models:
         """The same on a device."""
-        surfels = None if self.surfels is None else self.surfels.to(device)
-        return Models(surfels, None if self.volumes is None else self.volumes.to(device))
+        return Models(
+            None if self.surfels is None else self.surfels.to(device),
+            None if self.volumes is None else self.volumes.to(device),
+            None if self.light is None else self.light.to(device),
+        )
 
     @property
     def counts(self) -> dict[str, int]:

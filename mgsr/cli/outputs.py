@@ -17,8 +17,10 @@ from mgsr.cli.whole import whole
 from mgsr.data.scene import Scene
 from mgsr.errors import MgsrError
 from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import SurfaceMesh
@@ -32,6 +34,7 @@ MESH = "mesh.ply"
 MESH_GLB = "mesh.glb"
 SURFELS = "splats_2d.ply"
 VOLUMES = "splats_3d.ply"
+LIGHT = "mirrored_light.npz"
 RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
@@ -49,7 +52,7 @@ def clear_reports(out: Path) -> None:
 
 
 def write_models(out: Path, models: Models, scene: Scene) -> None:
-    """The branches as splat files; a branch that is not there leaves none, also none of an earlier run."""
+    """The branches as splat files, and the light; what is not there leaves none, also none of an earlier run."""
     for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
         if model is None:
             (out / name).unlink(missing_ok=True)
@@ -57,6 +60,11 @@ def write_models(out: Path, models: Models, scene: Scene) -> None:
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
         with whole(out / name) as path:
             write_splats(path, arrays, scene.user_from_scene)
+    if models.light is None:
+        (out / LIGHT).unlink(missing_ok=True)
+        return
+    with whole(out / LIGHT) as path:
+        write_mirrored_light(path, models.light.maps().numpy())
 
 
 def read_models(out: Path, scene: Scene) -> Models:
@@ -66,7 +74,8 @@ def read_models(out: Path, scene: Scene) -> Models:
         raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
     surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
     volumes = VolumeModel(**found[VOLUMES]) if VOLUMES in found else None
-    return Models(surfels, volumes)
+    light = MirroredLight.of(load_mirrored_light(out / LIGHT)) if (out / LIGHT).exists() else None
+    return Models(surfels, volumes, light)
 
 
 def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene) -> None:

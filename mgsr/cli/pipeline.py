@@ -73,7 +73,7 @@ def run_scene(
     scene = _load(scene_path, out, config, step)
     start = _start(scene, config, step)
     trained = _train(scene, start, config, out, step, chosen, resume, deadline)
-    models = Models(trained.surfels, trained.volumes).to(chosen.torch)
+    models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
     with step("render", f"rendering {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
         outputs.write_renders(out, rendered, scene)
@@ -167,5 +167,5 @@ def _train(
             device=device.torch,
         )
     with step("export", "writing the splats"):
-        outputs.write_models(out, Models(trained.surfels, trained.volumes), scene)
+        outputs.write_models(out, Models(trained.surfels, trained.volumes, trained.light), scene)
     return trained

@@ -18,9 +18,8 @@ from mgsr.export.renders import straight_color
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.render.both import render_both
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
 
 # Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
 MASK_SIDE = 800
@@ -91,9 +90,7 @@ def _surface_view(models: Models, camera: Camera, config: Config) -> SurfaceView
 
 
 def _see(models: Models, camera: Camera, depth: bool) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    flat = None if models.surfels is None else render_surfels(models.surfels, camera)
-    full = None if models.volumes is None else render_volumes(models.volumes, camera, depth=depth)
-    return flat, full
+    return render_both(models.surfels, models.volumes, models.light, camera, depth=depth)
 
 
 def _surface(

@@ -32,7 +32,8 @@ def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, re
 def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
     """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness."""
     settings = config.volumes
-    terms = {"volumes.photo": _photo(outputs.color, target.color, target, config)}
+    # Photographs clip: where they are white, a render that is brighter is as right as one that is white.
+    terms = {"volumes.photo": _photo(outputs.color.clamp(max=1), target.color, target, config)}
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
     if config.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
@@ -40,8 +41,7 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) ->
         tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
     if settings.reflected_cost and outputs.reflected is not None:
-        # The two lights are never negative, so their difference's mean is the added light's L1 norm.
-        terms["volumes.reflected_cost"] = settings.reflected_cost * (outputs.color - outputs.transmitted).mean()
+        terms["volumes.reflected_cost"] = settings.reflected_cost * _added_by_splats(outputs)
     if config.tv and settings.depth_tv_weight:
         tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))
         terms["volumes.depth_tv"] = settings.depth_tv_weight * tv
@@ -103,6 +103,14 @@ def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None
 ) -> Tensor:
     return image_loss(image, other, l1_weight=config.l1_weight, mask=where, region=target.region)
+
+
+def _added_by_splats(outputs: VolumeOutputs) -> Tensor:
+    """The mean of the reflected light that splats add of their own. It is never negative, so this is its L1 norm."""
+    added = (outputs.color - outputs.transmitted).mean()
+    if outputs.mirrored is None or outputs.weight is None:
+        return added
+    return added - (outputs.weight * outputs.mirrored.mean(dim=-1)).mean()
 
 
 def _rendered(depth: Tensor | None) -> Tensor:

@@ -34,7 +34,8 @@ class VolumeOutputs:
     """The 3D branch seen by one camera.
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
-    weight [H,W], None without a light split; depth [H,W] camera z, 0 where nothing is, None if not asked for; alpha
+    weight [H,W], None without a light split; mirrored [H,W,3]: the share of reflected that is the shared light's, None
+    without one; depth [H,W] camera z, 0 where nothing is, None if not asked for; alpha
     [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
     """
 
@@ -45,6 +46,7 @@ class VolumeOutputs:
     depth: Tensor | None
     alpha: Tensor
     stats: Any
+    mirrored: Tensor | None = None
 
 
 def camera_center(camera: Camera, device: torch.device) -> Tensor:

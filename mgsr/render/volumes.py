@@ -21,12 +21,14 @@ def render_volumes(
     degree: int | None = None,
     refl_degree: int | None = None,
     depth: bool = True,
+    mirrored: Tensor | None = None,
 ) -> VolumeOutputs:
     """The Gaussians seen by any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
-    the reflected colours, by default all that is stored; depth: off saves its time. Gradients flow to the model's
-    tensors where these ask for them.
+    the reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is
+    added to the reflected colour (see `mgsr.render.mirrored`). Gradients flow to the model's tensors, and to the
+    mirrored light, where these ask for them.
     """
     center = camera_center(camera, model.means.device)
     raster = rasterize_volumes(
@@ -40,10 +42,12 @@ def render_volumes(
         reflected=_reflected(model, center, refl_degree),
         options=VolumeOptions(depth=depth),
     )
-    color = raster.color
-    if raster.reflected is not None and raster.weight is not None:
-        color = add_reflection(raster.color, raster.reflected, raster.weight)
-    return VolumeOutputs(color, raster.color, raster.reflected, raster.weight, raster.depth, raster.alpha, raster.stats)
+    color, reflected = raster.color, raster.reflected
+    if reflected is not None and raster.weight is not None:
+        reflected = reflected if mirrored is None else reflected + mirrored
+        color = add_reflection(raster.color, reflected, raster.weight)
+    lights = (color, raster.color, reflected, raster.weight)
+    return VolumeOutputs(*lights, raster.depth, raster.alpha, raster.stats, mirrored)
 
 
 def add_reflection(transmitted: Tensor, reflected: Tensor, weight: Tensor) -> Tensor:

@@ -50,12 +50,14 @@ class StartSource(StrEnum):
 @dataclass(frozen=True)
 class StartingPoints:
     """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
-    the surface is known, else None."""
+    the surface is known, else None; shiny: whether a flash, or mirrored surroundings, explain how brightness changes
+    from view to view, None where that was not looked at."""
 
     positions: np.ndarray
     colors: np.ndarray
     source: StartSource
     normals: np.ndarray | None = None
+    shiny: bool | None = None
 
 
 def starting_points(scene: Scene, count: int, seed: int) -> StartingPoints:
@@ -125,11 +127,11 @@ def _hull_points(
     vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
     vertices = carve_by_color(vertices, faces, views)
     rims = [find_outline(outline) for outline in outlines]
-    vertices = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, SHADING_REACH, SHADING_PASSES).vertices
-    positions, normals = _sample(vertices, faces, count, generator)
+    refined = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, SHADING_REACH, SHADING_PASSES)
+    positions, normals = _sample(refined.vertices, faces, count, generator)
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
-    return StartingPoints(positions, colors, StartSource.HULL, normals)
+    return StartingPoints(positions, colors, StartSource.HULL, normals, refined.light is not Light.UNKNOWN)
 
 
 def _sample(

@@ -1,9 +1,8 @@
-"""One branch in training: its model, optimiser, densification and what it renders."""
+"""One branch in training: its splats, which densification adds to and takes from."""
 
 from __future__ import annotations
 
-from dataclasses import fields
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -18,51 +17,47 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
+from mgsr.training.trained import Trained
 
-Model = TypeVar("Model", SurfelModel, VolumeModel)
-Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
+Splats = TypeVar("Splats", bound=SurfelModel | VolumeModel)
 # Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
 # together there.
 ORDER_EVERY = 2000
 
 
-class Branch(Generic[Model]):
-    """A model with everything that changes it. `name` is surfels or volumes; extent: the scene's, in its unit."""
+class Branch(Trained[Splats]):
+    """A branch's splats with everything that changes them. `name` is surfels or volumes; extent: the scene's, in its
+    unit."""
 
     def __init__(
         self,
         name: str,
-        model: Model,
+        model: Splats,
         rates: RatesConfig,
         densify: DensifyConfig,
         extent: float,
         generator: torch.Generator,
     ) -> None:
-        self.name = name
-        self.model: Model = model
-        self.rates = rates
+        self.settings = rates
         self.densify = densify
         self.extent = extent
         self.generator = generator
-        self.steps = 0
-        self.optimizer = self._make_optimizer(model.parameters())
+        super().__init__(name, model)
         self.densify_state = DensifyState.empty(len(model), self.device)
-        self._adopt()
 
-    @property
-    def device(self) -> torch.device:
-        """Where the splats are."""
-        return self.model.means.device
+    def rates(self, progress: float) -> dict[str, float]:
+        """See `Trained`."""
+        return rates_at(progress, self.settings, self.extent)
 
-    def step(self, progress: float) -> None:
-        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
-        rates = rates_at(progress, self.rates, self.extent)
-        for name in self.optimizer.params:
-            self.optimizer.set_lr(name, rates[name])
-        self.optimizer.step()
-        for tensor in self.optimizer.params.values():
-            tensor.grad = None
-        self.steps += 1
+    def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
+        """See `Trained`."""
+        return FusedAdam(
+            parameters,
+            {name: rate for name, rate in self.rates(0.0).items() if name in parameters},
+            lr_scales={name: rest_scale(parameters[name], self.settings) for name in SH_NAMES if name in parameters},
+            betas=(self.settings.beta1, self.settings.beta2),
+            epsilon=self.settings.eps,
+        )
 
     def gather(self, stats: Any, width: int, height: int, weight: float) -> None:
         """Note one image's screen-space gradients for densification (see `DensifyState.gather`)."""
@@ -79,7 +74,7 @@ class Branch(Generic[Model]):
             )
         self.optimizer.keep(change.kept)
         self.optimizer.extend(change.added)
-        self._adopt()
+        self.adopt()
         self.densify_state = DensifyState.empty(len(self.model), self.device)
         if self.device.type != "cpu" and self.steps % ORDER_EVERY < self.densify.every:
             self.reorder()
@@ -87,60 +82,19 @@ class Branch(Generic[Model]):
     def reorder(self) -> None:
         """Put neighbours in space next to each other in memory. For when nothing is gathered of the splats."""
         self.optimizer.keep(morton_order(self.model.means.detach()))
-        self._adopt()
+        self.adopt()
 
     def reset_opacities(self) -> None:
         """Lower every opacity and forget the optimiser's momentum there."""
         for name, lowered in lowered_opacities(self.model.parameters(), self.densify.reset_opacity).items():
             self.optimizer.replace(name, lowered)
 
-    def skip_step(self) -> None:
-        """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
-        for tensor in self.optimizer.params.values():
-            tensor.grad = None
-        self.steps += 1
-
-    def tensors(self, kind: Kind) -> dict[str, Tensor]:
-        """The parameters' values, or the gradients of those that have one, by name."""
-        if kind == "values":
-            return {name: tensor.detach() for name, tensor in self.optimizer.params.items()}
-        return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
-
-    def bad(self, kind: Kind) -> list[str]:
-        """Names of the parameters whose value, or gradient, is not finite or has a square that is not."""
-        tensors = self.tensors(kind).items()
-        return [f"{self.name}.{name}" for name, tensor in tensors if not bool(tensor.square().sum().isfinite())]
-
     def state(self) -> dict[str, Any]:
         """Everything that the next iteration depends on, for a checkpoint."""
-        return {
-            "parameters": {name: tensor.detach() for name, tensor in self.optimizer.params.items()},
-            "optimizer": self.optimizer.state_dict(),
-            "densify": self.densify_state.tensors(),
-            "generator": self.generator.get_state(),
-            "steps": self.steps,
-        }
+        return super().state() | {"densify": self.densify_state.tensors(), "generator": self.generator.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take back what `state` gave."""
-        device = self.device
-        self.optimizer = self._make_optimizer({name: t.to(device) for name, t in state["parameters"].items()})
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.densify_state = DensifyState(**state["densify"]).to(device)
+        super().restore(state)
+        self.densify_state = DensifyState(**state["densify"]).to(self.device)
         self.generator.set_state(state["generator"])
-        self.steps = state["steps"]
-        self._adopt()
-
-    def _make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        return FusedAdam(
-            parameters,
-            {name: rate for name, rate in rates_at(0.0, self.rates, self.extent).items() if name in parameters},
-            lr_scales={name: rest_scale(parameters[name], self.rates) for name in SH_NAMES if name in parameters},
-            betas=(self.rates.beta1, self.rates.beta2),
-            epsilon=self.rates.eps,
-        )
-
-    def _adopt(self) -> None:
-        """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
-        for item in fields(self.model):
-            setattr(self.model, item.name, self.optimizer.params.get(item.name))

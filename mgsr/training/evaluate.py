@@ -3,31 +3,45 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
+from mgsr.data.camera import Camera
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
+from mgsr.render.both import render_both
 from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
 from mgsr.training.views import Color, TrainingView, color_tensor
+
+Picture = Callable[[Camera, Color], Tensor]  # a branch's image [H,W,3] of a camera on a background
+
+
+def surfel_picture(model: SurfelModel) -> Picture:
+    """The 2D branch's colours."""
+    return lambda camera, background: render_surfels(model, camera, color_tensor(background, model.means.device)).color
+
+
+def volume_picture(model: VolumeModel, surfels: SurfelModel | None, light: MirroredLight | None) -> Picture:
+    """The 3D branch's colours, with what the surface mirrors."""
+
+    def picture(camera: Camera, background: Color) -> Tensor:
+        color = color_tensor(background, model.means.device)
+        _, full = render_both(None if light is None else surfels, model, light, camera, color, depth=False)
+        assert full is not None
+        return full.color
+
+    return picture
 
 
 @torch.no_grad()
-def render_color(model: SurfelModel | VolumeModel, view: TrainingView, background: Color) -> Tensor:
-    """The branch's image [H,W,3] of a view's camera, without gradients."""
-    color = color_tensor(background, model.means.device)
-    if isinstance(model, SurfelModel):
-        return render_surfels(model, view.camera, color).color
-    return render_volumes(model, view.camera, color, depth=False).color
-
-
-def mean_psnr(model: SurfelModel | VolumeModel, views: list[TrainingView], background: Color) -> float:
+def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) -> float:
     """The mean over the views of the PSNR, dB, of images clipped to 0..1, on `background` where there are masks."""
     values = []
     for view in views:
-        image = render_color(model, view, background).clamp(0, 1)
+        image = picture(view.camera, background).clamp(0, 1)
         error = float((image - view.target(background).color).square().mean())
         values.append(-10 * math.log10(max(error, 1e-10)))
     return sum(values) / len(values)

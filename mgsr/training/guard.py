@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from mgsr.errors import TrainingError
-from mgsr.training.branch import Branch, Kind
 from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
+from mgsr.training.trained import Kind, Trained
 
 log = logging.getLogger("mgsr.training")
 
@@ -45,7 +46,7 @@ class Guard:
     def admits(self, step: Step, loss: Tensor, view: str) -> bool:
         """Whether the step may be taken. Raises TrainingError where going back did not help."""
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
-        judged = _tensors(self.stage.branches, "grad", without=SH_NAMES)
+        judged = _tensors(self.stage.trained, "grad", without=SH_NAMES)
         size = torch.stack([loss.detach().square(), *_squares(judged)]).sum()
         if size.device.type != "cpu":
             self._drop_where_bad(step, ~torch.isfinite(size))
@@ -78,7 +79,7 @@ class Guard:
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def _trouble(self, mean: float) -> str:
-        if not bool(torch.isfinite(torch.stack(_squares(_tensors(self.stage.branches, "values"))).sum())):
+        if not bool(torch.isfinite(torch.stack(_squares(_tensors(self.stage.trained, "values"))).sum())):
             return ", ".join(self._bad_names(None)) + " not finite"
         if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
             return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
@@ -93,14 +94,14 @@ class Guard:
                 "for broken images or poses"
             )
         self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
-        for branch in self.stage.branches:
-            steps = branch.steps  # the rates go on fading
-            branch.restore(copied(self._kept[branch.name]))
-            branch.steps = steps
+        for part in self.stage.trained:
+            steps = part.steps  # the rates go on fading
+            part.restore(copied(self._kept[part.name]))
+            part.steps = steps
         self._losses, self._bad_steps = [], 0
 
     def _drop_where_bad(self, step: Step, bad: Tensor) -> None:
-        for tensor in _tensors(self.stage.branches, "grad"):
+        for tensor in _tensors(self.stage.trained, "grad"):
             tensor.masked_fill_(bad, 0.0)
         for seen in step.seen:
             if seen.stats.v_means2d is not None:
@@ -117,7 +118,7 @@ class Guard:
         terms = {} if step is None else step.terms
         bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
         kind: Kind = "values" if step is None else "grad"
-        return bad or [name for branch in self.stage.branches for name in branch.bad(kind)]
+        return bad or [name for part in self.stage.trained for name in part.bad(kind)]
 
     def _note(self, text: str) -> None:
         incident = f"{self.stage.name}, iteration {self.stage.iteration}: {text}"
@@ -126,7 +127,7 @@ class Guard:
             self.incidents.append(incident)
 
     def _copies(self) -> dict[str, Any]:
-        return {branch.name: copied(branch.state()) for branch in self.stage.branches}
+        return {part.name: copied(part.state()) for part in self.stage.trained}
 
 
 def copied(state: Any) -> Any:
@@ -141,6 +142,6 @@ def _squares(tensors: list[Tensor]) -> list[Tensor]:
     return [flat @ flat for flat in (tensor.reshape(-1) for tensor in tensors)]
 
 
-def _tensors(branches: list[Branch], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
-    named = (item for branch in branches for item in branch.tensors(kind).items())
+def _tensors(parts: Sequence[Trained], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
+    named = (item for part in parts for item in part.tensors(kind).items())
     return [tensor for name, tensor in named if name not in without]

@@ -9,19 +9,34 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from mgsr.config import Branches, Config, DensifyConfig, StopRule
+from mgsr.config import Branches, Config, DensifyConfig, Mirror, StopRule
 from mgsr.data.scene import Scene
 from mgsr.errors import TrainingError
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.start import start_surfels, start_volumes
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
-from mgsr.training.evaluate import mean_psnr
-from mgsr.training.stages import Stage, Step, SurfelBranch, VolumeBranch, both_teach, surfels_alone, volumes_alone
+from mgsr.training.evaluate import Picture, mean_psnr, surfel_picture, volume_picture
+from mgsr.training.light import LightInTraining
+from mgsr.training.stages import (
+    Stage,
+    Step,
+    SurfelBranch,
+    VolumeBranch,
+    WhatIsMirrored,
+    both_teach,
+    surfels_alone,
+    volumes_alone,
+)
+from mgsr.training.trained import Trained
 from mgsr.training.views import CPU, TrainingView, ViewCycle, plain_background, prepare_views
 
 
 class StartingPoints(Protocol):
-    """Where splats begin: positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]."""
+    """Where splats begin: positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether
+    brightness was seen to change from view to view as light does, None if that was not looked at."""
 
     @property
     def positions(self) -> np.ndarray: ...
@@ -32,14 +47,18 @@ class StartingPoints(Protocol):
     @property
     def colors(self) -> np.ndarray: ...
 
+    @property
+    def shiny(self) -> bool | None: ...
+
 
 @dataclass(frozen=True)
 class Plan:
-    """A run before its first iteration: its branches (None where the method has none), stages, and the views that
-    only its curve looks at."""
+    """A run before its first iteration: its branches (None where the method has none), the light that the surface
+    mirrors (None where it has no use), stages, and the views that only its curve looks at."""
 
     surfels: SurfelBranch | None
     volumes: VolumeBranch | None
+    light: LightInTraining | None
     stages: list[Stage]
     curve_views: list[TrainingView]
 
@@ -47,6 +66,22 @@ class Plan:
     def branches(self) -> list[Branch]:
         """Those that there are."""
         return [branch for branch in (self.surfels, self.volumes) if branch is not None]
+
+    @property
+    def trained(self) -> list[Trained]:
+        """The branches, and the light."""
+        return [*self.branches, *([] if self.light is None else [self.light])]
+
+    @property
+    def models(self) -> tuple[SurfelModel | None, VolumeModel | None, MirroredLight | None]:
+        """As they stand: of the 2D branch, the 3D branch and the light."""
+        surfels = None if self.surfels is None else self.surfels.model
+        volumes = None if self.volumes is None else self.volumes.model
+        return surfels, volumes, None if self.light is None else self.light.model
+
+    def picture(self, branch: str) -> Picture:
+        """How a branch, surfels or volumes, renders."""
+        return _pictures(self.surfels, self.volumes, self.light)[branch]
 
 
 def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Plan:
@@ -60,17 +95,22 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch
     margin = config.train.crop_margin if _silhouettes_count(config) else None
     views = prepare_views(scene.train, scene.masked, margin, config.train.surfels.edge_band, device)
     surfels, volumes = _make_branches(scene, start, config, device)
+    light = _make_light(surfels, volumes, start.shiny, config, device)
+    pictures = _pictures(surfels, volumes, light)
     warmup_views, held_back = _hold_back(views, config)
     stages: list[Stage] = []
     if surfels is not None:
         compute = surfels_alone(surfels, config.train, warming=True)
-        stages.append(_warmup("warmup_surfels", surfels, compute, warmup_views, held_back, config))
+        measured = _Measured(pictures["surfels"], held_back)
+        stages.append(_warmup("warmup_surfels", surfels, None, compute, warmup_views, measured, config))
     if volumes is not None:
-        compute = volumes_alone(volumes, config.train, warming=True)
-        stages.append(_warmup("warmup_volumes", volumes, compute, warmup_views, held_back, config))
-    stages.append(_last_stage(surfels, volumes, views, config))
+        mirrored = None if light is None or surfels is None else WhatIsMirrored(light, surfels)
+        compute = volumes_alone(volumes, config.train, warming=True, mirrored=mirrored)
+        measured = _Measured(pictures["volumes"], held_back)
+        stages.append(_warmup("warmup_volumes", volumes, light, compute, warmup_views, measured, config))
+    stages.append(_last_stage(surfels, volumes, light, views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
-    return Plan(surfels, volumes, stages, curve_views)
+    return Plan(surfels, volumes, light, stages, curve_views)
 
 
 def camera_extent(scene: Scene) -> float:
@@ -101,12 +141,47 @@ def _make_branches(
     return surfels, volumes
 
 
+def _make_light(
+    surfels: SurfelBranch | None,
+    volumes: VolumeBranch | None,
+    shiny: bool | None,
+    config: Config,
+    device: torch.device,
+) -> LightInTraining | None:
+    settings = config.train.mirror
+    wanted = settings.use is Mirror.ON or (settings.use is Mirror.AUTO and shiny is not False)
+    if not wanted or surfels is None or volumes is None or not volumes.model.split:
+        return None
+    return LightInTraining(MirroredLight.dim(settings.side, settings.start).to(device), settings)
+
+
+def _pictures(
+    surfels: SurfelBranch | None, volumes: VolumeBranch | None, light: LightInTraining | None
+) -> dict[str, Picture]:
+    pictures = {}
+    if surfels is not None:
+        pictures["surfels"] = surfel_picture(surfels.model)
+    if volumes is not None:
+        flat, shared = (None, None) if light is None or surfels is None else (surfels.model, light.model)
+        pictures["volumes"] = volume_picture(volumes.model, flat, shared)
+    return pictures
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What judges convergence under the rule held_back: a branch's picture of these views."""
+
+    picture: Picture
+    views: list[TrainingView]
+
+
 def _warmup(
     name: str,
     branch: Branch,
+    light: LightInTraining | None,
     compute: Callable[..., Step],
     views: list[TrainingView],
-    held_back: list[TrainingView],
+    measured: _Measured,
     config: Config,
 ) -> Stage:
     iterations, after = _planned(branch, config), mutual_iterations(config)
@@ -114,19 +189,23 @@ def _warmup(
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * iterations, densify.stop * iterations
 
-    def progress(_: Branch, iteration: int) -> float:
+    def progress(_: Trained, iteration: int) -> float:
         return iteration / max(1, iterations + after)
 
     def measure() -> float:
-        return mean_psnr(branch.model, held_back, plain_background(config.train.background))
+        return mean_psnr(measured.picture, measured.views, plain_background(config.train.background))
 
     cycle = ViewCycle(len(views), _generator(config, 3 if branch.name == "surfels" else 4))
     convergence = make_convergence(config.train.warmup, iterations, measure)
-    return Stage(name, [branch], iterations, views, cycle, compute, window, progress, convergence)
+    return Stage(name, [branch], iterations, views, cycle, compute, window, progress, convergence, light)
 
 
 def _last_stage(
-    surfels: SurfelBranch | None, volumes: VolumeBranch | None, views: list[TrainingView], config: Config
+    surfels: SurfelBranch | None,
+    volumes: VolumeBranch | None,
+    light: LightInTraining | None,
+    views: list[TrainingView],
+    config: Config,
 ) -> Stage:
     """The mutual phase, or, for one branch alone, as many more iterations of its own."""
     iterations = mutual_iterations(config)
@@ -134,28 +213,28 @@ def _last_stage(
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * iterations
 
-    def progress(branch: Branch, iteration: int) -> float:
+    def progress(part: Trained, iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage.
-        begun = (branch.steps - iteration) / max(1, _planned(branch, config) + iterations)
+        begun = (part.steps - iteration) / max(1, _planned(part, config) + iterations)
         return begun + (1 - begun) * iteration / max(1, iterations)
 
     name = "mutual"
     if surfels is not None and volumes is not None:
-        compute = both_teach(surfels, volumes, config.train)
+        compute = both_teach(surfels, volumes, config.train, light)
     elif surfels is not None:
         name, compute = "alone", surfels_alone(surfels, config.train, warming=False)
     else:
         assert volumes is not None
         name, compute = "alone", volumes_alone(volumes, config.train, warming=False)
     branches: list[Branch] = [branch for branch in (surfels, volumes) if branch is not None]
-    return Stage(
-        name, branches, iterations, views, ViewCycle(len(views), _generator(config, 5)), compute, window, progress
-    )
+    cycle = ViewCycle(len(views), _generator(config, 5))
+    return Stage(name, branches, iterations, views, cycle, compute, window, progress, light=light)
 
 
-def _planned(branch: Branch, config: Config) -> int:
+def _planned(part: Trained, config: Config) -> int:
+    """Iterations of its warm-up; the light warms up with the 3D branch."""
     warmup = config.train.warmup
-    return warmup.surfel_iterations if branch.name == "surfels" else warmup.volume_iterations
+    return warmup.surfel_iterations if part.name == "surfels" else warmup.volume_iterations
 
 
 def _silhouettes_count(config: Config) -> bool:

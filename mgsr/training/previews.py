@@ -6,8 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.render.both import render_both
 from mgsr.training.plan import Plan
 from mgsr.training.views import Color, color_tensor
 
@@ -20,14 +19,12 @@ def preview_pictures(plan: Plan, background: Color) -> dict[str, np.ndarray]:
     nothing is; transmitted and reflected: the halves of the light, where it is split.
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
+    color = color_tensor(background, plan.branches[0].device)
+    flat, full = render_both(*plan.models, view.camera, color, depth=False)
     images: dict[str, Tensor] = {}
-    if plan.surfels is not None:
-        flat = render_surfels(plan.surfels.model, view.camera, color_tensor(background, plan.surfels.device))
+    if flat is not None:
         images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}
-    if plan.volumes is not None:
-        full = render_volumes(
-            plan.volumes.model, view.camera, color_tensor(background, plan.volumes.device), depth=False
-        )
+    if full is not None:
         images["render"] = full.color
         if full.reflected is not None and full.weight is not None:
             images |= {"transmitted": full.transmitted, "reflected": full.weight[..., None] * full.reflected}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 
@@ -65,13 +66,15 @@ class StageReport:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained branches (None for one that the method lacks) without gradients, and how they came about.
+    """The trained branches (None for one that the method lacks) and the light that the surface mirrors (None where it
+    has no use) without gradients, and how they came about.
 
     incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100.
     """
 
     surfels: SurfelModel | None
     volumes: VolumeModel | None
+    light: MirroredLight | None
     stages: list[StageReport]
     curve: list[CurveRow]
     seconds: float

@@ -72,6 +72,7 @@ def train(
         return TrainResult(
             surfels=None if plan.surfels is None else plan.surfels.model.detached().to(CPU),
             volumes=None if plan.volumes is None else plan.volumes.model.detached().to(CPU),
+            light=None if plan.light is None else plan.light.model.detached().to(CPU),
             stages=trainer.reports,
             curve=trainer.curve,
             seconds=trainer.seconds,

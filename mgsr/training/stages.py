@@ -6,16 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from mgsr.config import DensifyConfig, TrainConfig
+import torch
+from torch import Tensor
+
+from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
+from mgsr.losses.mirrored import light_terms
 from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, volume_terms
+from mgsr.render.mirrored import mirrored_light
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
+from mgsr.training.light import LightInTraining
 from mgsr.training.schedule import sh_degree_at
+from mgsr.training.trained import Trained
 from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
@@ -43,8 +50,9 @@ class Step:
 class Stage:
     """A stretch of training and where it stands.
 
-    compute renders one view on a background and returns its Step, given the iteration (from 0); window gives the
-    first and last iteration of a branch's densification; progress the branch's 0..1 of the whole run.
+    branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
+    returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
+    densification; progress 0..1 of the whole run, for a part of what is trained.
     """
 
     name: str
@@ -54,10 +62,16 @@ class Stage:
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Branch, int], float]
+    progress: Callable[[Trained, int], float]
     convergence: Convergence | None = None
+    light: LightInTraining | None = None
     iteration: int = 0
     seconds: float = 0.0
+
+    @property
+    def trained(self) -> list[Trained]:
+        """All that it trains."""
+        return [*self.branches, *([] if self.light is None else [self.light])]
 
     def state(self) -> dict[str, Any]:
         """Where the stage stands, for a checkpoint."""
@@ -78,6 +92,20 @@ class Stage:
             self.convergence.restore(state["convergence"])
 
 
+@dataclass(frozen=True)
+class WhatIsMirrored:
+    """The light that the surface mirrors, and the 2D branch whose normals throw it; only the light learns."""
+
+    light: LightInTraining
+    surfels: SurfelBranch
+
+    def shown(self, view: TrainingView) -> Tensor:
+        """What each pixel of a view mirrors, [H,W,3]."""
+        with torch.no_grad():
+            normal = render_surfels(self.surfels.model, view.camera).normal
+        return mirrored_light(self.light.model, normal, view.camera, view.region)
+
+
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
     """The 2D branch on the photographs (Algorithm 1); `warming` raises the SH degree and holds back the regularisers
     as the warm-up's settings say."""
@@ -93,28 +121,43 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
     return compute
 
 
-def volumes_alone(branch: VolumeBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
-    """The 3D branch on the photographs (Algorithm 1); `warming` raises the SH degree."""
+def volumes_alone(
+    branch: VolumeBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
+) -> Callable[..., Step]:
+    """The 3D branch on the photographs (Algorithm 1); `warming` raises the SH degree; `mirrored` adds what the surface
+    mirrors, as the 2D branch stands."""
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned, settings = config.warmup.volume_iterations, config.volumes
         degree = _degree(iteration, planned, settings.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, settings.reflected_sh_degree, config, warming)
         needs_depth = config.tv and settings.depth_tv_weight > 0
-        outputs = _see_volumes(branch, view, background, degree, refl_degree, needs_depth)
-        return Step(volume_terms(outputs, view.target(background), config), [Seen(branch, outputs.stats, 1.0)])
+        shown, held = None, {}
+        if mirrored is not None:
+            shown, held = mirrored.shown(view), light_terms(mirrored.light.model, branch.model, config)
+        outputs = _see_volumes(branch, view, background, degree, refl_degree, needs_depth, shown)
+        terms = volume_terms(outputs, view.target(background), config) | held
+        return Step(terms, [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
 
-def both_teach(surfels: SurfelBranch, volumes: VolumeBranch, config: TrainConfig) -> Callable[..., Step]:
-    """Both branches on the photographs and on each other (Algorithm 2)."""
+def both_teach(
+    surfels: SurfelBranch, volumes: VolumeBranch, config: TrainConfig, light: LightInTraining | None = None
+) -> Callable[..., Step]:
+    """Both branches on the photographs and on each other (Algorithm 2), and on the light that the surface mirrors."""
+    both = config.mutual.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         settings = config.volumes
         flat = _see_surfels(surfels, view, background, config.surfels.sh_degree, config)
-        full = _see_volumes(volumes, view, background, settings.sh_degree, settings.reflected_sh_degree, True)
-        terms = mutual_terms(flat, full, view.target(background), config)
+        shown, held = None, {}
+        if light is not None:
+            normal = flat.normal if both else flat.normal.detach()
+            shown = mirrored_light(light.model, normal, view.camera, view.region)
+            held = light_terms(light.model, volumes.model, config)
+        full = _see_volumes(volumes, view, background, settings.sh_degree, settings.reflected_sh_degree, True, shown)
+        terms = mutual_terms(flat, full, view.target(background), config) | held
         seen = [
             Seen(surfels, flat.stats, config.mutual.surfel_weight),
             Seen(volumes, full.stats, config.mutual.volume_weight),
@@ -136,7 +179,13 @@ def _see_surfels(
 
 
 def _see_volumes(
-    branch: VolumeBranch, view: TrainingView, background: Color, degree: int, refl_degree: int, depth: bool
+    branch: VolumeBranch,
+    view: TrainingView,
+    background: Color,
+    degree: int,
+    refl_degree: int,
+    depth: bool,
+    mirrored: Tensor | None,
 ) -> VolumeOutputs:
     color = color_tensor(background, branch.device)
-    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth)
+    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth, mirrored)

@@ -13,7 +13,6 @@ import torch
 from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
 from mgsr.losses.objective import Terms
-from mgsr.training.branch import Branch
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.guard import Guard
@@ -85,7 +84,7 @@ class Trainer:
             "stage_index": self.stage_index,
             "seconds": self.seconds,
             "stages": [stage.state() for stage in self.plan.stages],
-            "branches": {branch.name: branch.state() for branch in self.plan.branches},
+            "trained": {part.name: part.state() for part in self.plan.trained},
             "reports": [asdict(report) for report in self.reports],
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
@@ -100,8 +99,8 @@ class Trainer:
         self._saved_at = state["seconds"]
         for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
             stage.restore(saved)
-        for branch in self.plan.branches:
-            branch.restore(state["branches"][branch.name])
+        for part in self.plan.trained:
+            part.restore(state["trained"][part.name])
         self.reports = [StageReport(**report) for report in state["reports"]]
         self.curve = [CurveRow(**row) for row in state["curve"]]
         self.incidents = state["incidents"]
@@ -139,8 +138,8 @@ class Trainer:
         loss.backward()
         stage.iteration += 1
         if not guard.admits(step, loss, view.name):
-            for branch in stage.branches:
-                branch.skip_step()
+            for part in stage.trained:
+                part.skip_step()
             return step.terms, False
         self._update(stage, step, view.camera.width, view.camera.height, guard)
         guard.look_back(loss)
@@ -150,8 +149,9 @@ class Trainer:
 
     def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
+        for part in stage.trained:
+            part.step(stage.progress(part, stage.iteration))
         for branch in stage.branches:
-            branch.step(stage.progress(branch, stage.iteration))
             first, last = stage.window(branch.densify)
             if not stage.iteration <= last:
                 continue
@@ -180,7 +180,7 @@ class Trainer:
         return longest is not None and self.seconds - self._saved_at >= longest
 
     def _curve_row(self, stage: Stage) -> CurveRow:
-        psnr = {branch.name: self._psnr(branch) for branch in self.plan.branches}
+        psnr = {branch.name: self._psnr(branch.name) for branch in self.plan.branches}
         counts = self._counts()
         return CurveRow(
             self.seconds,
@@ -192,10 +192,10 @@ class Trainer:
             counts.get("volumes", 0),
         )
 
-    def _psnr(self, branch: Branch) -> float | None:
+    def _psnr(self, branch: str) -> float | None:
         if not self.plan.curve_views:
             return None
-        return mean_psnr(branch.model, self.plan.curve_views, plain_background(self.config.background))
+        return mean_psnr(self.plan.picture(branch), self.plan.curve_views, plain_background(self.config.background))
 
     def _report(self, stage: Stage, terms: Terms, last: bool) -> Progress:
         every = self.config.watch.preview_every

@@ -59,7 +59,7 @@ def test_volumes_with_and_without_split() -> None:
     points = ball_points(50)
     both = start_volumes(points.positions, None, points.colors, VolumeConfig(sh_degree=1), generator())
     assert both.split
-    assert torch.allclose(both.weights(), torch.tensor(0.1))
+    assert torch.allclose(both.weights(), torch.tensor(VolumeConfig().start_weight))
     assert (both.sh_degree, both.refl_sh_degree) == (1, 3)
     plain = start_volumes(points.positions, None, points.colors, VolumeConfig(split=False), generator())
     assert not plain.split

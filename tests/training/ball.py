@@ -21,12 +21,14 @@ class Points:
     positions: np.ndarray
     normals: np.ndarray | None
     colors: np.ndarray
+    shiny: bool | None = None
 
 
-def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True) -> Scene:
-    """Views all around the ball, `size` pixels square; without masks on white."""
+def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True, gloss: float = 0.0) -> Scene:
+    """Views all around the ball, `size` pixels square; without masks on white. gloss: of the highlight of a flash on the
+    camera."""
     directions = _sphere(train + test)
-    views = [_view(f"r_{i}", _camera(direction, size), masked) for i, direction in enumerate(directions)]
+    views = [_view(f"r_{i}", _camera(direction, size), masked, gloss) for i, direction in enumerate(directions)]
     step = (train + test) // test
     held_out = views[::step][:test]
     names = {view.name for view in held_out}
@@ -64,7 +66,7 @@ def _camera(direction: np.ndarray, size: int) -> Camera:
     return Camera(K, pose, size, size)
 
 
-def _view(name: str, camera: Camera, masked: bool, samples: int = 3) -> View:
+def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 3) -> View:
     """One view with samples x samples rays a pixel."""
     fine = camera.resized(camera.width * samples, camera.height * samples)
     rows, columns = np.mgrid[: fine.height, : fine.width] + 0.5
@@ -77,7 +79,9 @@ def _view(name: str, camera: Camera, masked: bool, samples: int = 3) -> View:
     points = camera.center + rays * (along - np.sqrt(np.maximum(inside, 0)))[..., None]
     blocks = (camera.height, samples, camera.width, samples)
     alpha = hit.reshape(blocks).mean(axis=(1, 3))
-    color = (ball_color(points) * hit[..., None]).reshape(*blocks, 3).mean(axis=(1, 3))
+    towards = np.einsum("...i,...i", points, -rays) / RADIUS
+    shade = ball_color(points) + gloss * np.exp(np.minimum(towards - 1, 0) * 20)[..., None]
+    color = (shade * hit[..., None]).reshape(*blocks, 3).mean(axis=(1, 3))
     if not masked:
         return View(name, camera, _bytes(color + (1 - alpha[..., None])))
     return View(name, camera, _bytes(color / np.maximum(alpha, 1e-6)[..., None]), _bytes(alpha))

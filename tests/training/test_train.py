@@ -48,7 +48,7 @@ def _each_branch(override: str) -> list[str]:
 
 
 def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
-    models = {"surfels": result.surfels, "volumes": result.volumes}
+    models = {"surfels": result.surfels, "volumes": result.volumes, "light": result.light}
     return {
         f"{name}.{key}": tensor for name, model in models.items() if model is not None
         for key, tensor in model.parameters().items()
@@ -184,3 +184,26 @@ def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
     config = short("2dgs", "report_every=5", "checkpoint_seconds=0")
     train(ball_scene(32), ball_points(), config, lambda report: seen.append(path.exists()), checkpoint_path=path)
     assert seen[1]  # in the first stage, long before the first 1000 iterations
+
+
+def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
+    scene = ball_scene(32, train=10, test=4, gloss=0.6)
+    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4", "mirror.side=16"]
+
+    def trained(use: str) -> TrainResult:
+        config = make_config("draft", "mgsr", 0, [*lengths, f"mirror.use={use}"])
+        return train(scene, ball_points(600, RADIUS), config)
+
+    plain, lit = trained("off"), trained("on")
+    assert plain.light is None and lit.light is not None
+    assert lit.curve[-1].psnr_volumes > plain.curve[-1].psnr_volumes + 0.1
+    still, held = lit.light.maps()
+    middle = slice(lit.light.side // 2 - 1, lit.light.side // 2 + 1)
+    assert held[:, middle, middle].mean() > 5 * held[:, :2, :2].mean()  # bright on the way back to the camera
+    assert held[:, middle, middle].mean() > 5 * still.mean()
+
+
+def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
+    points = ball_points()
+    result = train(ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short())
+    assert result.light is None

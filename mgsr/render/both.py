@@ -1,0 +1,30 @@
+"""Both branches seen by one camera, the 3D branch with the light that the 2D branch's surface mirrors."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.render.mirrored import mirrored_light
+from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.render.surfels import render_surfels
+from mgsr.render.volumes import render_volumes
+
+
+def render_both(
+    surfels: SurfelModel | None,
+    volumes: VolumeModel | None,
+    light: MirroredLight | None,
+    camera: Camera,
+    background: Tensor | None = None,
+    depth: bool = True,
+) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
+    """What each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time."""
+    flat = None if surfels is None else render_surfels(surfels, camera, background)
+    if volumes is None:
+        return flat, None
+    mirrored = None if light is None or flat is None else mirrored_light(light, flat.normal, camera)
+    return flat, render_volumes(volumes, camera, background, depth=depth, mirrored=mirrored)

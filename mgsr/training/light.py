@@ -1,0 +1,26 @@
+"""The shared light in training."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from mgsr.config import MirrorConfig
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.ops.adam import FusedAdam
+from mgsr.training.trained import Trained
+
+
+class LightInTraining(Trained[MirroredLight]):
+    """The light that the surface mirrors, with its optimiser."""
+
+    def __init__(self, model: MirroredLight, config: MirrorConfig) -> None:
+        self.settings = config
+        super().__init__("light", model)
+
+    def rates(self, progress: float) -> dict[str, float]:
+        """See `Trained`."""
+        return {"logits": self.settings.rate * self.settings.final**progress}
+
+    def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
+        """See `Trained`."""
+        return FusedAdam(parameters, self.rates(0.0))

@@ -1,0 +1,88 @@
+"""What training changes: parameters with their optimiser, and their state for a checkpoint."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import fields
+from typing import Any, Generic, Literal, TypeVar
+
+import torch
+from torch import Tensor
+
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.ops.adam import FusedAdam
+
+Model = TypeVar("Model", bound=SurfelModel | VolumeModel | MirroredLight)
+Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
+
+
+class Trained(ABC, Generic[Model]):
+    """A model and its optimiser, which owns the model's tensors. `name` is unique in a run."""
+
+    def __init__(self, name: str, model: Model) -> None:
+        self.name = name
+        self.model: Model = model
+        self.steps = 0
+        self.optimizer = self.make_optimizer(model.parameters())
+        self.adopt()
+
+    @abstractmethod
+    def rates(self, progress: float) -> dict[str, float]:
+        """Each parameter's learning rate at `progress` 0..1 of the run; there may be more names than parameters."""
+
+    @abstractmethod
+    def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
+        """A new optimiser for parameters of the model's kind."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where the parameters are."""
+        return next(iter(self.optimizer.params.values())).device
+
+    def step(self, progress: float) -> None:
+        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
+        rates = self.rates(progress)
+        for name in self.optimizer.params:
+            self.optimizer.set_lr(name, rates[name])
+        self.optimizer.step()
+        self.skip_step()
+
+    def skip_step(self) -> None:
+        """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
+        for tensor in self.optimizer.params.values():
+            tensor.grad = None
+        self.steps += 1
+
+    def tensors(self, kind: Kind) -> dict[str, Tensor]:
+        """The parameters' values, or the gradients of those that have one, by name."""
+        if kind == "values":
+            return {name: tensor.detach() for name, tensor in self.optimizer.params.items()}
+        return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
+
+    def bad(self, kind: Kind) -> list[str]:
+        """Names of the parameters whose value, or gradient, is not finite or has a square that is not."""
+        tensors = self.tensors(kind).items()
+        return [f"{self.name}.{name}" for name, tensor in tensors if not bool(tensor.square().sum().isfinite())]
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next step depends on, for a checkpoint."""
+        return {
+            "parameters": {name: tensor.detach() for name, tensor in self.optimizer.params.items()},
+            "optimizer": self.optimizer.state_dict(),
+            "steps": self.steps,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take back what `state` gave."""
+        device = self.device
+        self.optimizer = self.make_optimizer({name: t.to(device) for name, t in state["parameters"].items()})
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.steps = state["steps"]
+        self.adopt()
+
+    def adopt(self) -> None:
+        """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
+        for item in fields(self.model):
+            setattr(self.model, item.name, self.optimizer.params.get(item.name))

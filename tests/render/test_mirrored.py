@@ -1,0 +1,134 @@
+"""The shared light, against a plain float64 way of mirroring and looking up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.render.mirrored import mirrored_light, octahedral
+
+SIDE = 64
+
+
+def camera() -> Camera:
+    """Off-centre, with unequal focal lengths, and turned."""
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    pose = np.eye(4)
+    pose[:3, :3] = turn * np.sign(np.linalg.det(turn))
+    pose[:3, 3] = [0.1, -0.2, 3.0]
+    return Camera(np.array([[40.0, 0, 13.0], [0, 50.0, 9.0], [0, 0, 1.0]]), pose, 24, 16)
+
+
+def normals(generator: np.random.Generator) -> np.ndarray:
+    """Towards the camera, of odd lengths."""
+    raw = generator.normal(size=(16, 24, 3)) * 0.6 - [0, 0, 1.5]
+    return raw @ camera().cam_from_world[:3, :3] * generator.uniform(0.2, 1.0, size=(16, 24, 1))
+
+
+def mirrored_directions(normal: np.ndarray) -> np.ndarray:
+    """World directions [H,W,3] that the sight is thrown to, by Householder's reflection of the ray itself."""
+    view = camera()
+    rows, columns = np.mgrid[: view.height, : view.width] + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(view.K).T
+    rays = rays @ view.cam_from_world[:3, :3]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    turned = np.eye(3) - 2 * unit[..., :, None] * unit[..., None, :]
+    return (turned @ rays[..., None])[..., 0]
+
+
+def unfolded(side: int) -> np.ndarray:
+    """Unit directions [S,S,3] of the texels' centres."""
+    rows, columns = (np.mgrid[:side, :side] + 0.5) / side * 2 - 1
+    z = 1 - np.abs(rows) - np.abs(columns)
+    x = np.where(z < 0, (1 - np.abs(rows)) * np.sign(columns), columns)
+    y = np.where(z < 0, (1 - np.abs(columns)) * np.sign(rows), rows)
+    directions = np.stack([x, y, z], axis=-1)
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def glow(directions: np.ndarray) -> np.ndarray:
+    """A smooth light of each direction [...,3], another one in each channel."""
+    return 0.5 + 0.2 * directions + 0.2 * directions[..., [1, 2, 0]] * directions[..., [2, 0, 1]]
+
+
+def light(scene: np.ndarray, held: np.ndarray) -> MirroredLight:
+    return MirroredLight.of(np.moveaxis(np.stack([scene, held]), -1, 1))
+
+
+def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
+    """Of maps of 2.8 degrees a texel, read bilinearly; up to half a texel off along the octahedron's edges, where the
+    map has creases and ends."""
+    away = np.abs(shown.numpy() - expected)
+    assert np.median(away) < 5e-4 and away.max() < 1e-2
+
+
+def test_still_light_is_found_where_the_sight_is_thrown() -> None:
+    normal = normals(np.random.default_rng(0))
+    lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
+    shown = mirrored_light(lit, torch.tensor(normal).float(), camera())
+    assert_close(shown, glow(mirrored_directions(normal)))
+
+
+def test_light_on_the_camera_moves_with_it() -> None:
+    normal = normals(np.random.default_rng(1))
+    away = mirrored_directions(normal) @ camera().cam_from_world[:3, :3].T
+    lit = light(np.zeros((SIDE, SIDE, 3)), glow(unfolded(SIDE)))
+    shown = mirrored_light(lit, torch.tensor(normal).float(), camera())
+    assert_close(shown, glow(away * [1, 1, -1]))
+
+
+def test_a_surface_that_faces_the_camera_mirrors_the_maps_middle() -> None:
+    K = camera().K * [[100.0], [100.0], [1.0]]
+    K[:2, 2] = [13.0, 9.0]
+    view = Camera(K, camera().cam_from_world, 24, 16)  # of a narrow field: every sight goes along the axis
+    flash = np.zeros((SIDE, SIDE, 3))
+    flash[SIDE // 2 - 2 : SIDE // 2 + 2, SIDE // 2 - 2 : SIDE // 2 + 2] = 0.9
+    rows, columns = np.mgrid[: view.height, : view.width] + 0.5
+    back = -np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(view.K).T
+    normal = torch.tensor(back @ view.cam_from_world[:3, :3]).float()
+    shown = mirrored_light(light(np.zeros_like(flash), flash), normal, view)
+    assert np.abs(shown.numpy() - 0.9).max() < 1e-3
+
+
+def test_gradients_are_those_of_differences() -> None:
+    generator = torch.Generator().manual_seed(2)
+    logits = torch.randn(2 * 6 * 6, 3, generator=generator, dtype=torch.float64, requires_grad=True)
+    normal = torch.tensor(normals(np.random.default_rng(2))[:4, :5], requires_grad=True)
+    view = camera().resized(5, 4)
+
+    def shown(logits: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        return mirrored_light(MirroredLight(logits), normal, view)
+
+    assert torch.autograd.gradcheck(shown, (logits, normal), eps=1e-7, atol=1e-5)
+
+
+def test_a_region_is_cut_out_of_the_whole() -> None:
+    normal = torch.tensor(normals(np.random.default_rng(3))).float()
+    lit = light(glow(unfolded(8)), glow(unfolded(8))[::-1])
+    whole, part = mirrored_light(lit, normal, camera()), mirrored_light(lit, normal, camera(), (3, 11, 5, 20))
+    assert torch.allclose(part[3:11, 5:20], whole[3:11, 5:20], atol=1e-6)
+    assert part[:3].abs().max() == 0 and part[:, 20:].abs().max() == 0
+
+
+def test_nothing_there_gives_finite_light_and_gradients() -> None:
+    normal = torch.zeros(16, 24, 3, requires_grad=True)
+    lit = MirroredLight.dim(8, 0.01)
+    lit.logits.requires_grad_()
+    mirrored_light(lit, normal, camera()).sum().backward()
+    assert normal.grad is not None and torch.isfinite(normal.grad).all() and torch.isfinite(lit.logits.grad).all()
+
+
+@pytest.mark.parametrize("side", [1, 7, 64])
+def test_octahedral_is_the_inverse_of_unfolding(side: int) -> None:
+    places = octahedral(torch.tensor(unfolded(side)).reshape(-1, 3).T)
+    rows, columns = (np.mgrid[:side, :side] + 0.5) / side * 2 - 1
+    assert np.abs(places.numpy() - np.stack([columns, rows], axis=-1).reshape(-1, 2)).max() < 1e-9
+
+
+def test_maps_come_back_from_their_own_values() -> None:
+    maps = np.random.default_rng(4).uniform(0.01, 0.99, (2, 3, 5, 5))
+    assert np.abs(MirroredLight.of(maps).maps().numpy() - maps).max() < 1e-5

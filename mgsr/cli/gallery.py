@@ -9,9 +9,11 @@ import numpy as np
 from mgsr.cli.evaluation import photograph
 from mgsr.cli.rendering import ViewImages
 from mgsr.data.scene import Scene, View
+from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.report.html import MOST_VIEWS
+from mgsr.report.mirrored import mirrored_pictures
 from mgsr.report.pictures import (
     ReportPictures,
     TestViewPictures,
@@ -29,8 +31,10 @@ def report_pictures(
     mesh: SurfaceMesh,
     truth: TrueSurface | None,
     scene: Scene,
+    light: MirroredLight | None,
 ) -> ReportPictures:
-    """The first test views, with their PSNR in dB, and the surface (mesh and truth in the user's frame)."""
+    """The first test views, with their PSNR in dB, the surface (mesh and truth in the user's frame), and the light that
+    it mirrors."""
     shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
     painter = MeshPainter(shown)
     views = [
@@ -40,7 +44,8 @@ def report_pictures(
     front = (scene.test or scene.train)[0].camera.center
     up = up_direction([view.camera for view in scene.train])
     true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
-    return ReportPictures(views, surface_pictures(shown, up, np.asarray(front), true_mesh))
+    mirrored = () if light is None else mirrored_pictures(light, up)
+    return ReportPictures(views, mirrored, surface_pictures(shown, up, np.asarray(front), true_mesh))
 
 
 def _view_pictures(images: ViewImages, view: View, psnr: float, painter: MeshPainter, scene: Scene) -> TestViewPictures:

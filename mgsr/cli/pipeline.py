@@ -85,7 +85,7 @@ def run_scene(
         scores = image_scores(rendered, scene) | surface_scores(mesh, truth, scene)
     with step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, mesh, truth, scene)
+        pictures = report_pictures(rendered, psnr, mesh, truth, scene, trained.light)
     report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock)
     outputs.write_reports(out, report, pictures)
     progress(Event("report", result_line(report)))

@@ -20,12 +20,17 @@ STARTS = {
         "on the visual hull, carved by the photographs",
         "the masks bound the object; patches that agree on a deeper place, and shading, tell its hollows",
     ),
+    "stereo": ("where the photographs agree", "without masks or points, stereo between neighbours finds the surface"),
     "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
 }
 LIGHTS = {
     "flash": ("a flash on the camera", "it explains how a point's brightness changes from view to view"),
     "surroundings": ("mirrored surroundings", "one map of them explains how a point changes from view to view"),
     "unknown": ("not used", "neither a flash nor mirrored surroundings explain how points change from view to view"),
+}
+MIRRORED = {
+    True: ("learnt, one for all splats", "highlights then follow the shape, also where no photograph saw them"),
+    False: ("not learnt", "brightness does not change from view to view as mirrored light does, or it was switched off"),
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
@@ -86,3 +91,6 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
 def _about_light(data: ReportData) -> Iterator[Decision]:
     if data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
+    if "mirrored_light" in data.other and data.method == "mgsr":
+        told = MIRRORED[bool(data.other["mirrored_light"])]
+        yield Decision("Light that the surface mirrors", *told)

@@ -33,6 +33,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
     title = escape(data.scene)
     sections = (
         _light_split(pictures.views),
+        _mirrored(pictures.mirrored),
         _surface(data, pictures.surface),
         _more_views(pictures.views),
         _curves(data),
@@ -139,6 +140,18 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
         '<p class="note">All the way left: only the object’s own colour. All the way right: the full render.</p>'
         "</div></div></section>"
+    )
+
+
+def _mirrored(pictures: Sequence[Picture]) -> str:
+    if not pictures:
+        return ""
+    tiles = (_tile(f"Mirrored light, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
+    return (
+        "<section><h2>What the surface mirrors</h2><p>No photograph shows the lamps: this light was learnt from how "
+        "highlights wander over the surface. All splats share it, so that highlights are right also where no "
+        "photograph saw them. Brightened until the brightest is white.</p>"
+        f'<div class="row mirrored">{"".join(tiles)}</div></section>'
     )
 
 

@@ -58,9 +58,11 @@ class SurfacePictures:
 
 @dataclass(frozen=True)
 class ReportPictures:
-    """All pictures of a report; the first view is the one at the top."""
+    """All pictures of a report; the first view is the one at the top. mirrored: the light that the surface mirrors,
+    where it was learnt."""
 
     views: Sequence[TestViewPictures] = ()
+    mirrored: Sequence[Picture] = ()
     surface: SurfacePictures = field(default_factory=SurfacePictures)
 
 

@@ -44,7 +44,7 @@ def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> Report
     image = random.integers(0, 256, (size, size, 4), dtype=np.uint8)
     pictures = (image, image, image, image[..., :3], image, image, image)
     shown = [TestViewPictures(name, *pictures, 31.0) for _ in range(views)]
-    return ReportPictures(shown, SurfacePictures())
+    return ReportPictures(shown, (), SurfacePictures())
 
 
 def ball(radius: float = 1.0, rings: int = 24) -> TriangleMesh:

@@ -25,8 +25,8 @@ class Points:
 
 
 def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True, gloss: float = 0.0) -> Scene:
-    """Views all around the ball, `size` pixels square; without masks on white. gloss: of the highlight of a flash on the
-    camera."""
+    """Views all around the ball, `size` pixels square; without masks on white. gloss: how bright the highlight of a
+    flash on the camera is."""
     directions = _sphere(train + test)
     views = [_view(f"r_{i}", _camera(direction, size), masked, gloss) for i, direction in enumerate(directions)]
     step = (train + test) // test

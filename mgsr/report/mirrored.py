@@ -1,0 +1,56 @@
+"""Pictures of the light that the surface mirrors: the surroundings all around, and what is at the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch.nn.functional import grid_sample
+
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.render.mirrored import octahedral
+from mgsr.report.pictures import Picture
+
+HEIGHT = 180  # pixels
+BRIGHTEST = 99.8  # percent of texels that are no brighter than white in the picture
+
+
+def mirrored_pictures(light: MirroredLight, up: np.ndarray) -> list[Picture]:
+    """Both maps, brightened alike until lamps are white: the one that stands still in the scene unrolled all around,
+    `up` [3] at the top; and the half of the other that lies towards the camera, whose place is the middle."""
+    still, held = light.maps().detach()
+    around = _looked_up(still, _around(np.asarray(up, np.float64)))
+    disk, inside = _half()
+    camera = _looked_up(held, disk) * inside[..., None]
+    white = max(float(np.percentile(np.concatenate([around.reshape(-1, 3), camera.reshape(-1, 3)]), BRIGHTEST)), 1e-3)
+    return [
+        Picture("all around the object", _picture(around / white)),
+        Picture("at the camera", np.dstack([_picture(camera / white), np.where(inside, 255, 0).astype(np.uint8)])),
+    ]
+
+
+def _around(up: np.ndarray) -> np.ndarray:
+    """Directions [H,2H,3] of a picture whose columns are longitudes and whose rows are latitudes."""
+    side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    side /= np.linalg.norm(side)
+    rows, columns = (np.mgrid[:HEIGHT, : 2 * HEIGHT] + 0.5) / HEIGHT * np.pi
+    flat = np.cos(columns)[..., None] * side + np.sin(columns)[..., None] * np.cross(up, side)
+    return np.cos(rows)[..., None] * up + np.sin(rows)[..., None] * flat
+
+
+def _half() -> tuple[np.ndarray, np.ndarray]:
+    """Directions [H,H,3] of the half of a map around its middle, seen from afar, and where it is [H,H]."""
+    y, x = (np.mgrid[:HEIGHT, :HEIGHT] + 0.5) / HEIGHT * 2 - 1
+    square = x * x + y * y
+    return np.dstack([x, y, np.sqrt(np.maximum(1 - square, 0))]), square < 1
+
+
+def _looked_up(light: torch.Tensor, directions: np.ndarray) -> np.ndarray:
+    """A map [3,S,S] at directions [H,W,3]."""
+    height, width = directions.shape[:2]
+    places = octahedral(torch.from_numpy(directions.reshape(-1, 3).T.astype(np.float32)))
+    shown = grid_sample(light[None], places[None, None], padding_mode="border", align_corners=False)
+    return shown[0, :, 0].T.reshape(height, width, 3).numpy()
+
+
+def _picture(image: np.ndarray) -> np.ndarray:
+    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)

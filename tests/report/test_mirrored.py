@@ -1,0 +1,53 @@
+"""Pictures of the mirrored light: a lamp must appear where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.report.mirrored import HEIGHT, mirrored_pictures
+
+
+def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
+    """One small lamp; its texel is the one whose direction is nearest, searched in the plain definition of the map."""
+    side = 32
+    rows, columns = (np.mgrid[:side, :side] + 0.5) / side * 2 - 1
+    z = 1 - np.abs(rows) - np.abs(columns)
+    x = np.where(z < 0, (1 - np.abs(rows)) * np.sign(columns), columns)
+    y = np.where(z < 0, (1 - np.abs(columns)) * np.sign(rows), rows)
+    towards = np.stack([x, y, z], axis=-1)
+    towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+    maps = np.full((2, 3, side, side), 0.01)
+    maps[part][:, (towards @ direction) > 0.97] = 0.9
+    return MirroredLight.of(maps)
+
+
+def brightest(pixels: np.ndarray) -> np.ndarray:
+    """Row and column, in shares of the picture's height."""
+    rows, columns = np.nonzero(pixels[..., :3].min(axis=-1) > 200)
+    return np.array([rows.mean() + 0.5, columns.mean() + 0.5]) / HEIGHT
+
+
+@pytest.mark.parametrize(
+    ("direction", "row"), [((0, 0, 1), 0.0), ((0.6, 0.0, 0.8), 0.2), ((0, -1, 0), 0.5), ((0, 0, -1), 1.0)]
+)
+def test_a_lamp_stands_at_its_height(direction: tuple[float, float, float], row: float) -> None:
+    around = mirrored_pictures(lit_from(np.array(direction), 0), np.array([0, 0, 1.0]))[0].pixels
+    assert around.shape == (HEIGHT, 2 * HEIGHT, 3)
+    assert abs(brightest(around)[0] - row) < 0.08
+
+
+def test_lamps_a_quarter_apart_stand_a_quarter_apart() -> None:
+    places = []
+    for angle in (0.3, 0.3 + np.pi / 2):
+        lamp = np.array([np.cos(angle), np.sin(angle), 0.0])
+        places.append(brightest(mirrored_pictures(lit_from(lamp, 0), np.array([0, 0, 1.0]))[0].pixels)[1])
+    assert abs(abs(places[1] - places[0]) - 0.5) < 0.03
+
+
+def test_a_flash_beside_the_lens_stands_beside_the_middle() -> None:
+    lamp = np.array([0.3, 0.0, np.sqrt(1 - 0.09)])
+    camera = mirrored_pictures(lit_from(lamp, 1), np.array([0, 0, 1.0]))[1].pixels
+    assert np.abs(brightest(camera) - [0.5, 0.5 + 0.15]).max() < 0.03
+    assert camera[0, 0, 3] == 0 and camera[HEIGHT // 2, HEIGHT // 2, 3] == 255

@@ -30,7 +30,7 @@ LIGHTS = {
 }
 MIRRORED = {
     True: ("learnt, one for all splats", "highlights then follow the shape, also where no photograph saw them"),
-    False: ("not learnt", "brightness does not change from view to view as mirrored light does, or it was switched off"),
+    False: ("not learnt", "brightness does not change from view to view as mirrored light does"),
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",

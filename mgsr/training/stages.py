@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -27,6 +27,7 @@ from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 VolumeBranch = Branch[VolumeModel]
+KEPT_NORMALS = 256 * 2**20  # bytes
 
 
 @dataclass(frozen=True)
@@ -94,16 +95,23 @@ class Stage:
 
 @dataclass(frozen=True)
 class WhatIsMirrored:
-    """The light that the surface mirrors, and the 2D branch whose normals throw it; only the light learns."""
+    """The light that the surface mirrors, and the 2D branch whose normals throw it; only the light learns.
+
+    The 2D branch must stand still, for its normals are kept, as float16, while KEPT_NORMALS lasts."""
 
     light: LightInTraining
     surfels: SurfelBranch
+    kept: dict[str, Tensor] = field(default_factory=dict)
 
     def shown(self, view: TrainingView) -> Tensor:
         """What each pixel of a view mirrors, [H,W,3]."""
-        with torch.no_grad():
-            normal = render_surfels(self.surfels.model, view.camera).normal
-        return mirrored_light(self.light.model, normal, view.camera, view.region)
+        normal = self.kept.get(view.name)
+        if normal is None:
+            with torch.no_grad():
+                normal = render_surfels(self.surfels.model, view.camera).normal.half()
+            if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
+                self.kept[view.name] = normal
+        return mirrored_light(self.light.model, normal.float(), view.camera, view.region)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:

@@ -55,7 +55,8 @@ def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_results_are_there_and_nothing_else(done: Path) -> None:
     assert {path.name for path in done.iterdir()} == {
-        *("mesh.ply", "mesh.glb", "splats_2d.ply", "splats_3d.ply", "renders"),
+        *("mesh.ply", "mesh.glb", "splats_2d.ply", "splats_3d.ply",
+        "mirrored_light.npz", "renders"),
         *("report.json", "report.html", "log.txt", "checkpoint"),
     }
     pictures = {path.name for path in (done / "renders" / "test").iterdir()}

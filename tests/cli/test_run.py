@@ -55,9 +55,8 @@ def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_all_results_are_there_and_nothing_else(done: Path) -> None:
     assert {path.name for path in done.iterdir()} == {
-        *("mesh.ply", "mesh.glb", "splats_2d.ply", "splats_3d.ply",
-        "mirrored_light.npz", "renders"),
-        *("report.json", "report.html", "log.txt", "checkpoint"),
+        *("mesh.ply", "mesh.glb", "splats_2d.ply", "splats_3d.ply", "renders"),
+        *("mirrored_light.npz", "report.json", "report.html", "log.txt", "checkpoint"),
     }
     pictures = {path.name for path in (done / "renders" / "test").iterdir()}
     assert pictures == {f"r_{i}{suffix}.png" for i in range(2) for suffix in SUFFIXES}

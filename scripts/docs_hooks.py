@@ -1,0 +1,45 @@
+"""Hooks of mkdocs (mkdocs.yml): formulas become MathML, which browsers show without scripts; the table of settings is
+read from mgsr/config.py; pages that a build makes are added to the menu; links into the sources lead to them."""
+
+from __future__ import annotations
+
+import html
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))  # mkdocs loads this file by its path
+
+from scripts.options_page import settings_markdown  # noqa: E402
+
+SETTINGS = "<!-- settings of mgsr/config.py -->"
+FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
+# Made from measurements by other scripts; the menu names them where they are.
+MADE = {"evidence.md": "Evidence"}
+
+
+def on_config(config: Any) -> Any:
+    """Add the pages that were made to the part "Understand" of the menu."""
+    part = next(entry["Understand"] for entry in config["nav"] if "Understand" in entry)
+    part += [{title: name} for name, title in MADE.items() if (Path(config["docs_dir"]) / name).is_file()]
+    return config
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Put the settings where a page asks for them, and turn links that leave docs/ into names of files."""
+    markdown = markdown.replace(SETTINGS, settings_markdown())
+    return re.sub(r"\[([^\]]+)\]\(\.\./([^)]+)\)", r"\1 (`\2`)", markdown)
+
+
+def on_page_content(text: str, **_: Any) -> str:
+    """Turn LaTeX into MathML."""
+    return FORMULA.sub(_formula, text)
+
+
+def _formula(found: re.Match[str]) -> str:
+    display = "block" if found[2] == "[" else "inline"
+    return convert(html.unescape(found[3]).strip(), display=display)

@@ -1,0 +1,119 @@
+"""The settings of mgsr/config.py as tables in Markdown: name, default, meaning, as the file's own comments have them.
+
+python scripts/options_page.py
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import io
+import sys
+import tokenize
+from enum import Enum, StrEnum
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from mgsr import config as module
+from mgsr.config import METHODS, PRESETS, Config
+
+
+def settings_markdown() -> str:
+    """A heading and a table for each group of settings, then what the presets and methods change."""
+    comments = _comments(inspect.getsource(module))
+    parts = [_group(prefix, node, comments) for prefix, node in _groups(Config()) if prefix]
+    return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
+
+
+def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    """Every nested dataclass with its dotted path, from the outside in."""
+    found = [(prefix, node)]
+    for field in dataclasses.fields(node):
+        value = getattr(node, field.name)
+        if dataclasses.is_dataclass(value):
+            found += _groups(value, f"{prefix}.{field.name}".lstrip("."))
+    return found
+
+
+def _group(prefix: str, node: Any, comments: dict[str, dict[str, str]]) -> str:
+    hints = get_type_hints(type(node))
+    lines = [
+        f"### `{prefix}`",
+        "",
+        inspect.getdoc(type(node)) or "",
+        "",
+        "| setting | default | meaning |",
+        "|---|---|---|",
+    ]
+    for field in dataclasses.fields(node):
+        value = getattr(node, field.name)
+        if not dataclasses.is_dataclass(value):
+            meaning = " ".join(
+                filter(None, (comments[type(node).__name__].get(field.name), _choices(hints[field.name])))
+            )
+            lines.append(f"| `{field.name}` | `{_shown(value)}` | {meaning.replace('|', '&#124;')} |")
+    return "\n".join(lines) if len(lines) > 6 else "\n".join(lines[:3])
+
+
+def _choices(kind: Any) -> str:
+    """What an enum's own text says of its members."""
+    for part in (kind, *get_args(kind)):
+        if inspect.isclass(part) and issubclass(part, StrEnum):
+            names = ", ".join(f"`{member}`" for member in part)
+            return f"One of {names}. {' '.join((inspect.getdoc(part) or '').split())}"
+    return ""
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "none" if value is None else str(value.value if isinstance(value, Enum) else value)
+
+
+def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
+    """A table of what each name of PRESETS or METHODS sets."""
+    lines = [f"### What the {title} set", "", "| | |", "|---|---|"]
+    lines += [
+        f"| `{name}` | {', '.join(f'`{key}={value}`' for key, value in changed.items()) or 'the defaults'} |"
+        for name, changed in table.items()
+    ]
+    return "\n".join(lines)
+
+
+def _comments(source: str) -> dict[str, dict[str, str]]:
+    """The comment of each field by class and field: the one on its lines, and the lines that go on below it, in small
+    letters; where there is none, the lines above it."""
+    at = {t.start[0]: (t.string.lstrip("# "), t.line.lstrip().startswith("#")) for t in _tokens(source)}
+    found: dict[str, dict[str, str]] = {}
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.ClassDef):
+            fields = [item for item in node.body if isinstance(item, ast.AnnAssign)]
+            found[node.name] = {ast.unparse(item.target): _comment(item, at) for item in fields}
+    return found
+
+
+def _tokens(source: str) -> list[tokenize.TokenInfo]:
+    return [t for t in tokenize.generate_tokens(io.StringIO(source).readline) if t.type == tokenize.COMMENT]
+
+
+def _comment(item: ast.AnnAssign, at: dict[int, tuple[str, bool]]) -> str:
+    assert item.end_lineno is not None
+    words = [at[line][0] for line in range(item.lineno, item.end_lineno + 1) if line in at]
+    line = item.end_lineno + 1
+    if words:
+        while line in at and at[line][1] and at[line][0][:1].islower():
+            words.append(at[line][0])
+            line += 1
+    else:
+        line = item.lineno - 1
+        while line in at and at[line][1]:
+            words.insert(0, at[line][0])
+            line -= 1
+    return " ".join(words)
+
+
+if __name__ == "__main__":
+    print(settings_markdown())

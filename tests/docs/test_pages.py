@@ -1,0 +1,127 @@
+"""What the pages say, held to the code: options that exist, programs that run, a site that builds."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mgsr.config import Config, DataConfig, field_types, make_config
+from mgsr.data import readers
+from mgsr.data.formats import all_formats
+from mgsr.data.readers import load_scene
+from scripts.options_page import settings_markdown
+from tests.cli.spheres import write_spheres
+from tests.docs.blocks import PAGES, ROOT, program
+
+CONTRIBUTING = ROOT / "docs/contributing.md"
+# What stands for a setting: the example of contributing.md, and README's form.
+EXAMPLES = {"decided_weight=0.1", "key=value"}
+
+
+def _settings() -> list[str]:
+    """Every KEY=VALUE that a page gives to --set, or shows as a setting."""
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    given = re.findall(r"--set ([\w.]+=[\w.]+)", text)
+    shown = re.findall(r"`((?:masks|extractor|stop_rule|depth_unit|close_holes|max_side|mesh\.\w+)=[\w.]+)`", text)
+    return sorted({*given, *shown} - EXAMPLES)
+
+
+@pytest.mark.parametrize("setting", _settings())
+def test_a_setting_that_a_page_names_can_be_set(setting: str) -> None:
+    make_config(overrides=[setting])
+
+
+def test_the_weights_of_the_formulas_are_settings() -> None:
+    text = (ROOT / "docs/how-it-works.md").read_text(encoding="utf-8")
+    table = text.split("| in the formulas | setting |")[1].split("\n\n")[0]
+    names = re.findall(r"`([\w.]+)`", table)
+    assert len(names) == 11
+    for name in names:
+        make_config(overrides=[f"{name}=0.3"])
+
+
+def test_the_table_of_settings_has_every_one_with_its_default() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `([^`]*)` \|", settings_markdown().split("### What the")[0], re.M)
+    assert len(rows) == len(field_types(Config())) - 3  # preset, method and seed are options of their own
+    assert ("normal_weight", "0.05") in rows and ("close_holes", "off") in rows
+
+
+def test_comments_that_go_on_belong_to_their_setting() -> None:
+    table = settings_markdown()
+    assert "there the soft edges of splats" in table and "if it leaves at most this share" in table
+    assert "count Positions move slowly" not in table
+
+
+def test_the_first_loss_is_a_loss() -> None:
+    names: dict[str, Any] = {}
+    exec(program(CONTRIBUTING, "loss"), names)
+    names["test_undecided"]()
+
+
+def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The spheres, with their cameras as the example's file has them, give the scene that their own format gives."""
+    spheres = write_spheres(tmp_path / "spheres", size=32, train=8, test=1)
+    theirs = json.loads((spheres / "transforms_train.json").read_text())
+    known = load_scene(spheres, DataConfig())
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    lines = []
+    for frame in theirs["frames"]:
+        name = frame["file_path"].removeprefix("./")
+        name += "" if name.endswith(".png") else ".png"
+        cam_from_world = np.linalg.inv(np.array(frame["transform_matrix"]) @ flip)
+        focal = 16 / np.tan(theirs["camera_angle_x"] / 2)
+        lines.append(",".join([name, repr(float(focal)), *map(repr, cam_from_world.ravel().tolist())]))
+    for path in spheres.glob("transforms*.json"):
+        path.unlink()
+    (spheres / "poses.csv").write_text("\n".join(lines) + "\n")
+    names: dict[str, Any] = {}
+    exec(program(CONTRIBUTING, "reader"), names)
+    formats = [*all_formats(), names["FORMAT"]]
+    monkeypatch.setattr(readers, "all_formats", lambda: formats)
+    read = load_scene(spheres, DataConfig(test_every=100))
+    ours = {view.name.split("/")[-1]: view.camera for view in [*read.train, *read.test]}
+    same = {view.name.split("/")[-1]: view.camera for view in known.train if view.name.split("/")[-1] in ours}
+    assert len(ours) == 8 and len(same) >= 7
+    for name, camera in same.items():
+        assert np.allclose(camera.cam_from_world, ours[name].cam_from_world, atol=0.02), name
+        assert np.allclose(camera.K, ours[name].K)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documentation, built strictly: a dead link or anchor is an error."""
+    folder = tmp_path_factory.mktemp("site")
+    ran = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "-q", "--strict", "-d", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert ran.returncode == 0, ran.stderr[-3000:]
+    return folder
+
+
+def test_the_site_asks_no_other_host(site: Path) -> None:
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe|source)[^>]*\ssrc=\"([^\"]+)\"", text)
+        loaded += re.findall(r"<link[^>]*rel=\"(?:stylesheet|preconnect|icon)\"[^>]*href=\"([^\"]+)\"", text)
+        loaded += re.findall(r"<link[^>]*href=\"([^\"]+)\"[^>]*rel=\"(?:stylesheet|preconnect|icon)\"", text)
+        assert loaded and not [address for address in loaded if re.match(r"(https?:)?//", address)], page.name
+
+
+def test_formulas_are_shown_without_scripts(site: Path) -> None:
+    text = (site / "how-it-works.html").read_text(encoding="utf-8")
+    assert text.count("<math") > 20 and "arithmatex" not in text and "\\frac" not in text.split("<math")[0]
+
+
+def test_the_settings_stand_on_their_page(site: Path) -> None:
+    text = (site / "options.html").read_text(encoding="utf-8")
+    assert "poisson_depth" in text and "settings of mgsr/config.py" not in text.replace("`", "")

@@ -324,7 +324,7 @@ def _making_section(evidence: Evidence) -> str:
             "[runs.csv](../benchmarks/results/runs.csv) has its machine, versions, commit, command and notes "
             "([as a page](../benchmarks/results/runs.md)). To run what is missing, take it into the results and make "
             "this page anew:",
-            "```sh\n"
+            "<!-- not run: it needs the measurement scenes and hours -->\n```sh\n"
             "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr,bunny_flash,wingnut_dark} -o out/bench \\\n"
             "    --methods mgsr,2dgs,3dgs --presets draft,standard --evaluate ../shared/tools/evaluate.py \\\n"
             "    --keep benchmarks/results\n"

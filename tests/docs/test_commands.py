@@ -46,7 +46,8 @@ def _named() -> list[str]:
     found: set[str] = set()
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
-        lines = re.findall(r"`([^`\n]+)`", text) + [line for block in blocks(page) for line in block.text.splitlines()]
+        lines = re.findall(r"`([^`\n]+)`", text)
+        lines += [line for block in blocks(page) for line in block.text.replace("\\\n", " ").splitlines()]
         for line in lines:
             for command in re.split(r"&&|\|\||;", line.split("  #")[0]):
                 words = command.strip()

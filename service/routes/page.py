@@ -66,7 +66,6 @@ class PageFile:
         return {
             "Cache-Control": "public, max-age=31536000, immutable" if _HASHED.fullmatch(self.name) else "no-cache",
             "Content-Security-Policy": policy,
-            "Cross-Origin-Opener-Policy": "same-origin",
             "ETag": self.etag,
             "Referrer-Policy": "no-referrer",
             "Vary": "Accept-Encoding",

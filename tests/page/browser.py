@@ -12,6 +12,8 @@ from urllib.parse import urlsplit
 
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request
 
+# A name of this machine that browsers don't trust as they trust `localhost`: some functions are missing there.
+OTHER_NAME = "capture.test"
 # As service.md has them: the drawing is done in software, where there is no graphics card.
 FLAGS = [
     "--no-sandbox",
@@ -19,6 +21,7 @@ FLAGS = [
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
     "--disable-dev-shm-usage",
+    f"--host-resolver-rules=MAP {OTHER_NAME} 127.0.0.1",
 ]
 # The browser itself notes each answer with an error status, and each connection that is refused.
 NETWORK_NOTE = "Failed to load resource"

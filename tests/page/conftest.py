@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from tests.page.browser import FLAGS, find_chromium, watched_page
+from tests.page.browser import FLAGS, OTHER_NAME, find_chromium, watched_page
 from tests.page.results import make_results
 from tests.service.conftest import tiny_archive as tiny_archive
 from tests.service.stack import Stack
@@ -33,7 +33,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """API and queue; tests play the worker."""
-    with Stack(tmp_path_factory.mktemp("page"), workers=0) as running:
+    with Stack(tmp_path_factory.mktemp("page"), workers=0, MGSR_ALLOWED_HOSTS=OTHER_NAME) as running:
         yield running
 
 

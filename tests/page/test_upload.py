@@ -12,8 +12,9 @@ from playwright.sync_api import Page, expect
 
 from service.contract.settings import Settings
 from service.contract.store import Store
-from tests.page.browser import until
+from tests.page.browser import OTHER_NAME, until
 from tests.page.conftest import Opener
+from tests.page.puppet import Puppet
 from tests.service.stack import Stack
 from tests.worker.archives import zip_of
 
@@ -80,6 +81,15 @@ def test_a_folder_arrives_as_it_is(visit: Opener, service: Stack, capture_folder
         job = start(page)
     assert job["name"] == "Teekanne"
     assert members(sent(service, str(job["id"]))) == files_of(capture_folder)
+
+
+def test_from_another_machine_without_https(visit: Opener, service: Stack, capture_folder: Path) -> None:
+    with visit(url=f"http://{OTHER_NAME}:{service.port}") as page:
+        assert not page.evaluate("isSecureContext")
+        page.set_input_files(FOLDER, capture_folder)
+        job = start(page)
+        Puppet(service, str(job["id"])).train(0.5)
+        expect(page.locator("main").get_by_text("50 %")).to_be_visible()
 
 
 def test_a_folder_can_be_dropped(visit: Opener, service: Stack, capture_folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import { Unreachable, isAbort } from "./problem";
 import type { Service } from "./service";
+import { pieces } from "./stream";
 import type { Job, Progress } from "./types";
 
 export interface ServerEvent {
@@ -63,7 +64,7 @@ async function* listen(
     const both = AbortSignal.any([signal, silence.signal]);
     const answer = await service.request(`/jobs/${id}/events`, { headers, signal: both });
     const parser = new EventParser();
-    for await (const chunk of answer.body!.pipeThrough(new TextDecoderStream())) {
+    for await (const chunk of pieces(answer.body!.pipeThrough(new TextDecoderStream()))) {
       clearTimeout(timer);
       timer = setTimeout(() => silence.abort(), SILENCE);
       yield* parser.take(chunk);

@@ -2,6 +2,7 @@
 
 import { Connection } from "./connection";
 import { Problem, Unreachable, isAbort, readProblem } from "./problem";
+import { pieces } from "./stream";
 import type { Artifact, JobList, Options } from "./types";
 
 const KEY = "mgsr-key";
@@ -69,7 +70,7 @@ export class Service extends EventTarget {
     const chunks: Uint8Array<ArrayBuffer>[] = [];
     let received = 0;
     try {
-      for await (const chunk of answer.body!) {
+      for await (const chunk of pieces(answer.body!)) {
         chunks.push(chunk);
         received += chunk.length;
         progress?.(received / artifact.size);

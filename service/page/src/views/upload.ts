@@ -9,6 +9,11 @@ import { h, setText } from "../parts/dom";
 import { bytes, duration, percent } from "../parts/format";
 import { announce, errorBox } from "../parts/notice";
 
+/** A key that is used once. (crypto.randomUUID is missing where the page comes over plain http from another machine.) */
+function newKey(): string {
+  return [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
 export class UploadTray {
   private running: AbortController | null = null;
 
@@ -29,7 +34,7 @@ export class UploadTray {
   }
 
   /** Send a capture; trouble is shown, with a way to try again. */
-  async start(capture: Capture, options: JobOptions, idempotencyKey: string = crypto.randomUUID()): Promise<void> {
+  async start(capture: Capture, options: JobOptions, idempotencyKey = newKey()): Promise<void> {
     const stop = new AbortController();
     this.running = stop;
     const { type, archive } = capture;

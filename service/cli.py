@@ -1,4 +1,5 @@
-"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own."""
+"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own; with `keys`, its keys. Needs
+nothing of the library, which `mgsr keys` loads."""
 
 from __future__ import annotations
 
@@ -8,17 +9,21 @@ from typing import Annotated
 
 import typer
 
+from service.commands import keys
 from service.contract.errors import SetupError, refusals
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app.add_typer(keys, name="keys")
 
 HostOption = Annotated[str, typer.Option(help="The address to listen at.")]
 PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=0, max=65535)]
 
 
-@app.command()
-def main(host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
-    """Serve the API, with the queue at MGSR_REDIS_URL and the store at MGSR_STORE."""
+@app.callback(invoke_without_command=True)
+def main(context: typer.Context, host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
+    """Serve the API, with the queue at MGSR_REDIS_URL and the store at MGSR_STORE. With `keys`, see to its keys."""
+    if context.invoked_subcommand is not None:
+        return
     with refusals():
         serve_api(host, port)
 

@@ -33,7 +33,7 @@ BEGUN = time.monotonic()
 OPTIONS = {
     "preset": "draft",
     "method": "2dgs",
-    "settings": {"train.warmup.surfel_iterations": 3000, "train.warmup.stop_rule": "none"},
+    "settings": {"train.warmup.surfel_iterations": 2000, "train.warmup.stop_rule": "none"},
 }
 
 
@@ -113,7 +113,7 @@ class Trial:
         log = (self.folder / f"{host}.log").open("ab")
         process = subprocess.Popen(words, stdout=log, stderr=log, env=env)
         self.undo.callback(process.wait)
-        self.undo.callback(process.terminate)
+        self.undo.callback(process.kill)  # unshare heeds no other signal; its child goes with it
 
     def container(self, host: str, image: str, service: str) -> tuple[list[str], dict[str, Any]]:
         """The command prefix and the image's facts of a compose service on a host."""
@@ -208,7 +208,7 @@ def _break_and_mend(trial: Trial, archive: Path) -> None:
     job = trial.ask(address, "-F", f"archive=@{archive}", "-F", options)["id"]
     say(f"job {job[:8]} sent")
     cut = wait("a worker with the job", lambda: owner(trial), 60)
-    wait("training with a checkpoint behind it", lambda: trial.ask(f"{address}/{job}")["iteration"] > 600, 300)
+    wait("training with a checkpoint behind it", lambda: (trial.ask(f"{address}/{job}")["iteration"] or 0) > 600, 300)
     other = {"worker-a": "worker-b", "worker-b": "worker-a"}[cut]
     run("ip", "-n", BRIDGE, "link", "set", cut, "down")
     broken = time.monotonic()

@@ -64,7 +64,7 @@ def write_evidence(results: Path, docs: Path) -> Path:
     """The page and its plots; its path."""
     evidence = read_evidence(results)
     write_plots(docs / IMAGES, evidence.rows, evidence.curves)
-    points = [(row.kernel, row.variant, row.both, row.error_max) for row in evidence.kernels]
+    points = [(row.kernel, row.variant, row.cost, row.error_max) for row in evidence.kernels]
     if points:
         write_kernel_plot(docs / IMAGES / "kernels.svg", points)
     (docs / PAGE).write_text(evidence_page(evidence), encoding="utf-8")

@@ -21,7 +21,8 @@ def kernel_section(rows: Sequence[KernelRow]) -> str:
             "## The kernels: time against error",
             "Every kernel computes in float32; the errors are those against float64 (outputs in their own units, "
             "gradients relative to the largest and to the mean true gradient of the same input). Times are "
-            f"milliseconds with all threads; CPU is what all threads spent together. {'; '.join(notes)}.",
+            "milliseconds with all threads; CPU is what all threads spent together; `torch` is plain float32 torch, "
+            f"which shows how large float32's own error is. {'; '.join(notes)}.",
             "![Milliseconds against the largest error of each kernel and variant](images/evidence/kernels.svg)",
             kernel_table(rows),
             _words(rows),
@@ -43,27 +44,36 @@ def _cells(row: KernelRow) -> list[str]:
 
 
 def _words(rows: Sequence[KernelRow]) -> str:
-    told = []
-    variants = list(dict.fromkeys(row.variant for row in rows))
-    fastest = variants[0]
-    gains = [
-        (other.cpu / row.cpu, row.kernel)
-        for row in rows
-        for other in rows
-        if (row.variant, other.variant, other.kernel) == (fastest, "baseline", row.kernel) and fastest != "baseline"
+    variants = {row.variant for row in rows}
+    best = next((name for name in ("avx512", "avx2") if name in variants), "baseline")
+    told = [
+        _against(rows, best, other, words) for other, words in (("baseline", "The baseline"), ("torch", "Plain torch"))
     ]
-    if gains:
-        (low, slow), (high, quick) = min(gains), max(gains)
-        told.append(
-            f"`{fastest}` takes {1 / high:.0%} ({quick}) to {1 / low:.0%} ({slow}) of the baseline's processor time."
-        )
     crossed = list(dict.fromkeys(row.kernel for row in rows if row.error_max > ROUNDING))
     if crossed:
         told.append(
             f"Errors above {ROUNDING:.0e} are no rounding of colours but a splat that falls on the other side of a "
             f"threshold, or a depth where hardly anything is seen: {', '.join(crossed)}."
         )
+    worst = max((row for row in rows if row.gradient_max is not None), key=lambda row: row.gradient_max or 0)
+    told.append(
+        f"The worst gradient: {worst.kernel}, {worst.variant}, {worst.gradient_max:.1e} of the largest true one."
+    )
     lacking = [name for name in ("avx512", "cuda") if name not in variants]
-    if lacking:
-        told.append(f"Not measured, for want of such a machine: {', '.join(lacking)}.")
-    return " ".join(told)
+    told.append(f"Not measured, for want of such a machine: {', '.join(lacking)}." if lacking else "")
+    told.append("Tile sizes and the fast exponential are fixed when the kernels are built, so they have no rows.")
+    return " ".join(words for words in told if words)
+
+
+def _against(rows: Sequence[KernelRow], best: str, other: str, words: str) -> str:
+    """How much more processor time another variant takes; empty where no kernel has both."""
+    known = {(row.kernel, row.variant): row.cpu for row in rows}
+    ratios = [
+        (known[row.kernel, other] / row.cpu, row.kernel)
+        for row in rows
+        if row.variant == best != other and (row.kernel, other) in known
+    ]
+    if not ratios:
+        return ""
+    (low, least), (high, most) = min(ratios), max(ratios)
+    return f"{words} takes {low:.1f} ({least}) to {high:.1f} ({most}) times the processor time of `{best}`."

@@ -13,7 +13,8 @@ KERNELS = "kernels.csv"
 
 @dataclass(frozen=True)
 class KernelRow:
-    """One kernel in one variant (avx512, avx2, baseline: the processor's; cuda: a card's).
+    """One kernel in one variant (avx512, avx2, baseline: the processor's; cuda: a card's; torch: plain float32 torch on
+    the processor, for comparison).
 
     size: what the times are for. forward, backward, least, cpu: milliseconds; medians of each way, the least of both
     together, and the median processor time of all threads. error_max, error_mean: of the output images or values
@@ -39,9 +40,10 @@ class KernelRow:
     note: str = ""
 
     @property
-    def both(self) -> float:
-        """Milliseconds of forward and backward."""
-        return self.forward + (self.backward or 0.0)
+    def cost(self) -> float:
+        """Milliseconds of forward and backward: of the card, or what all threads of the processor spent together, which
+        other programs change least."""
+        return self.forward + (self.backward or 0.0) if self.variant == "cuda" else self.cpu
 
 
 def write_kernels(path: Path, rows: Sequence[KernelRow]) -> None:

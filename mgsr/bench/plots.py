@@ -119,7 +119,12 @@ def time_and_error(path: Path, points: Sequence[tuple[str, str, float, float]]) 
         panel.annotate(kernel, (own[-1][2], own[-1][3]), xytext=(5, 3), textcoords="offset points", fontsize=7)
     for variant, shape in shapes.items():
         panel.scatter([], [], marker=shape, color=COLORS["mgsr"], s=22, label=variant)
-    panel.set(xscale="log", yscale="log", xlabel="milliseconds, forward and backward", ylabel="largest error")
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlabel="milliseconds of the processor (or card), forward and backward",
+        ylabel="largest error",
+    )
     panel.legend(loc="upper left", bbox_to_anchor=(1, 1))
     return _write(figure, path)
 

@@ -82,6 +82,17 @@ def test_every_picture_has_words_and_a_size() -> None:
     assert len(charts) == 2 and all(chart["aria-label"] for chart in charts)
 
 
+def test_the_page_shows_the_runs_own_curve_of_error_against_time() -> None:
+    data = sample_report()
+    paths = [dict(attrs) for tag, attrs in read(full_page()).attributes if tag == "path"]
+    drawn = {(each["class"] or "").split()[-1]: (each["d"] or "").count("L") + 1 for each in paths[:2]}
+    assert drawn == {
+        "a": sum(row.psnr_surfels is not None for row in data.curve),
+        "b": sum(row.psnr_volumes is not None for row in data.curve),
+    }
+    assert "seconds of training" in full_page() and "PSNR on test views, dB: 2D from" in full_page()
+
+
 def test_strange_names_are_shown_as_they_are() -> None:
     data = sample_report(STRANGE, f"mgsr-worker run '{STRANGE}'")
     page = report_page(data, sample_pictures(STRANGE))

@@ -33,7 +33,7 @@ BEGUN = time.monotonic()
 OPTIONS = {
     "preset": "draft",
     "method": "2dgs",
-    "settings": {"train.warmup.surfel_iterations": 2000, "train.warmup.stop_rule": "none"},
+    "settings": {"train.warmup.surfel_iterations": 500, "train.warmup.stop_rule": "none"},
 }
 
 
@@ -208,7 +208,7 @@ def _break_and_mend(trial: Trial, archive: Path) -> None:
     job = trial.ask(address, "-F", f"archive=@{archive}", "-F", options)["id"]
     say(f"job {job[:8]} sent")
     cut = wait("a worker with the job", lambda: owner(trial), 60)
-    wait("training with a checkpoint behind it", lambda: (trial.ask(f"{address}/{job}")["iteration"] or 0) > 600, 300)
+    wait("training with a checkpoint behind it", lambda: (trial.ask(f"{address}/{job}")["iteration"] or 0) > 150, 300)
     other = {"worker-a": "worker-b", "worker-b": "worker-a"}[cut]
     run("ip", "-n", BRIDGE, "link", "set", cut, "down")
     broken = time.monotonic()

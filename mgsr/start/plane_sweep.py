@@ -1,8 +1,9 @@
 """Points on a surface that no mask shows, by plane-sweep stereo (Collins 1996).
 
 A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where
-they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. Only
-the unit ball is searched.
+they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. The
+unit ball is searched finely, and what lies behind it coarsely, so that a background has its place and is not taken for
+something in the ball.
 """
 
 from __future__ import annotations
@@ -22,20 +23,21 @@ from mgsr.data.scene import PointCloud, View
 from mgsr.parallel import map_ahead, one_torch_thread
 
 SIDE = 128  # images are reduced to this side: a start needs no more
-PLANES = 64  # evenly in inverse depth, as disparity is
-REACH = 1.1  # of the planes around the origin
+PLANES, BEHIND = 64, 32  # through the ball and from there to infinity, evenly in inverse depth, as disparity is
+REACH = 1.1  # of the ball's planes around the origin
+FARTHEST_POINT = 40.0  # from the origin; farther points are too uncertain to be of use
 NEIGHBOURS, APART, FARTHEST = 4, 15.0, 45.0  # views compared; degrees that they are best apart, and at most
 WINDOW = 5  # pixels a side
 NOISE = 0.01  # standard deviation; windows of less contrast correlate with nothing
 AGREEMENT = 0.6  # least correlation of a depth that counts
 LEAD, BESIDE = 0.03, 4  # by which it must beat all planes further from it than this many
 CONFIRMED, TOLERANCE = 2, 0.02  # other views that must have the same depth, to this share
-SPACING = 0.02  # points closer than this are one
+SPACING = 0.02  # points closer than this are one, outside the ball in the space that `_drawn_in` gives
 CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY deviations farther than is usual
 
 
 def sweep_planes(views: Sequence[View]) -> PointCloud:
-    """Points of the surfaces inside the unit ball, as far as the views have contrast; maybe none."""
+    """Points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none."""
     looks = [_look(view) for view in views]
     with one_torch_thread():
         maps = list(map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None))
@@ -71,13 +73,14 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     if farthest <= 0 or len(neighbours) < 2:
         return unknown
     nearest = max(nearest, 0.05 * farthest)
-    inverse = torch.linspace(1 / farthest, 1 / nearest, PLANES)
+    behind = torch.linspace(0, 1 / farthest, BEHIND + 1)[:-1]
+    inverse = torch.cat([behind, torch.linspace(1 / farthest, 1 / nearest, PLANES)])
     scores = torch.stack([_correlations(look, looks[other], inverse) for other in neighbours])
     # The better half: a neighbour that does not see the place says nothing of it.
     agreement = scores.topk(max(2, len(neighbours) // 2), dim=0).values.mean(dim=0)
     plane, sure = _best_plane(agreement)
-    depth = 1 / (1 / farthest + (1 / nearest - 1 / farthest) * plane / (PLANES - 1))
-    return np.where(sure.numpy(), depth.numpy(), unknown)
+    depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
+    return np.where(sure.numpy(), depth, unknown)
 
 
 def _neighbours(cameras: Sequence[Camera], index: int) -> np.ndarray:
@@ -102,7 +105,7 @@ def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
     places = places[..., :2] / places[..., 2:].clamp(min=1e-6)
     places = places / torch.tensor([neighbour.width, neighbour.height]) * 2 - 1
     seen = functional.grid_sample(
-        other.grey[None].expand(PLANES, -1, -1, -1), places, padding_mode="border", align_corners=False
+        other.grey[None].expand(len(inverse), -1, -1, -1), places, padding_mode="border", align_corners=False
     )[:, 0]
     own, mean, seen_mean = look.grey, _window_mean(look.grey), _window_mean(seen)
     variance = _window_mean(own * own) - mean * mean + NOISE**2
@@ -126,10 +129,11 @@ def _window_mean(images: Tensor) -> Tensor:
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
     """The plane [h,w] of the best agreement [D,h,w], between planes by a parabola, and whether it stands out."""
     best, at = agreement.max(dim=0)
-    planes = torch.arange(PLANES)[:, None, None]
+    count = len(agreement)
+    planes = torch.arange(count)[:, None, None]
     rival = torch.where((planes - at).abs() > BESIDE, agreement, -1.0).amax(dim=0)
-    sure = (at > 0) & (at < PLANES - 1) & (best > AGREEMENT) & (best - rival > LEAD)
-    middle = at.clamp(1, PLANES - 2)[None]
+    sure = (at > 0) & (at < count - 1) & (best > AGREEMENT) & (best - rival > LEAD)
+    middle = at.clamp(1, count - 2)[None]
     before, here, after = (agreement.gather(0, middle + step)[0] for step in (-1, 0, 1))
     step = (after - before) / (2 * (2 * here - before - after)).clamp(min=1e-6)
     return middle[0] + step.clamp(-0.5, 0.5), sure
@@ -154,16 +158,24 @@ def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray]) -
         gaps = found[down, across] / depths[at] - 1
         confirming[at] += np.abs(gaps) < TOLERANCE
         against[at] += np.isfinite(gaps) & (gaps > 2 * TOLERANCE)
-    good = (confirming >= CONFIRMED) & (confirming > against) & (np.linalg.norm(positions, axis=1) < REACH)
+    good = (confirming >= CONFIRMED) & (confirming > against) & (np.linalg.norm(positions, axis=1) < FARTHEST_POINT)
     colors = looks[index].image[rows, columns].round().clip(0, 255).astype(np.uint8)
     return positions[good], colors[good]
 
 
 def _thinned(positions: np.ndarray) -> np.ndarray:
     """Which points to keep, by index: one a cell of SPACING, without those that stand alone."""
-    _, first = np.unique(np.floor(positions / SPACING).astype(int), axis=0, return_index=True)
+    near = _drawn_in(positions)
+    _, first = np.unique(np.floor(near / SPACING).astype(int), axis=0, return_index=True)
     first.sort()
     if len(first) <= CROWD:
         return first
-    distances = cKDTree(positions[first]).query(positions[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
+    distances = cKDTree(near[first]).query(near[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
     return first[distances <= distances.mean() + LONELY * distances.std()]
+
+
+def _drawn_in(positions: np.ndarray) -> np.ndarray:
+    """Points [P,3] with all that lies outside the unit ball drawn into one of radius 2, infinity onto its surface, as
+    photographs taken around the ball see less the farther it is."""
+    radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
+    return positions * (2 - 1 / radius) / radius

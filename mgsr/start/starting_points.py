@@ -33,6 +33,9 @@ SHADING_PASSES = {
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
 MIN_POINTS = 500
 
+# The share of an unmasked capture's points that may lie outside a ball of radius BALL, where no mesh is made.
+BACKGROUND, BALL = 0.25, 1.25
+
 # Points outside the unit ball by more than this are behind the cameras or wrong.
 FARTHEST = 50.0
 
@@ -103,13 +106,22 @@ def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointClou
 def _unmasked_points(
     views: Sequence[View], own: PointCloud | None, count: int, generator: np.random.Generator
 ) -> StartingPoints:
-    found = sweep_planes(views)
+    found = _with_less_background(sweep_planes(views), count, generator)
     if own is not None and len(own.positions):
         both = (np.concatenate(part) for part in ((own.positions, found.positions), (own.colors, found.colors)))
         return _chosen(PointCloud(*both), StartSource.CAPTURE, count, generator)
     if len(found.positions) < MIN_POINTS:
         return _ball_points(views, count, generator)
     return _chosen(found, StartSource.STEREO, count, generator)
+
+
+def _with_less_background(points: PointCloud, count: int, generator: np.random.Generator) -> PointCloud:
+    """What lies in the ball, and of what lies outside at most BACKGROUND of `count`."""
+    outside = np.flatnonzero(np.linalg.norm(points.positions, axis=1) > BALL)
+    most = round(BACKGROUND * count)
+    dropped = generator.choice(outside, max(0, len(outside) - most), replace=False)
+    kept = np.setdiff1d(np.arange(len(points.positions)), dropped)
+    return PointCloud(points.positions[kept], points.colors[kept])
 
 
 def _chosen(points: PointCloud, source: StartSource, count: int, generator: np.random.Generator) -> StartingPoints:

@@ -7,6 +7,7 @@ from torch import Tensor
 from mgsr.config import MirrorConfig
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.ops.adam import FusedAdam
+from mgsr.training.schedule import fade
 from mgsr.training.trained import Trained
 
 
@@ -19,7 +20,7 @@ class LightInTraining(Trained[MirroredLight]):
 
     def rates(self, progress: float) -> dict[str, float]:
         """See `Trained`."""
-        return {"logits": self.settings.rate * self.settings.final**progress}
+        return {"logits": self.settings.rate * fade(progress, self.settings.fade_from, self.settings.final)}
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
         """See `Trained`."""

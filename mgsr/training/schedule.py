@@ -18,18 +18,23 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
     extent: the scene's, in its unit; the positions' rate is proportional to it. Of colours it is the constant term's
     (see `rest_scale`).
     """
-    fade = config.final**progress
+    faded = fade(progress, config.fade_from, config.final)
     position = extent * math.exp((1 - progress) * math.log(config.position) + progress * math.log(config.position_end))
     return {
         "means": position,
-        "quats": fade * config.rotation,
-        "log_scales": fade * config.scale,
-        "opacity_logits": fade * config.opacity,
-        "sh": fade * config.sh,
-        "refl_opacity_logits": fade * config.opacity,
-        "weight_logits": fade * config.weight,
-        "refl_sh": fade * config.sh,
+        "quats": faded * config.rotation,
+        "log_scales": faded * config.scale,
+        "opacity_logits": faded * config.opacity,
+        "sh": faded * config.sh,
+        "refl_opacity_logits": faded * config.opacity,
+        "weight_logits": faded * config.weight,
+        "refl_sh": faded * config.sh,
     }
+
+
+def fade(progress: float, begin: float, final: float) -> float:
+    """1 until `progress` is `begin`, then falling exponentially to `final` at 1."""
+    return float(final ** (max(0.0, progress - begin) / max(1 - begin, 1e-9)))
 
 
 def rest_scale(sh: Tensor, config: RatesConfig) -> Tensor:

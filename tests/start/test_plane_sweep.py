@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.scene import PointCloud, View
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.start.plane_sweep import sweep_planes
 from tests.start.test_photo_carving import CAP, photographs
 
@@ -51,6 +52,30 @@ def test_colors_are_the_photographs(found: PointCloud, matte: list[View]) -> Non
     columns, rows = view.camera.project(found.positions[facing])[0].astype(int).T
     off = np.abs(found.colors[facing].astype(float) - view.image[rows, columns])
     assert facing.sum() > 200 and np.median(off) < 15
+
+
+def test_a_background_has_its_place_behind_the_ball(matte: list[View]) -> None:
+    wall = 6.0
+    found = sweep_planes([in_front_of_a_wall(view, wall) for view in matte]).positions
+    away = np.linalg.norm(found, axis=1)
+    near, far = away < 1.1, away > 3
+    assert near.sum() > 5000 and far.sum() > 1000
+    assert (near | far).mean() > 0.98  # next to nothing floats between
+    assert np.percentile(np.abs(heights(found[near])), 90) < 0.06
+    assert abs(np.median(away[far]) / wall - 1) < 0.05 and np.percentile(np.abs(away[far] / wall - 1), 80) < 0.2
+
+
+def in_front_of_a_wall(view: View, radius: float) -> View:
+    """The view with a painted sphere of this radius around everything, cameras too."""
+    rays = pixel_rays(view.camera)
+    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    center = view.camera.center
+    along = -(rays @ center)
+    far = center + rays * (along + np.sqrt(along**2 + radius**2 - center @ center))[..., None]
+    spots = 0.5 + 0.5 * np.sin(7 * far[..., 0] + 1) * np.sin(8 * far[..., 1]) * np.cos(6 * far[..., 2])
+    behind = np.round(255 * (0.2 + 0.6 * spots[..., None] * np.array([0.4, 0.9, 0.6]))).astype(np.uint8)
+    ball = (view.image > 0).any(axis=-1, keepdims=True)
+    return replace(view, image=np.where(ball, view.image, behind))
 
 
 def test_what_has_no_contrast_shows_nothing() -> None:

@@ -326,8 +326,8 @@ class Config:
 PRESETS: dict[str, dict[str, str]] = {
     "draft": {  # about a minute
         "warmup.surfel_iterations": "250",
-        "warmup.volume_iterations": "350",
-        "mutual.iterations": "300",
+        "warmup.volume_iterations": "300",
+        "mutual.iterations": "200",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "volumes.max_start": "5000",

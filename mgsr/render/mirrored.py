@@ -8,34 +8,31 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, pad
+from torch.nn.functional import grid_sample
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
 
-Region = tuple[int, int, int, int]
 
-
-def mirrored_light(
-    light: MirroredLight, normal: Tensor, camera: Camera, region: Region | None = None
-) -> Tensor:
+def mirrored_light(light: MirroredLight, normal: Tensor, camera: Camera, pixels: Tensor | None = None) -> Tensor:
     """The light [H,W,3] that comes from where each pixel's surface mirrors the camera's sight to.
 
-    normal [H,W,3]: world frame, of any length; where it is zero, the result means nothing. region (y0, y1, x0, x1),
-    ends excluded: outside it the result is 0. Gradients flow to the light and to the normals.
+    normal [H,W,3]: world frame, of any length; where it is zero, the result means nothing. pixels [P] int64: which to
+    look at, row x W + column, each once; elsewhere the result is 0. Gradients flow to the light and to the normals.
     """
     height, width = normal.shape[:2]
-    y0, y1, x0, x1 = region or (0, height, 0, width)
+    every = normal.reshape(-1, 3)
     rotation = torch.tensor(camera.cam_from_world[:3, :3], dtype=normal.dtype).to(normal.device, non_blocking=True)
-    facing = rotation @ normal[y0:y1, x0:x1].reshape(-1, 3).T
+    facing = rotation @ (every if pixels is None else every.index_select(0, pixels)).T
     facing = facing / facing.square().sum(dim=0).clamp_min(1e-12).sqrt()
-    back = _towards_camera(camera, (y0, y1, x0, x1), normal)
+    back = _towards_camera(camera, pixels, normal)
     mirrored = 2 * (facing * back).sum(dim=0) * facing - back
     flipped = torch.stack([mirrored[0], mirrored[1], -mirrored[2]])
     places = torch.stack([octahedral(rotation.T @ mirrored), octahedral(flipped)])
     shown = grid_sample(light.maps(), places[:, None], padding_mode="border", align_corners=False)
-    image = shown.sum(dim=0)[:, 0].T.reshape(y1 - y0, x1 - x0, 3)
-    return image if region is None else pad(image, (0, 0, x0, width - x1, y0, height - y1))
+    colors = shown.sum(dim=0)[:, 0].T
+    image = colors if pixels is None else torch.zeros_like(every).index_copy(0, pixels, colors)
+    return image.reshape(height, width, 3)
 
 
 def octahedral(directions: Tensor) -> Tensor:
@@ -47,12 +44,12 @@ def octahedral(directions: Tensor) -> Tensor:
     return torch.stack([torch.where(z < 0, folded[0], x), torch.where(z < 0, folded[1], y)], dim=-1)
 
 
-def _towards_camera(camera: Camera, region: Region, like: Tensor) -> Tensor:
+def _towards_camera(camera: Camera, pixels: Tensor | None, like: Tensor) -> Tensor:
     """Unit directions [3,P] from each pixel's surface to the camera, in the camera's axes."""
-    y0, y1, x0, x1 = region
+    if pixels is None:
+        pixels = torch.arange(camera.height * camera.width, device=like.device)
     K = camera.K
-    columns = (torch.arange(x0, x1, dtype=like.dtype, device=like.device) + (0.5 - K[0, 2])) / K[0, 0]
-    rows = (torch.arange(y0, y1, dtype=like.dtype, device=like.device) + (0.5 - K[1, 2])) / K[1, 1]
-    along, across = torch.meshgrid(rows, columns, indexing="ij")
-    rays = torch.stack([across, along, torch.ones_like(across)]).reshape(3, -1)
+    across = ((pixels % camera.width).to(like.dtype) + (0.5 - K[0, 2])) / K[0, 0]
+    along = (torch.div(pixels, camera.width, rounding_mode="floor").to(like.dtype) + (0.5 - K[1, 2])) / K[1, 1]
+    rays = torch.stack([across, along, torch.ones_like(across)])
     return -rays / rays.square().sum(dim=0).sqrt()

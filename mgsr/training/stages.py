@@ -111,7 +111,7 @@ class WhatIsMirrored:
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
                 self.kept[view.name] = normal
-        return mirrored_light(self.light.model, normal.float(), view.camera, view.region)
+        return mirrored_light(self.light.model, normal.float(), view.camera, view.covered)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
@@ -162,7 +162,7 @@ def both_teach(
         shown, held = None, {}
         if light is not None:
             normal = flat.normal if both else flat.normal.detach()
-            shown = mirrored_light(light.model, normal, view.camera, view.region)
+            shown = mirrored_light(light.model, normal, view.camera, view.covered)
             held = light_terms(light.model, volumes.model, config)
         full = _see_volumes(volumes, view, background, settings.sh_degree, settings.reflected_sh_degree, True, shown)
         terms = mutual_terms(flat, full, view.target(background), config) | held

@@ -23,7 +23,8 @@ class TrainingView:
     """One photograph as tensors, made once.
 
     color [H,W,3] float32 0..1, times alpha where there is one; alpha [H,W] float32 0..1 or None; region: where the
-    photographic losses look (see Target).
+    photographic losses look (see Target); covered [P] int64: the pixels that the mask touches, row x W + column, None
+    without masks.
     """
 
     name: str
@@ -32,6 +33,7 @@ class TrainingView:
     alpha: Tensor | None
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None
+    covered: Tensor | None = None
 
     @cached_property
     def transparency(self) -> Tensor | None:
@@ -66,7 +68,8 @@ def _prepared(view: View, masked: bool, margin: int | None, edge_band: int, devi
     alpha = torch.from_numpy(view.alpha).to(device).to(torch.float32) / 255
     region = None if margin is None else bounding_region(view.alpha, margin)
     off_edge = outline_weights(alpha, edge_band) if edge_band else None
-    return TrainingView(view.name, view.camera, color * alpha[..., None], alpha, region, off_edge)
+    covered = torch.nonzero(alpha.reshape(-1))[:, 0]
+    return TrainingView(view.name, view.camera, color * alpha[..., None], alpha, region, off_edge, covered)
 
 
 def outline_weights(alpha: Tensor, band: int) -> Tensor:

@@ -55,6 +55,13 @@ PAPER_ROWS = (
 # Where a default differs from the paper's: the run that takes the paper's choice instead.
 PAPER_CHOICES = (
     AblationRow("paper-photo", "photograph's share in the 2D target 0.5 (ours 0.3)", "mgsr", ("photo_weight=0.5",)),
+    AblationRow("paper-light", "no mirrored light that all splats share (ours do)", "mgsr", ("mirror.use=off",)),
+    AblationRow(
+        "paper-rates",
+        "rates do not fade (ours do in the second half)",
+        "mgsr",
+        ("surfels.rates.final=1", "volumes.rates.final=1"),
+    ),
     AblationRow("paper-depth-tv", "TV of the 2D depth 1 (ours 0.1)", "mgsr", ("surfels.depth_tv_weight=1",)),
     AblationRow("paper-tran-tv", "TV of the transmitted image 1 (ours 0.05)", "mgsr", ("transmitted_tv_weight=1",)),
     AblationRow("paper-reflected", "reflected light costs nothing (ours 0.15)", "mgsr", ("reflected_cost=0",)),

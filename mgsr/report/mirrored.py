@@ -12,20 +12,24 @@ from mgsr.report.pictures import Picture
 
 HEIGHT = 180  # pixels
 BRIGHTEST = 99.8  # percent of texels that are no brighter than white in the picture
+DARK = 0.1  # of the other map's brightness, under which a map is not worth a picture
 
 
 def mirrored_pictures(light: MirroredLight, up: np.ndarray) -> list[Picture]:
-    """Both maps, brightened alike until lamps are white: the one that stands still in the scene unrolled all around,
-    `up` [3] at the top; and the half of the other that lies towards the camera, whose place is the middle."""
+    """The maps, brightened alike until lamps are white: the one that stands still in the scene unrolled all around,
+    `up` [3] at the top; and the half of the other that lies towards the camera, whose place is the middle. One that is
+    dark beside the other is left out."""
     still, held = light.maps().detach()
     around = _looked_up(still, _around(np.asarray(up, np.float64)))
     disk, inside = _half()
     camera = _looked_up(held, disk) * inside[..., None]
-    white = max(float(np.percentile(np.concatenate([around.reshape(-1, 3), camera.reshape(-1, 3)]), BRIGHTEST)), 1e-3)
-    return [
+    brightness = [float(np.percentile(image, BRIGHTEST)) for image in (around, camera)]
+    white = max(*brightness, 1e-3)
+    pictures = [
         Picture("all around the object", _picture(around / white)),
         Picture("at the camera", np.dstack([_picture(camera / white), np.where(inside, 255, 0).astype(np.uint8)])),
     ]
+    return [picture for picture, own in zip(pictures, brightness, strict=True) if own >= DARK * white]
 
 
 def _around(up: np.ndarray) -> np.ndarray:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from mgsr.native import _image, runtime
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -15,3 +18,12 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"NEEDS THE MEASUREMENT SCENES: no folder {SHARED_DATA.parent.name}/data beside the checkout")
     return SHARED_DATA
+
+
+@pytest.fixture
+def kernel_settings_come_back() -> Iterator[None]:
+    """For tests that choose the kernels' variant or threads: afterwards they are as before."""
+    isa, threads = _image.isa(), _image.threads()
+    yield
+    runtime.set_isa(isa)
+    runtime.set_threads(threads)

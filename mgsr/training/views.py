@@ -68,7 +68,7 @@ def _prepared(view: View, masked: bool, margin: int | None, edge_band: int, devi
     alpha = torch.from_numpy(view.alpha).to(device).to(torch.float32) / 255
     region = None if margin is None else bounding_region(view.alpha, margin)
     off_edge = outline_weights(alpha, edge_band) if edge_band else None
-    covered = torch.nonzero(alpha.reshape(-1))[:, 0]
+    covered = torch.from_numpy(np.flatnonzero(view.alpha)).to(device)
     return TrainingView(view.name, view.camera, color * alpha[..., None], alpha, region, off_edge, covered)
 
 

@@ -15,6 +15,8 @@ from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import KERNELS, read_kernels
 from tests.ops.splat_scenes import camera, random_splats
 
+pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
+
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:

@@ -53,8 +53,9 @@ def iterate(stage: Stage) -> None:
     step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
     loss = torch.stack(list(step.terms.values())).sum()
     loss.backward()
+    for part in stage.trained:
+        part.step(0.5)
     for branch in stage.branches:
-        branch.step(0.5)
         for seen in step.seen:
             if seen.branch is branch:
                 branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight)
@@ -71,6 +72,7 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)
+    assert plan.light is not None and plan.light.model.logits.device == META
     for branch in plan.branches:
         assert all(tensor.device == META for tensor in branch.model.parameters().values())
         assert branch.densify_state.seen.device == META

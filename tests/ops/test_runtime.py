@@ -8,14 +8,7 @@ from mgsr.errors import ConfigError
 from mgsr.native import _adam, _harmonics, _image, runtime
 
 FAMILIES = (_image, _harmonics, _adam)
-
-
-@pytest.fixture(autouse=True)
-def settings_come_back():
-    isa, threads = _image.isa(), _image.threads()
-    yield
-    runtime.set_isa(isa)
-    runtime.set_threads(threads)
+pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 
 def test_every_family_follows() -> None:

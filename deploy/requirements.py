@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 # Extras of each image, and whether it runs the library.
 IMAGES = {"service": (("service",), False), "worker-cpu": (("worker",), True), "worker-gpu": (("worker", "cuda"), True)}
@@ -17,12 +18,12 @@ IMAGES = {"service": (("service",), False), "worker-cpu": (("worker",), True), "
 SHARED = ("pydantic", "typer", "rich")
 
 
-def requirements(image: str, project: dict[str, object]) -> list[str]:
+def requirements(image: str, project: dict[str, Any]) -> list[str]:
     """The requirements of an image. Raises KeyError for an image that does not exist."""
     extras, with_library = IMAGES[image]
-    base: list[str] = project["dependencies"]  # type: ignore[assignment]
+    base: list[str] = project["dependencies"]
     chosen = [line for line in base if with_library or line.startswith(SHARED)]
-    return chosen + [line for extra in extras for line in _of_extra(extra, project["optional-dependencies"])]  # type: ignore[arg-type]
+    return chosen + [line for extra in extras for line in _of_extra(extra, project["optional-dependencies"])]
 
 
 def _of_extra(extra: str, all_extras: dict[str, list[str]]) -> list[str]:

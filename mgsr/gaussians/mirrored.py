@@ -22,7 +22,7 @@ class MirroredLight:
     logits: Tensor
 
     @classmethod
-    def dim(cls, side: int, start: float) -> MirroredLight:
+    def uniform(cls, side: int, start: float) -> MirroredLight:
         """Maps of side x side texels, all of the light `start`, inside (0, 1)."""
         return cls(torch.full((2 * side * side, 3), start).logit())
 

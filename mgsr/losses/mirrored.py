@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
 from mgsr.config import TrainConfig
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.start import logit
 from mgsr.gaussians.volumes import VolumeModel
-
-Terms = dict[str, Tensor]
+from mgsr.losses.objective import Terms
 
 
 def light_terms(light: MirroredLight, volumes: VolumeModel, config: TrainConfig) -> Terms:

@@ -29,8 +29,9 @@ LIGHTS = {
     "unknown": ("not used", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
 MIRRORED = {
-    True: ("learnt, one for all splats", "highlights then follow the shape, also where no photograph saw them"),
-    False: ("not learnt", "brightness does not change from view to view as mirrored light does"),
+    "learnt": ("learnt, one for all splats", "highlights then follow the shape, also where no photograph saw them"),
+    "unneeded": ("not learnt", "brightness does not change from view to view as mirrored light does"),
+    "off": ("not learnt", "as asked for"),
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
@@ -92,5 +93,6 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
     if data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
     if "mirrored_light" in data.other and data.method == "mgsr":
-        told = MIRRORED[bool(data.other["mirrored_light"])]
-        yield Decision("Light that the surface mirrors", *told)
+        settings: dict[str, Any] = (data.other.get("settings") or {}).get("train", {}).get("mirror", {})
+        kind = "learnt" if data.other["mirrored_light"] else "off" if settings.get("use") == "off" else "unneeded"
+        yield Decision("Light that the surface mirrors", *MIRRORED[kind])

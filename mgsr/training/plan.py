@@ -152,7 +152,7 @@ def _make_light(
     wanted = settings.use is Mirror.ON or (settings.use is Mirror.AUTO and shiny is not False)
     if not wanted or surfels is None or volumes is None or not volumes.model.split:
         return None
-    return LightInTraining(MirroredLight.dim(settings.side, settings.start).to(device), settings)
+    return LightInTraining(MirroredLight.uniform(settings.side, settings.start).to(device), settings)
 
 
 def _pictures(

@@ -118,7 +118,7 @@ def test_only_the_chosen_pixels_are_looked_at() -> None:
 
 def test_nothing_there_gives_finite_light_and_gradients() -> None:
     normal = torch.zeros(16, 24, 3, requires_grad=True)
-    lit = MirroredLight.dim(8, 0.01)
+    lit = MirroredLight.uniform(8, 0.01)
     lit.logits.requires_grad_()
     mirrored_light(lit, normal, camera()).sum().backward()
     assert normal.grad is not None and torch.isfinite(normal.grad).all() and torch.isfinite(lit.logits.grad).all()

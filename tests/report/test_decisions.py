@@ -23,6 +23,17 @@ def test_the_light_is_told() -> None:
     assert [each.choice for each in told if each.what.startswith("Shading")] == ["a flash on the camera"]
 
 
+def test_the_mirrored_light_is_told_with_its_reason() -> None:
+    def told(learnt: bool, use: str) -> Decision:
+        other = {"mirrored_light": learnt, "settings": {"train": {"mirror": {"use": use}}}}
+        run = replace(sample_report(), method="mgsr", other=other)
+        return next(each for each in tell_decisions(run) if each.what == "Light that the surface mirrors")
+
+    assert told(True, "auto").choice.startswith("learnt")
+    assert told(False, "auto").choice == told(False, "off").choice == "not learnt"
+    assert "view to view" in told(False, "auto").why and told(False, "off").why == "as asked for"
+
+
 def test_a_runs_own_decisions_stay() -> None:
     own = [Decision("Seed", "0", "asked for")]
     assert with_decisions(replace(sample_report(), decisions=own)).decisions == own

@@ -30,7 +30,8 @@ from mgsr.export.splats import write_splats
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.training.evaluate import mean_psnr
-from mgsr.training.plan import StartingPoints, make_plan
+from mgsr.training.parts import StartingPoints
+from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import train
 from mgsr.training.views import plain_background, prepare_views

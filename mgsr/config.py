@@ -204,11 +204,25 @@ class SurfelConfig:
     densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(max_count=20_000))
 
 
+class Reflection(StrEnum):
+    """What the 3D branch adds to the transmitted light. auto: a trial decides (see TrialConfig).
+
+    off: nothing (3DGS). own: each splat's reflected colour, times its weight (the paper's). shared: two maps, the same
+    for all splats, of the light that the 2D branch's surface mirrors. both: the maps added to the splats' own.
+    """
+
+    AUTO = "auto"
+    OFF = "off"
+    OWN = "own"
+    SHARED = "shared"
+    BOTH = "both"
+
+
 @dataclass(frozen=True)
 class VolumeConfig:
     """The 3D branch: rendering and the light split."""
 
-    split: bool = True  # off: no reflected half (3DGS)
+    reflection: Reflection = Reflection.AUTO
     sh_degree: int = 2  # of the transmitted colour; low, so that it can't hold highlights (a flash needs 2 in sRGB)
     reflected_sh_degree: int = 3
     max_start: int = 10_000  # splats; more starting points are thinned to this, by the seed
@@ -224,20 +238,10 @@ class VolumeConfig:
     densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000))
 
 
-class Mirror(StrEnum):
-    """Whether the splats share maps of what the surface mirrors. auto: unless the start has found that neither a flash
-    nor mirrored surroundings explain how brightness changes from view to view; needs both branches and the split."""
-
-    AUTO = "auto"
-    ON = "on"
-    OFF = "off"
-
-
 @dataclass(frozen=True)
 class MirrorConfig:
-    """The light that the surface mirrors, the same for all splats: their reflected colour is added to it."""
+    """The maps of the light that the surface mirrors (see Reflection)."""
 
-    use: Mirror = Mirror.AUTO
     side: int = 64  # texels along a map's side
     start: float = 0.007  # the maps' light, 0..1
     rate: float = 0.03  # learning rate of the light's logits
@@ -245,6 +249,21 @@ class MirrorConfig:
     final: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
     weight_hold: float = 5e-7  # pull of each splat's reflection weight to its start
+
+
+@dataclass(frozen=True)
+class TrialConfig:
+    """The 3D branch warms up without any reflection. Then each of off, shared and both goes on from there for a while,
+    and the simplest stays that renders photographs kept from training as well as the best.
+
+    Without iterations, or with too few photographs, the start decides: off where brightness does not change from view
+    to view as mirrored light does, shared where it does, both where that is not known.
+    """
+
+    start: float = 0.5  # fraction of the 3D branch's warm-up that comes before
+    iterations: int = 150  # of each; 0 is no trial
+    views: int = 6  # training photographs kept from the warm-up until the trial is over; at most a quarter
+    gain: float = 0.1  # dB that a less simple one must render better
 
 
 @dataclass(frozen=True)
@@ -307,6 +326,7 @@ class TrainConfig:
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
     volumes: VolumeConfig = field(default_factory=VolumeConfig)
     mirror: MirrorConfig = field(default_factory=MirrorConfig)
+    trial: TrialConfig = field(default_factory=TrialConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
@@ -328,6 +348,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "warmup.surfel_iterations": "250",
         "warmup.volume_iterations": "300",
         "mutual.iterations": "200",
+        "trial.iterations": "0",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "volumes.max_start": "5000",
@@ -353,7 +374,7 @@ METHODS: dict[str, dict[str, str]] = {
     "2dgs": {"branches": "surfels"},
     "3dgs": {
         "branches": "volumes",
-        "split": "off",
+        "reflection": "off",
         "volumes.sh_degree": "3",
         "transmitted_tv_weight": "0",
     },
@@ -361,7 +382,7 @@ METHODS: dict[str, dict[str, str]] = {
 
 # The supplement's rows. E, I and M are the method itself; the published weights of C, D and F are not known.
 ABLATIONS: dict[str, dict[str, str]] = {
-    "A": {"branches": "volumes"},
+    "A": {"branches": "volumes", "reflection": "own"},
     "B": {"branches": "surfels"},
     "C": {"surfel_weight": "0.25", "volume_weight": "0.75"},
     "D": {"surfel_weight": "0.75", "volume_weight": "0.25"},
@@ -438,6 +459,9 @@ def validate(config: Config) -> None:
     for path in ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
+    if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
+        kind = train.volumes.reflection
+        raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
@@ -461,8 +485,8 @@ def _find_path(key: str, paths: list[str]) -> str:
         return hits[0]
     if hits:
         raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
-    names = {path.split(".")[-1]: path for path in paths}
-    near = [names[name] for name in difflib.get_close_matches(parts[-1], names, n=3, cutoff=0.5)]
+    names = {".".join(path.split(".")[-len(parts) :]): path for path in paths}
+    near = [names[name] for name in difflib.get_close_matches(key, names, n=3, cutoff=0.5)]
     hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"
     raise ConfigError(f"option {key!r} does not exist{hint}")
 

@@ -10,6 +10,7 @@ from mgsr.config import (
     PRESETS,
     Branches,
     Masks,
+    Reflection,
     StopRule,
     Teaching,
     ablation_overrides,
@@ -27,9 +28,9 @@ def test_bare_and_dotted_keys() -> None:
 
 
 def test_optional_and_switch_values() -> None:
-    config = make_config(overrides=["surfels.densify.reset_every=300", "split=no"])
+    config = make_config(overrides=["surfels.densify.reset_every=300", "tv=no"])
     assert config.train.surfels.densify.reset_every == 300
-    assert config.train.volumes.split is False
+    assert config.train.tv is False
     again = make_config(overrides=["surfels.densify.reset_every=300", "surfels.densify.reset_every=none"])
     assert again.train.surfels.densify.reset_every is None
 
@@ -53,11 +54,11 @@ def test_every_ablation_row_is_valid(row: str) -> None:
 
 def test_ablation_rows_mean_what_the_paper_says() -> None:
     assert make_config(overrides=ablation_overrides("A")).train.branches is Branches.VOLUMES
-    assert make_config(overrides=ablation_overrides("A")).train.volumes.split
+    assert make_config(overrides=ablation_overrides("A")).train.volumes.reflection is Reflection.OWN
     assert make_config(overrides=ablation_overrides("K")).train.mutual.teaching is Teaching.ONE_WAY
     assert make_config(overrides=ablation_overrides("L")).train.warmup.stop_rule is StopRule.NONE
     assert not make_config(overrides=ablation_overrides("N")).train.tv
-    assert not make_config(method="3dgs").train.volumes.split
+    assert make_config(method="3dgs").train.volumes.reflection is Reflection.OFF
 
 
 @pytest.mark.parametrize(
@@ -68,7 +69,8 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("every=3", "ambiguous"),
         ("masks=perhaps", "auto, off, require"),
         ("mutual.iterations=many", "a whole number"),
-        ("split=perhaps", "on or off"),
+        ("tv=perhaps", "on or off"),
+        ("reflection=perhaps", "auto, off, own, shared, both"),
         ("mutual.iterations", "key=value"),
         ("mutual.iterations=-1", "0 or more"),
         ("surfels.sh_degree=4", "0 to 3"),
@@ -80,6 +82,11 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
 def test_errors_name_the_cure(override: str, part: str) -> None:
     with pytest.raises(ConfigError, match=part):
         make_config(overrides=[override])
+
+
+def test_what_the_surface_mirrors_needs_a_surface() -> None:
+    with pytest.raises(ConfigError, match=r"needs both branches, got train\.branches=volumes"):
+        make_config(overrides=["branches=volumes", "reflection=shared"])
 
 
 def test_unknown_names() -> None:

@@ -55,7 +55,10 @@ PAPER_ROWS = (
 # Where a default differs from the paper's: the run that takes the paper's choice instead.
 PAPER_CHOICES = (
     AblationRow("paper-photo", "photograph's share in the 2D target 0.5 (ours 0.3)", "mgsr", ("photo_weight=0.5",)),
-    AblationRow("paper-light", "no mirrored light that all splats share (ours do)", "mgsr", ("mirror.use=off",)),
+    AblationRow(
+        "paper-light", "each splat has its own reflection (ours what a trial finds)", "mgsr", ("reflection=own",)
+    ),
+    AblationRow("both-lights", "its own and the shared light, without a trial", "mgsr", ("reflection=both",)),
     AblationRow(
         "paper-rates",
         "rates do not fade (ours do in the second half)",

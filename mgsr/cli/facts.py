@@ -59,7 +59,7 @@ def run_report(
         other={
             "input": _input(scene, start, path),
             "light": str(mesh.light),
-            "mirrored_light": trained.light is not None,
+            "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "settings": asdict(config),
             "machine": _machine(),
         }

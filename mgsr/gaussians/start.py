@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -52,8 +53,10 @@ def start_volumes(
     colors: np.ndarray,
     config: VolumeConfig,
     generator: torch.Generator,
+    split: bool,
 ) -> VolumeModel:
-    """Round Gaussians on points, as wide as the points lie apart; arguments and errors as in `start_surfels`."""
+    """Round Gaussians on points, as wide as the points lie apart; split: with a reflected half of their own. Other
+    arguments and errors as in `start_surfels`."""
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
     count = len(positions)
@@ -64,11 +67,18 @@ def start_volumes(
         opacity_logits=torch.full((count,), logit(config.start_opacity)),
         sh=_sh(colors, config.sh_degree),
     )
-    if config.split:
-        model.refl_opacity_logits = model.opacity_logits.clone()
-        model.weight_logits = torch.full((count,), logit(config.start_weight))
-        model.refl_sh = _sh(np.full((count, 3), config.start_reflected), config.reflected_sh_degree)
-    return model
+    return replace(model, **reflected_half(model, config)) if split else model
+
+
+def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:
+    """The tensors that give Gaussians without a reflected half one to start with."""
+    count, device = len(model), model.means.device
+    reflected = np.full((count, 3), config.start_reflected)
+    return {
+        "refl_opacity_logits": model.opacity_logits.detach().clone(),
+        "weight_logits": torch.full((count,), logit(config.start_weight), device=device),
+        "refl_sh": _sh(reflected, config.reflected_sh_degree).to(device),
+    }
 
 
 def logit(probability: float) -> float:

@@ -40,7 +40,7 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) ->
         inside = None if target.alpha is None else target.covered(outputs.alpha)
         tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
-    if settings.reflected_cost and outputs.reflected is not None:
+    if settings.reflected_cost and outputs.reflected is not outputs.mirrored:
         terms["volumes.reflected_cost"] = settings.reflected_cost * _added_by_splats(outputs)
     if config.tv and settings.depth_tv_weight:
         tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))
@@ -99,9 +99,7 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 
-def _photo(
-    image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None
-) -> Tensor:
+def _photo(image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None) -> Tensor:
     return image_loss(image, other, l1_weight=config.l1_weight, mask=where, region=target.region)
 
 

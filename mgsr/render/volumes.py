@@ -42,11 +42,12 @@ def render_volumes(
         reflected=_reflected(model, center, refl_degree),
         options=VolumeOptions(depth=depth),
     )
-    color, reflected = raster.color, raster.reflected
-    if reflected is not None and raster.weight is not None:
-        reflected = reflected if mirrored is None else reflected + mirrored
-        color = add_reflection(raster.color, reflected, raster.weight)
-    lights = (color, raster.color, reflected, raster.weight)
+    color, reflected, weight = raster.color, mirrored, raster.alpha
+    if raster.reflected is not None and raster.weight is not None:
+        reflected, weight = raster.reflected if mirrored is None else raster.reflected + mirrored, raster.weight
+    if reflected is not None:
+        color = add_reflection(raster.color, reflected, weight)
+    lights = (color, raster.color, reflected, None if reflected is None else weight)
     return VolumeOutputs(*lights, raster.depth, raster.alpha, raster.stats, mirrored)
 
 

@@ -28,10 +28,11 @@ LIGHTS = {
     "surroundings": ("mirrored surroundings", "one map of them explains how a point changes from view to view"),
     "unknown": ("not used", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
-MIRRORED = {
-    "learnt": ("learnt, one for all splats", "highlights then follow the shape, also where no photograph saw them"),
-    "unneeded": ("not learnt", "brightness does not change from view to view as mirrored light does"),
-    "off": ("not learnt", "as asked for"),
+REFLECTIONS = {
+    "off": "none",
+    "own": "each splat's own",
+    "shared": "one light that the whole surface mirrors",
+    "both": "one light that the whole surface mirrors, and each splat's own",
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
@@ -92,7 +93,15 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
 def _about_light(data: ReportData) -> Iterator[Decision]:
     if data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
-    if "mirrored_light" in data.other and data.method == "mgsr":
-        settings: dict[str, Any] = (data.other.get("settings") or {}).get("train", {}).get("mirror", {})
-        kind = "learnt" if data.other["mirrored_light"] else "off" if settings.get("use") == "off" else "unneeded"
-        yield Decision("Light that the surface mirrors", *MIRRORED[kind])
+    reflection: dict[str, Any] = data.other.get("reflection") or {}
+    if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
+        settings: dict[str, Any] = (data.other.get("settings") or {}).get("train", {}).get("volumes", {})
+        why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
+        yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
+
+
+def _why_reflected(chosen: str, tried: dict[str, float]) -> str:
+    if not tried:
+        return "so the start's look at how brightness changes from view to view suggests; it was not tried"
+    reached = "; ".join(f"{REFLECTIONS[name]} {psnr:.2f} dB" for name, psnr in tried.items())
+    return f"the simplest that renders photographs kept from a trial as well as the best: {reached}"

@@ -23,9 +23,7 @@ class Convergence(Protocol):
         """Take back what `state` gave."""
 
 
-def make_convergence(
-    config: WarmupConfig, iterations: int, held_back_psnr: Callable[[], float]
-) -> Convergence | None:
+def make_convergence(config: WarmupConfig, iterations: int, held_back_psnr: Callable[[], float]) -> Convergence | None:
     """The test that the configuration names for a warm-up of at most `iterations`, or None for none.
 
     held_back_psnr measures the branch on the views that it is not trained on.

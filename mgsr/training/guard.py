@@ -12,7 +12,7 @@ from torch import Tensor
 from mgsr.errors import TrainingError
 from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
-from mgsr.training.trained import Kind, Trained
+from mgsr.training.trained import Kind, Trained, copied
 
 log = logging.getLogger("mgsr.training")
 
@@ -128,13 +128,6 @@ class Guard:
 
     def _copies(self) -> dict[str, Any]:
         return {part.name: copied(part.state()) for part in self.stage.trained}
-
-
-def copied(state: Any) -> Any:
-    """A branch's state with tensors of its own."""
-    if isinstance(state, dict):
-        return {name: copied(value) for name, value in state.items()}
-    return state.clone() if isinstance(state, Tensor) else state
 
 
 def _squares(tensors: list[Tensor]) -> list[Tensor]:

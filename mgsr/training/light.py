@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from torch import Tensor
 
 from mgsr.config import MirrorConfig
@@ -12,10 +14,11 @@ from mgsr.training.trained import Trained
 
 
 class LightInTraining(Trained[MirroredLight]):
-    """The light that the surface mirrors, with its optimiser."""
+    """The light that the surface mirrors, with its optimiser; `used` says whether it is part of the model."""
 
-    def __init__(self, model: MirroredLight, config: MirrorConfig) -> None:
+    def __init__(self, model: MirroredLight, config: MirrorConfig, used: bool) -> None:
         self.settings = config
+        self.used = used
         super().__init__("light", model)
 
     def rates(self, progress: float) -> dict[str, float]:
@@ -25,3 +28,12 @@ class LightInTraining(Trained[MirroredLight]):
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
         """See `Trained`."""
         return FusedAdam(parameters, self.rates(0.0))
+
+    def state(self) -> dict[str, Any]:
+        """See `Trained`."""
+        return super().state() | {"used": self.used}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """See `Trained`."""
+        super().restore(state)
+        self.used = state["used"]

@@ -19,8 +19,8 @@ def preview_pictures(plan: Plan, background: Color) -> dict[str, np.ndarray]:
     nothing is; transmitted and reflected: the halves of the light, where it is split.
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
-    color = color_tensor(background, plan.branches[0].device)
-    flat, full = render_both(*plan.models, view.camera, color, depth=False)
+    color = color_tensor(background, plan.parts.branches[0].device)
+    flat, full = render_both(*plan.parts.models, view.camera, color, depth=False)
     images: dict[str, Tensor] = {}
     if flat is not None:
         images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}

@@ -13,8 +13,9 @@ from mgsr.data.scene import Scene
 from mgsr.errors import GpuError
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
-from mgsr.training.plan import StartingPoints, make_plan
-from mgsr.training.progress import ProgressCallback, TrainResult
+from mgsr.training.parts import StartingPoints
+from mgsr.training.plan import make_plan
+from mgsr.training.progress import ProgressCallback, TrainResult, reflection_of
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
@@ -68,13 +69,16 @@ def train(
         if resume and checkpoint_path is not None and checkpoint_path.exists():
             trainer.resume()
         trainer.run()
-        plan = trainer.plan
+        surfels, volumes, light = trainer.plan.parts.models
+        trial = trainer.plan.trial
         return TrainResult(
-            surfels=None if plan.surfels is None else plan.surfels.model.detached().to(CPU),
-            volumes=None if plan.volumes is None else plan.volumes.model.detached().to(CPU),
-            light=None if plan.light is None else plan.light.model.detached().to(CPU),
+            surfels=None if surfels is None else surfels.detached().to(CPU),
+            volumes=None if volumes is None else volumes.detached().to(CPU),
+            light=None if light is None else light.detached().to(CPU),
             stages=trainer.reports,
             curve=trainer.curve,
             seconds=trainer.seconds,
             incidents=trainer.incidents,
+            reflection=reflection_of(volumes, light),
+            tried={} if trial is None else trial.psnr,
         )

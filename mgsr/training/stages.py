@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.config import DensifyConfig, Reflection, Teaching, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.mirrored import light_terms
@@ -47,13 +47,27 @@ class Step:
     seen: list[Seen]
 
 
+class Trial(Protocol):
+    """Something that is decided in a stage by trying (see `mgsr.training.trial`); psnr: what each candidate reached."""
+
+    psnr: dict[str, float]
+
+    def due(self, stage: Stage) -> bool: ...
+
+    def hold(self, stage: Stage, run: Callable[[Reflection, int], None]) -> None: ...
+
+    def state(self) -> dict[str, Any]: ...
+
+    def restore(self, state: dict[str, Any], stage: Stage) -> None: ...
+
+
 @dataclass
 class Stage:
     """A stretch of training and where it stands.
 
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
-    densification; progress 0..1 of the whole run, for a part of what is trained.
+    densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way.
     """
 
     name: str
@@ -66,13 +80,14 @@ class Stage:
     progress: Callable[[Trained, int], float]
     convergence: Convergence | None = None
     light: LightInTraining | None = None
+    trial: Trial | None = None
     iteration: int = 0
     seconds: float = 0.0
 
     @property
     def trained(self) -> list[Trained]:
         """All that it trains."""
-        return [*self.branches, *([] if self.light is None else [self.light])]
+        return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
 
     def state(self) -> dict[str, Any]:
         """Where the stage stands, for a checkpoint."""
@@ -82,6 +97,7 @@ class Stage:
             "order": self.cycle.order,
             "generator": self.cycle.generator.get_state(),
             "convergence": None if self.convergence is None else self.convergence.state(),
+            "trial": None if self.trial is None else self.trial.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -91,6 +107,8 @@ class Stage:
         self.cycle.generator.set_state(state["generator"])
         if self.convergence is not None:
             self.convergence.restore(state["convergence"])
+        if self.trial is not None:
+            self.trial.restore(state["trial"], self)
 
 
 @dataclass(frozen=True)
@@ -141,7 +159,7 @@ def volumes_alone(
         refl_degree = _degree(iteration, planned, settings.reflected_sh_degree, config, warming)
         needs_depth = config.tv and settings.depth_tv_weight > 0
         shown, held = None, {}
-        if mirrored is not None:
+        if mirrored is not None and mirrored.light.used:
             shown, held = mirrored.shown(view), light_terms(mirrored.light.model, branch.model, config)
         outputs = _see_volumes(branch, view, background, degree, refl_degree, needs_depth, shown)
         terms = volume_terms(outputs, view.target(background), config) | held
@@ -160,7 +178,7 @@ def both_teach(
         settings = config.volumes
         flat = _see_surfels(surfels, view, background, config.surfels.sh_degree, config)
         shown, held = None, {}
-        if light is not None:
+        if light is not None and light.used:
             normal = flat.normal if both else flat.normal.detach()
             shown = mirrored_light(light.model, normal, view.camera, view.covered)
             held = light_terms(light.model, volumes.model, config)

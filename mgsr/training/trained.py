@@ -82,7 +82,27 @@ class Trained(ABC, Generic[Model]):
         self.steps = state["steps"]
         self.adopt()
 
+    def widen(self, added: dict[str, Tensor]) -> None:
+        """Give the model parameters that it has not had; the others' moments stay."""
+        state = copied(self.state())
+        state["parameters"] |= added
+        moments = state["optimizer"]
+        for kind in ("first", "second"):
+            moments[kind] |= {name: torch.zeros_like(tensor) for name, tensor in added.items()}
+        moments["steps"] |= dict.fromkeys(added, 0)
+        moments["lrs"] |= {name: self.rates(0.0)[name] for name in added}
+        self.restore(state)
+
     def adopt(self) -> None:
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
         for item in fields(self.model):
             setattr(self.model, item.name, self.optimizer.params.get(item.name))
+
+
+def copied(state: Any) -> Any:
+    """A state's nest of dicts and lists with tensors of its own."""
+    if isinstance(state, dict):
+        return {name: copied(value) for name, value in state.items()}
+    if isinstance(state, list):
+        return [copied(value) for value in state]
+    return state.clone() if isinstance(state, Tensor) else state

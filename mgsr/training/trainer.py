@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from mgsr.config import TrainConfig
+from mgsr.config import Reflection, TrainConfig
 from mgsr.errors import Cancelled
 from mgsr.losses.objective import Terms
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
@@ -19,7 +19,7 @@ from mgsr.training.guard import Guard
 from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
-from mgsr.training.stages import Stage, Step
+from mgsr.training.stages import Stage, Step, Trial
 from mgsr.training.views import pick_background, plain_background
 
 
@@ -84,7 +84,7 @@ class Trainer:
             "stage_index": self.stage_index,
             "seconds": self.seconds,
             "stages": [stage.state() for stage in self.plan.stages],
-            "trained": {part.name: part.state() for part in self.plan.trained},
+            "trained": {part.name: part.state() for part in self.plan.parts.trained},
             "reports": [asdict(report) for report in self.reports],
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
@@ -99,7 +99,7 @@ class Trainer:
         self._saved_at = state["seconds"]
         for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
             stage.restore(saved)
-        for part in self.plan.trained:
+        for part in self.plan.parts.trained:
             part.restore(state["trained"][part.name])
         self.reports = [StageReport(**report) for report in state["reports"]]
         self.curve = [CurveRow(**row) for row in state["curve"]]
@@ -114,6 +114,9 @@ class Trainer:
             self._heed_caller(stage)
             if self.deadline is not None and self.seconds > self.deadline:
                 return "deadline"
+            if stage.trial is not None and stage.trial.due(stage):
+                self._hold_trial(stage, stage.trial)
+                guard.expect_anew()
             terms, converged = self._iterate(stage, guard)
             stage.seconds = self.seconds - begun
             last = converged or stage.iteration == stage.iterations
@@ -123,11 +126,32 @@ class Trainer:
                 break
         return reason
 
+    def _hold_trial(self, stage: Stage, trial: Trial) -> None:
+        """Let the stage's trial decide. A run that stops inside it goes on before it."""
+        self.save()
+        begun = self._done(stage)
+
+        def run(candidate: Reflection, iterations: int) -> None:
+            guard = Guard(stage, self.config.watch.check_every, self.incidents)
+            for done in range(iterations):
+                if self.should_stop is not None and self.should_stop():
+                    raise self._cancelled(f"stopped on request while {candidate} was tried")
+                terms, _ = self._iterate(stage, guard)
+                if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
+                    report = self._report(stage, terms, last=False)
+                    report = replace(report, stage=f"trial_{candidate}", iteration=done + 1, total=iterations)
+                    self.progress(replace(report, done=begun, previews={}))
+
+        trial.hold(stage, run)
+
     def _heed_caller(self, stage: Stage) -> None:
         if self.should_stop is not None and self.should_stop():
             self.save()
-            kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
-            raise Cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations{kept}")
+            raise self._cancelled(f"stopped on request in {stage.name} after {stage.iteration} iterations")
+
+    def _cancelled(self, what: str) -> Cancelled:
+        kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
+        return Cancelled(what + kept)
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Terms, bool]:
         """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
@@ -180,7 +204,7 @@ class Trainer:
         return longest is not None and self.seconds - self._saved_at >= longest
 
     def _curve_row(self, stage: Stage) -> CurveRow:
-        psnr = {branch.name: self._psnr(branch.name) for branch in self.plan.branches}
+        psnr = {branch.name: self._psnr(branch.name) for branch in self.plan.parts.branches}
         counts = self._counts()
         return CurveRow(
             self.seconds,
@@ -195,18 +219,18 @@ class Trainer:
     def _psnr(self, branch: str) -> float | None:
         if not self.plan.curve_views:
             return None
-        return mean_psnr(self.plan.picture(branch), self.plan.curve_views, plain_background(self.config.background))
+        return mean_psnr(
+            self.plan.parts.picture(branch), self.plan.curve_views, plain_background(self.config.background)
+        )
 
     def _report(self, stage: Stage, terms: Terms, last: bool) -> Progress:
         every = self.config.watch.preview_every
         due = every is not None and (last or stage.iteration % every == 0)
-        planned = sum(each.iterations for each in self.plan.stages)
-        spent = sum(each.iterations for each in self.plan.stages[: self.stage_index]) + stage.iteration
         return Progress(
             stage=stage.name,
             iteration=stage.iteration,
             total=stage.iterations,
-            done=spent / max(1, planned),
+            done=self._done(stage),
             seconds=self.seconds,
             losses={name: float(term.detach()) for name, term in terms.items()},
             counts=self._counts(),
@@ -214,5 +238,10 @@ class Trainer:
             previews=preview_pictures(self.plan, plain_background(self.config.background)) if due else {},
         )
 
+    def _done(self, stage: Stage) -> float:
+        planned = sum(each.iterations for each in self.plan.stages)
+        spent = sum(each.iterations for each in self.plan.stages[: self.stage_index]) + stage.iteration
+        return spent / max(1, planned)
+
     def _counts(self) -> dict[str, int]:
-        return {branch.name: len(branch.model) for branch in self.plan.branches}
+        return {branch.name: len(branch.model) for branch in self.plan.parts.branches}

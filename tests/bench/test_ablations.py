@@ -10,7 +10,7 @@ import pytest
 from mgsr.bench.ablations import FINDINGS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
 from mgsr.bench.cells import matrix, of_row, read_variants
 from mgsr.bench.results import Row
-from mgsr.config import ABLATIONS, Branches, make_config
+from mgsr.config import ABLATIONS, Branches, Reflection, make_config
 
 
 @pytest.mark.parametrize("row", [*PAPER_ROWS, *PAPER_CHOICES], ids=lambda row: row.name)
@@ -29,7 +29,7 @@ def test_each_row_has_the_settings_of_the_supplements_model(name: str) -> None:
 def test_what_the_letters_mean() -> None:
     rows = named_rows()
     a, b, k, stop, n = (make_config("standard", rows[x].method, 0, rows[x].overrides).train for x in "ABKLN")
-    assert (a.branches, a.volumes.split) == (Branches.VOLUMES, True)  # 3DGS with the split
+    assert (a.branches, a.volumes.reflection) == (Branches.VOLUMES, Reflection.OWN)  # 3DGS with the split
     assert b.branches == Branches.SURFELS
     assert (k.mutual.teaching, stop.warmup.stop_rule, n.tv) == ("one_way", "none", False)
 

@@ -72,8 +72,8 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)
-    assert plan.light is not None and plan.light.model.logits.device == META
-    for branch in plan.branches:
+    assert plan.parts.light is not None and plan.parts.light.model.logits.device == META
+    for branch in plan.parts.branches:
         assert all(tensor.device == META for tensor in branch.model.parameters().values())
         assert branch.densify_state.seen.device == META
     expected = {"adam_update", "statistics_gather", "image_loss", "tiles_sum", "harmonics_backward_3"}

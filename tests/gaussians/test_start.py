@@ -57,11 +57,11 @@ def test_plane_normals_of_a_plane() -> None:
 
 def test_volumes_with_and_without_split() -> None:
     points = ball_points(50)
-    both = start_volumes(points.positions, None, points.colors, VolumeConfig(sh_degree=1), generator())
+    both = start_volumes(points.positions, None, points.colors, VolumeConfig(sh_degree=1), generator(), split=True)
     assert both.split
     assert torch.allclose(both.weights(), torch.tensor(VolumeConfig().start_weight))
     assert (both.sh_degree, both.refl_sh_degree) == (1, 3)
-    plain = start_volumes(points.positions, None, points.colors, VolumeConfig(split=False), generator())
+    plain = start_volumes(points.positions, None, points.colors, VolumeConfig(), generator(), split=False)
     assert not plain.split
     assert set(plain.parameters()) == {"means", "quats", "log_scales", "opacity_logits", "sh"}
 
@@ -79,7 +79,7 @@ def test_thinning_is_seeded() -> None:
 def test_coinciding_points_get_a_size() -> None:
     positions = np.zeros((10, 3))
     positions[:5] += np.arange(5)[:, None]
-    model = start_volumes(positions, None, np.full((10, 3), 0.5), VolumeConfig(), generator())
+    model = start_volumes(positions, None, np.full((10, 3), 0.5), VolumeConfig(), generator(), split=True)
     assert torch.isfinite(model.log_scales).all()
 
 

@@ -23,15 +23,18 @@ def test_the_light_is_told() -> None:
     assert [each.choice for each in told if each.what.startswith("Shading")] == ["a flash on the camera"]
 
 
-def test_the_mirrored_light_is_told_with_its_reason() -> None:
-    def told(learnt: bool, use: str) -> Decision:
-        other = {"mirrored_light": learnt, "settings": {"train": {"mirror": {"use": use}}}}
+def test_the_reflected_light_is_told_with_its_reason() -> None:
+    def told(chosen: str, asked: str, tried: dict[str, float]) -> Decision:
+        settings = {"train": {"volumes": {"reflection": asked}}}
+        other = {"reflection": {"chosen": chosen, "tried": tried}, "settings": settings}
         run = replace(sample_report(), method="mgsr", other=other)
-        return next(each for each in tell_decisions(run) if each.what == "Light that the surface mirrors")
+        return next(each for each in tell_decisions(run) if each.what == "Reflected light")
 
-    assert told(True, "auto").choice.startswith("learnt")
-    assert told(False, "auto").choice == told(False, "off").choice == "not learnt"
-    assert "view to view" in told(False, "auto").why and told(False, "off").why == "as asked for"
+    tried = told("shared", "auto", {"off": 30.0, "shared": 30.614, "both": 30.5})
+    assert tried.choice == "one light that the whole surface mirrors"
+    assert "none 30.00 dB; one light that the whole surface mirrors 30.61 dB" in tried.why
+    assert told("off", "auto", {}).choice == "none" and "not tried" in told("off", "auto", {}).why
+    assert told("own", "own", {}).why == "as asked for"
 
 
 def test_a_runs_own_decisions_stay() -> None:

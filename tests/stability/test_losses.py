@@ -128,7 +128,7 @@ def test_every_term_of_every_stage_is_finite(machine: Machine, looks: str, mask:
     config, points, generator = make_config("standard").train, ball_points(60), torch.Generator().manual_seed(0)
     start = (points.positions, points.normals, points.colors)
     flat = start_surfels(*start, config.surfels, generator).to(machine.device)
-    full = start_volumes(*start, config.volumes, generator).to(machine.device)
+    full = start_volumes(*start, config.volumes, generator, split=True).to(machine.device)
     models = (flat, full)
     leaves = [tensor.requires_grad_() for model in models for tensor in model.parameters().values()]
     view = facing_camera(SIDE, SIDE)

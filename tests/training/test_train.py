@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import Config, make_config
+from mgsr.config import Config, Reflection, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.render.surfels import render_surfels
@@ -115,9 +115,14 @@ def test_same_seed_same_bytes() -> None:
 
 @pytest.mark.parametrize("rule", ["none", "epoch", "held_back", "paper"])
 @pytest.mark.parametrize("stop_at", [5, 30, 55])
-def test_a_resumed_run_equals_one_that_was_not_stopped(tmp_path: Path, rule: str, stop_at: int) -> None:
-    resets = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2"]
-    config = short("mgsr", f"stop_rule={rule}", "held_back_every=6", "stop_after=0.5", *resets)
+@pytest.mark.parametrize("reflection", ["both", "auto"])
+def test_a_resumed_run_equals_one_that_was_not_stopped(
+    tmp_path: Path, rule: str, stop_at: int, reflection: str
+) -> None:
+    """With reflection auto the third stop lies in the trial, and the second and the first before it."""
+    settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "held_back_every=6"]
+    settings += ["stop_after=0.5", f"reflection={reflection}", "trial.iterations=10", "trial.views=2"]
+    config = short("mgsr", f"stop_rule={rule}", *settings)
     scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
     calls = iter(range(1000))
     with pytest.raises(Cancelled, match="checkpoint"):
@@ -125,6 +130,7 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(tmp_path: Path, rule: str
     resumed = train(scene, points, config, checkpoint_path=path, resume=True)
     straight = train(scene, points, config)
     assert_same(resumed, straight)
+    assert resumed.tried == straight.tried
     assert [s.iterations for s in resumed.stages] == [s.iterations for s in straight.stages]
     assert [(r.stage, r.iteration, r.psnr) for r in resumed.curve] == [
         (r.stage, r.iteration, r.psnr) for r in straight.curve
@@ -190,11 +196,11 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
     lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
 
-    def trained(use: str) -> TrainResult:
-        config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"mirror.use={use}"])
+    def trained(reflection: str) -> TrainResult:
+        config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"reflection={reflection}"])
         return train(scene, ball_points(600, RADIUS), config)
 
-    plain, lit = trained("off"), trained("on")
+    plain, lit = trained("own"), trained("both")
     assert plain.light is None and lit.light is not None
     assert lit.curve[-1].psnr_volumes > plain.curve[-1].psnr_volumes + 0.1
     still, held = lit.light.maps()
@@ -206,4 +212,4 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     points = ball_points()
     result = train(ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short())
-    assert result.light is None
+    assert result.light is None and result.reflection is Reflection.OFF

@@ -1,0 +1,115 @@
+"""The trial that decides what the 3D branch adds to the transmitted light: a part must earn its place on photographs
+that training did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from mgsr.config import Reflection, TrainConfig
+from mgsr.gaussians.start import reflected_half
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.training.branch import Branch
+from mgsr.training.light import LightInTraining
+from mgsr.training.stages import Stage
+from mgsr.training.trained import copied
+
+# From the simplest to the one with the most parameters.
+CANDIDATES = (Reflection.OFF, Reflection.SHARED, Reflection.BOTH)
+CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that mirrors
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One of those that were tried, and where it had come to."""
+
+    reflection: Reflection
+    psnr: float
+    state: dict[str, Any]
+
+
+class ReflectionTrial:
+    """Lets each candidate go on from one state, on the same views, and leaves the best in place.
+
+    light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB, on the photographs that the
+    stage is not trained on. all_views: how many of the stage's views, which begin with those it is trained on, it may
+    see once the trial is over.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        stage_iterations: int,
+        branch: Branch[VolumeModel],
+        light: LightInTraining | None,
+        measure: Callable[[], float],
+        all_views: int,
+    ) -> None:
+        self.at = round(config.trial.start * stage_iterations)
+        self.iterations, self.gain = min(config.trial.iterations, stage_iterations - self.at), config.trial.gain
+        self.branch, self.settings, self.light = branch, config.volumes, light
+        self.measure = measure
+        self.all_views = all_views
+        self.chosen: Reflection | None = None
+        self.psnr: dict[str, float] = {}
+
+    def due(self, stage: Stage) -> bool:
+        """Whether it is the trial's turn."""
+        return self.chosen is None and stage.iteration == self.at
+
+    def hold(self, stage: Stage, run: Callable[[Reflection, int], None]) -> None:
+        """Try all; run(candidate, iterations) trains the stage on. Whatever `run` raises leaves the trial undecided."""
+        before = copied(self._state(stage))
+        tried = []
+        for reflection in CANDIDATES_ALONE if self.light is None else CANDIDATES:
+            self._restore(stage, before)
+            self._add(reflection)
+            run(reflection, self.iterations)
+            tried.append(Candidate(reflection, self.measure(), copied(self._state(stage))))
+        best = simplest(tried, self.gain)
+        self._restore(stage, best.state)
+        self.psnr = {str(each.reflection): each.psnr for each in tried}
+        self._decide(stage, best.reflection)
+
+    def state(self) -> dict[str, Any]:
+        """What was decided, for a checkpoint."""
+        return {"chosen": None if self.chosen is None else str(self.chosen), "psnr": self.psnr}
+
+    def restore(self, state: dict[str, Any], stage: Stage) -> None:
+        """Take back what `state` gave."""
+        self.psnr = state["psnr"]
+        if state["chosen"] is not None:
+            self._decide(stage, Reflection(state["chosen"]))
+
+    def _decide(self, stage: Stage, reflection: Reflection) -> None:
+        self.chosen = reflection
+        stage.cycle.count = self.all_views
+
+    def _add(self, reflection: Reflection) -> None:
+        """Give the models what the candidate has and they have not."""
+        if self.light is not None:
+            self.light.used = reflection is not Reflection.OFF
+        if reflection in (Reflection.OWN, Reflection.BOTH):
+            self.branch.widen(reflected_half(self.branch.model, self.settings))
+
+    def _state(self, stage: Stage) -> dict[str, Any]:
+        return {"stage": stage.state(), "parts": {part.name: part.state() for part in self._parts()}}
+
+    def _restore(self, stage: Stage, state: dict[str, Any]) -> None:
+        state = copied(state)
+        stage.restore(state["stage"])
+        for part in self._parts():
+            part.restore(state["parts"][part.name])
+
+    def _parts(self) -> list[Branch[VolumeModel] | LightInTraining]:
+        return [self.branch, *([] if self.light is None else [self.light])]
+
+
+def simplest(tried: list[Candidate], gain: float) -> Candidate:
+    """The first whose PSNR is not exceeded by any later one by more than `gain` dB."""
+    best = tried[0]
+    for candidate in tried[1:]:
+        if candidate.psnr > best.psnr + gain:
+            best = candidate
+    return best

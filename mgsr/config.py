@@ -272,6 +272,8 @@ class WarmupConfig:
 
     surfel_iterations: int = 800  # at most
     volume_iterations: int = 2000  # at most
+    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never the trial's
+    coarse_side: int = 400  # pixels; photographs whose shorter side is smaller are not made smaller still
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
     epoch_span: int = 5  # epochs that are averaged and compared with as many before them
@@ -462,6 +464,11 @@ def validate(config: Config) -> None:
     if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
         kind = train.volumes.reflection
         raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
+    if train.warmup.coarse > train.trial.start:
+        raise ConfigError(
+            f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
+            f"whole photographs; got {train.warmup.coarse}"
+        )
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")

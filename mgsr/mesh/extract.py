@@ -133,9 +133,12 @@ def _finish(
     return SurfaceMesh(vertices, faces, normals, colors, light)
 
 
-# A flash tells each point's normal by itself, while mirrored surroundings need the readings of neighbours, so finer
-# edges would show nothing more.
-_PASSES = {Light.FLASH: (Pass(edge=1.0, rounds=3),), Light.SURROUNDINGS: (Pass(edge=2.0, rounds=3),)}
+# A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
+# that only shape over some pixels is bettered by them: the trained details are better than theirs.
+_PASSES = {
+    Light.FLASH: (Pass(edge=1.0, rounds=3),),
+    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, smoothing=8.0),),
+}
 _COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 

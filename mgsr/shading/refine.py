@@ -54,10 +54,12 @@ RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are co
 
 @dataclass(frozen=True)
 class Pass:
-    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels."""
+    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels; what moved is
+    smoothed over `smoothing` pixels."""
 
     edge: float
     rounds: int
+    smoothing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,8 @@ def refine_by_shading(
         for _ in range(each.rounds):
             readings, normals = work.read(after)
             after = work.bend(after, normals, work.explain(light, after, readings, normals), reach)
-        vertices = vertices + interpolation(before, work.faces, vertices) @ (after - before)
+        moves = interpolation(before, work.faces, vertices) @ (after - before)
+        vertices = vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel)
     return Refined(vertices, light)
 
 
@@ -150,6 +153,13 @@ class _Work:
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
         return vertices + moves[:, None] * normals
+
+
+def _smoothed(moves: np.ndarray, vertices: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:
+    """What moves the vertices, [V,3], averaged over about `width` around each."""
+    if not width:
+        return moves
+    return spread(moves, umbrella(faces, len(vertices)), width / edge_length(vertices, faces))
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:

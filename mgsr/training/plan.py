@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 
@@ -14,10 +15,12 @@ from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
-from mgsr.training.stages import Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
+from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
 from mgsr.training.trained import Trained
 from mgsr.training.trial import ReflectionTrial
 from mgsr.training.views import CPU, TrainingView, ViewCycle, plain_background, prepare_views
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -36,14 +39,23 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Photographs:
-    """A warm-up's views; the last `held_back` of them are kept from it."""
+    """A stage's views, and the same made smaller, where they are large enough; the last `held_back` of both are kept
+    from it."""
 
     views: list[TrainingView]
-    held_back: int
+    small: list[TrainingView] | None
+    held_back: int = 0
 
     @property
     def trained_on(self) -> int:
         return len(self.views) - self.held_back
+
+    def sparing(self, count: int) -> _Photographs:
+        """The same with `count` views, at even distances, kept from the stage."""
+        spared = _spread(range(len(self.views)), count)
+        order = [i for i in range(len(self.views)) if i not in spared] + spared
+        small = None if self.small is None else [self.small[i] for i in order]
+        return _Photographs([self.views[i] for i in order], small, count)
 
 
 def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Plan:
@@ -53,16 +65,15 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    margin = config.train.crop_margin if _silhouettes_count(config) else None
-    views = prepare_views(scene.train, scene.masked, margin, config.train.surfels.edge_band, device)
-    reflection, tried = _first_reflection(config, start.shiny, len(views))
+    photographs = _photographs(scene, config, device)
+    reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
     stages: list[Stage] = []
     if parts.surfels is not None:
-        stages.append(_surfel_warmup(parts, views, config))
+        stages.append(_surfel_warmup(parts, photographs, config))
     if parts.volumes is not None:
-        stages.append(_volume_warmup(parts, views, config, tried))
-    stages.append(_last_stage(parts, views, config))
+        stages.append(_volume_warmup(parts, photographs, config, tried))
+    stages.append(_last_stage(parts, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
     return Plan(parts, stages, curve_views)
 
@@ -84,17 +95,29 @@ def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[R
     return Reflection.OWN if alone else Reflection.SHARED if shiny else Reflection.BOTH, False
 
 
-def _surfel_warmup(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
+def _photographs(scene: Scene, config: Config, device: torch.device) -> _Photographs:
+    train, margin = config.train, config.train.crop_margin if _silhouettes_count(config) else None
+    views = prepare_views(scene.train, scene.masked, margin, train.surfels.edge_band, device)
+    shortest = min(min(view.camera.width, view.camera.height) for view in views)
+    if not train.warmup.coarse or shortest < train.warmup.coarse_side:
+        return _Photographs(views, None)
+    half = None if margin is None else -(-margin // 2)
+    band = -(-train.surfels.edge_band // 2)
+    return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2))
+
+
+def _surfel_warmup(parts: Parts, photographs: _Photographs, config: Config) -> Stage:
     assert parts.surfels is not None
-    photographs = _set_apart(views, _held_back(config, len(views)))
+    photographs = photographs.sparing(_held_back(config, len(photographs.views)))
     compute = surfels_alone(parts.surfels, config.train, warming=True)
     return _warmup("warmup_surfels", parts, parts.surfels, compute, photographs, config)
 
 
-def _volume_warmup(parts: Parts, views: list[TrainingView], config: Config, tried: bool) -> Stage:
+def _volume_warmup(parts: Parts, photographs: _Photographs, config: Config, tried: bool) -> Stage:
     assert parts.volumes is not None
-    held_back = _held_back(config, len(views))
-    photographs = _set_apart(views, max(held_back, _spared(config, len(views)) if tried else 0))
+    views = len(photographs.views)
+    held_back = _held_back(config, views)
+    photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
     mirrored = None
     if parts.light is not None and parts.surfels is not None:
         mirrored = WhatIsMirrored(parts.light, parts.surfels)
@@ -102,7 +125,7 @@ def _volume_warmup(parts: Parts, views: list[TrainingView], config: Config, trie
     stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, config)
     if tried:
         measure = _measure(parts, "volumes", photographs, config)
-        seen_after = len(views) - held_back
+        seen_after = views - held_back
         stage.trial = ReflectionTrial(config.train, stage.iterations, parts.volumes, parts.light, measure, seen_after)
     return stage
 
@@ -118,12 +141,14 @@ def _warmup(
     def progress(_: Trained, iteration: int) -> float:
         return iteration / max(1, iterations + after)
 
+    coarse_until = round(config.train.warmup.coarse * iterations)
+    coarse = None if photographs.small is None else Coarse(photographs.small, coarse_until)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
     measure = _measure(parts, branch.name, photographs, config)
     convergence = make_convergence(config.train.warmup, iterations, measure)
     light = parts.light if branch is parts.volumes else None
     views = photographs.views
-    return Stage(name, [branch], iterations, views, cycle, compute, window, progress, convergence, light)
+    return Stage(name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse)
 
 
 def _last_stage(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
@@ -178,13 +203,7 @@ def _spared(config: Config, views: int) -> int:
     return min(config.train.trial.views, views // 4)
 
 
-def _set_apart(views: list[TrainingView], held_back: int) -> _Photographs:
-    names = {view.name for view in _spread(views, held_back)}
-    first = [view for view in views if view.name not in names]
-    return _Photographs(first + [view for view in views if view.name in names], held_back)
-
-
-def _spread(items: list, count: int) -> list:
+def _spread(items: Sequence[T], count: int) -> list[T]:
     """`count` items at even distances, or all if there are fewer."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

@@ -47,6 +47,15 @@ class Step:
     seen: list[Seen]
 
 
+@dataclass(frozen=True)
+class Coarse:
+    """A stage's views made smaller, for its iterations before `until`: while splats find their places, small images
+    say as much, in less time."""
+
+    views: list[TrainingView]
+    until: int
+
+
 class Trial(Protocol):
     """Something that is decided in a stage by trying (see `mgsr.training.trial`); psnr: what each candidate reached."""
 
@@ -67,7 +76,8 @@ class Stage:
 
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
-    densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way.
+    densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
+    coarse: how it begins.
     """
 
     name: str
@@ -81,6 +91,7 @@ class Stage:
     convergence: Convergence | None = None
     light: LightInTraining | None = None
     trial: Trial | None = None
+    coarse: Coarse | None = None
     iteration: int = 0
     seconds: float = 0.0
 
@@ -88,6 +99,11 @@ class Stage:
     def trained(self) -> list[Trained]:
         """All that it trains."""
         return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
+
+    def next_view(self) -> TrainingView:
+        """The view whose turn it is."""
+        small = self.coarse is not None and self.iteration < self.coarse.until
+        return (self.coarse.views if small and self.coarse is not None else self.views)[self.cycle.next()]
 
     def state(self) -> dict[str, Any]:
         """Where the stage stands, for a checkpoint."""
@@ -124,7 +140,7 @@ class WhatIsMirrored:
     def shown(self, view: TrainingView) -> Tensor:
         """What each pixel of a view mirrors, [H,W,3]."""
         normal = self.kept.get(view.name)
-        if normal is None:
+        if normal is None or normal.shape[0] != view.camera.height:
             with torch.no_grad():
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:

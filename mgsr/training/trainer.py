@@ -155,7 +155,7 @@ class Trainer:
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Terms, bool]:
         """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
-        view = stage.views[stage.cycle.next()]
+        view = stage.next_view()
         background = pick_background(self.config.background, self.masked, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)
         loss = torch.stack(list(step.terms.values())).sum()

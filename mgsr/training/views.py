@@ -51,25 +51,45 @@ class TrainingView:
 
 
 def prepare_views(
-    views: list[View], masked: bool, margin: int | None = None, edge_band: int = 0, device: torch.device = CPU
+    views: list[View],
+    masked: bool,
+    margin: int | None = None,
+    edge_band: int = 0,
+    device: torch.device = CPU,
+    reduce: int = 1,
 ) -> list[TrainingView]:
     """The views as tensors on a device; with `masked`, premultiplied by their alpha, otherwise alpha is ignored.
 
     edge_band: half width in pixels of the strip around the masks' outlines that `off_edge` marks.
     margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
+    reduce: how many pixels, along each side, are averaged into one; edge_band and margin are of these.
     """
-    return [_prepared(view, masked, margin, edge_band, device) for view in views]
+    return [_prepared(view, masked, margin, edge_band, device, reduce) for view in views]
 
 
-def _prepared(view: View, masked: bool, margin: int | None, edge_band: int, device: torch.device) -> TrainingView:
+def _prepared(
+    view: View, masked: bool, margin: int | None, edge_band: int, device: torch.device, reduce: int
+) -> TrainingView:
     color = torch.from_numpy(view.image).to(device).to(torch.float32) / 255
     if not masked or view.alpha is None:
-        return TrainingView(view.name, view.camera, color, None)
+        return TrainingView(view.name, *_reduced(view.camera, color, reduce), None)
     alpha = torch.from_numpy(view.alpha).to(device).to(torch.float32) / 255
-    region = None if margin is None else bounding_region(view.alpha, margin)
+    camera, both = _reduced(view.camera, torch.cat([color * alpha[..., None], alpha[..., None]], dim=-1), reduce)
+    color, alpha = both[..., :3].contiguous(), both[..., 3].contiguous()
+    drawn = alpha.cpu().numpy()
+    region = None if margin is None else bounding_region(drawn, margin)
     off_edge = outline_weights(alpha, edge_band) if edge_band else None
-    covered = torch.from_numpy(np.flatnonzero(view.alpha)).to(device)
-    return TrainingView(view.name, view.camera, color * alpha[..., None], alpha, region, off_edge, covered)
+    covered = torch.from_numpy(np.flatnonzero(drawn)).to(device)
+    return TrainingView(view.name, camera, color, alpha, region, off_edge, covered)
+
+
+def _reduced(camera: Camera, image: Tensor, by: int) -> tuple[Camera, Tensor]:
+    """The camera and the mean [H',W',C] of each by x by pixels of an image [H,W,C]; sides are rounded up."""
+    if by == 1:
+        return camera, image
+    height, width = -(-camera.height // by), -(-camera.width // by)
+    small = torch.nn.functional.adaptive_avg_pool2d(image.permute(2, 0, 1)[None], (height, width))
+    return camera.resized(width, height), small[0].permute(1, 2, 0).contiguous()
 
 
 def outline_weights(alpha: Tensor, band: int) -> Tensor:

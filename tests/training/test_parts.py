@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import Background, RatesConfig, StopRule, WarmupConfig
+from mgsr.config import Background, RatesConfig, StopRule, WarmupConfig, make_config
 from mgsr.training.convergence import EpochMeans, HeldBack, LossRange, make_convergence
+from mgsr.training.plan import make_plan
 from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
 from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
-from tests.training.ball import ball_scene
+from tests.training.ball import ball_points, ball_scene
 
 
 def test_rates_fade_from_start_to_end() -> None:
@@ -52,6 +53,38 @@ def test_targets_are_composited() -> None:
     alpha = view.alpha[..., None] / 255.0
     expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
     assert np.allclose(target.color.numpy(), expected, atol=1e-6)
+
+
+def test_small_views_average_light_and_alpha() -> None:
+    view = ball_scene(48).train[0]
+    (small,) = prepare_views([view], masked=True, reduce=2)
+    alpha = view.alpha[..., None] / 255.0
+    blocks = np.concatenate([view.image / 255.0 * alpha, alpha], axis=-1).reshape(24, 2, 24, 2, 4).mean(axis=(1, 3))
+    assert np.allclose(small.color.numpy(), blocks[..., :3], atol=1e-6)
+    assert np.allclose(small.alpha.numpy(), blocks[..., 3], atol=1e-6)
+    assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3]))
+    corner = np.array([0.3, 0.2, 0.1])
+    assert np.allclose(small.camera.project(corner[None])[0], view.camera.project(corner[None])[0] / 2)
+
+
+def test_small_views_of_odd_sides() -> None:
+    (small,) = prepare_views([ball_scene(47).train[0]], masked=True, reduce=2)
+    assert small.color.shape == (24, 24, 3) and (small.camera.width, small.camera.height) == (24, 24)
+
+
+def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:
+    settings = ["surfel_iterations=10", "volume_iterations=20", "coarse=0.4"]
+    config = make_config("draft", "mgsr", 0, [*settings, "coarse_side=48"])
+    stages = make_plan(ball_scene(48), ball_points(), config).stages
+    widths = []
+    for stage in stages:
+        stage.iteration = 0
+        widths.append([stage.next_view().camera.width])
+        for stage.iteration in (3, 4, 7, 8):
+            widths[-1].append(stage.next_view().camera.width)
+    assert widths == [[24, 24, 48, 48, 48], [24, 24, 24, 24, 48], [48, 48, 48, 48, 48]]
+    (stage, *_) = make_plan(ball_scene(47), ball_points(), config).stages
+    assert stage.next_view().camera.width == 47
 
 
 def test_region_bounds_the_mask() -> None:

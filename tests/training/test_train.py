@@ -27,6 +27,7 @@ SHORT = [
     "stop_rule=none",
     "curve_every=20",
     "check_every=5",
+    "coarse_side=16",
 ]
 PREVIEWS = {
     "mgsr": {"render", "normals", "transmitted", "reflected"},

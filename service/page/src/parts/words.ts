@@ -30,6 +30,10 @@ const STAGES: Record<string, string> = {
   warmup_volumes: "3D Gaussians, warm-up",
   alone: "one branch",
   mutual: "both branches teach each other",
+  trial_off: "trial: no reflections",
+  trial_shared: "trial: one mirrored light",
+  trial_both: "trial: mirrored light and reflections",
+  trial_own: "trial: reflections",
 };
 
 export const PRESETS: Record<string, string> = {

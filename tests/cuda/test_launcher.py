@@ -12,7 +12,7 @@ import pytest
 from tests.cuda_shim.launcher import HERE
 
 PROGRAM = """
-import ctypes, contextlib, sys
+import ctypes, contextlib, sys, threading
 from pathlib import Path
 import torch
 from mgsr.errors import GpuError
@@ -44,6 +44,10 @@ card = CudaLauncher(0)
 card.launch("adam", "adam_update", 7, 128, Params(4242, 1))
 card.launch("adam", "adam_update", 8, 64, Params(-1, 1))
 card.launch("adam", "adam_update", 0, 64, Params(5, 1))
+# As torch's backward does, in a thread that has not touched the card.
+backward = threading.Thread(target=card.launch, args=("adam", "adam_update", 3, 64, Params(7, 1)))
+backward.start()
+backward.join()
 current[0] = 3
 card.launch("adam", "adam_update", 9, 32, Params(6, 1))
 try:
@@ -65,6 +69,7 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
     assert sorted(done.stdout.splitlines()) == [
         "device 0",
+        "launch 0x1234 blocks 3 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter 7 extra 0",
         "launch 0x1234 blocks 7 1 1 threads 128 1 1 shared 0 stream 0x7f00 first parameter 4242 extra 0",
         "launch 0x1234 blocks 8 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter -1 extra 0",
         "launch 0x1234 blocks 9 1 1 threads 32 1 1 shared 0 stream 0x7f00 first parameter 6 extra 0",

@@ -1,13 +1,17 @@
 /* A libcuda.so.1 that prints what it is asked for, so that the launch helper can be tested without a card. A kernel whose
-   name is "refused" does not launch. */
+   name is "refused" does not launch, nor does any in a thread where the first card's context is not current. */
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
-enum { kOk = 0, kInvalidValue = 1, kNotSupported = 801, kRefusedKernel = 0x666, kKernel = 0x1234, kLibrary = 0x77 };
+enum { kOk = 0, kInvalidValue = 1, kInvalidContext = 201, kNotSupported = 801 };
+enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kKernel = 0x1234 };
+
+static _Thread_local void* current = NULL;  /* context of the calling thread */
 
 static int launch(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared,
                   void* stream, void** params, void** extra) {
+  if (current != (void*)(uintptr_t)kContext) return kInvalidContext;
   if ((uintptr_t)kernel == kRefusedKernel) return kInvalidValue;
   printf("launch %p blocks %u %u %u threads %u %u %u shared %u stream %p first parameter %lld extra %d\n", kernel, gx, gy, gz, bx,
          by, bz, shared, stream, *(long long*)params[0], extra != NULL);
@@ -46,6 +50,21 @@ static int get_kernel(void** kernel, void* library, const char* name) {
 
 static int unload(void* library) { return (uintptr_t)library == kLibrary ? kOk : kInvalidValue; }
 
+static int get_device(int* device, int ordinal) {
+  *device = ordinal;
+  return kOk;
+}
+
+static int retain(void** context, int device) {
+  *context = (void*)(uintptr_t)(kContext + device);
+  return kOk;
+}
+
+static int set_current(void* context) {
+  current = context;
+  return kOk;
+}
+
 static int not_supported(void) { return kNotSupported; }
 
 int cuGetProcAddress_v2(const char* name, void** function, int driver, uint64_t flags, int* status) {
@@ -58,6 +77,9 @@ int cuGetProcAddress_v2(const char* name, void** function, int driver, uint64_t 
       {"cuGetErrorName", (void*)error_name},
       {"cuGetErrorString", (void*)error_string},
       {"cuLaunchKernel", (void*)launch},
+      {"cuDeviceGet", (void*)get_device},
+      {"cuDevicePrimaryCtxRetain", (void*)retain},
+      {"cuCtxSetCurrent", (void*)set_current},
       {"cuLibraryLoadData", (void*)load},
       {"cuLibraryGetKernel", (void*)get_kernel},
       {"cuLibraryUnload", (void*)unload},

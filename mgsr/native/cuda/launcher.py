@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -69,6 +70,7 @@ class CudaLauncher:
         self._arch = arch_for(*torch.cuda.get_device_capability(device))
         self._modules: dict[str, Any] = {}
         self._kernels: dict[tuple[str, str], Any] = {}
+        self._ready = threading.local()
 
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
         if not blocks:
@@ -76,6 +78,8 @@ class CudaLauncher:
         if torch.cuda.current_device() != self._device:  # asked first, since the guard costs more
             with torch.cuda.device(self._device):
                 return self.launch(family, kernel, blocks, threads, params)
+        if not hasattr(self._ready, "context"):
+            self._ready.context = self._make_current()
         function = self._kernels.get((family, kernel)) or self._load(family, kernel)
         addresses = (ctypes.c_void_p * 1)(ctypes.addressof(params))
         stream = torch.cuda.current_stream(self._device).cuda_stream
@@ -83,6 +87,14 @@ class CudaLauncher:
             function, blocks, 1, 1, threads, 1, 1, 0, stream, ctypes.addressof(addresses), 0
         )
         self._ask(result, kernel)
+
+    def _make_current(self) -> Any:
+        """The card's context, current in this thread. Torch's threads for backward have none until torch itself has
+        launched something there, and the driver refuses a launch without one."""
+        card = self._ask(self._driver.cuDeviceGet(self._device))
+        context = self._ask(self._driver.cuDevicePrimaryCtxRetain(card))
+        self._ask(self._driver.cuCtxSetCurrent(context))
+        return context
 
     def _load(self, family: str, kernel: str) -> Any:
         from cuda.core import ObjectCode

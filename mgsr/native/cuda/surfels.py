@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torch import Tensor
 
-from mgsr.native.cuda import tiles
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
+    PAIR_FIELDS,
     PROJECTED,
     SPLAT_THREADS,
     TILE_PIXELS,
+    Band,
+    Projected,
     TileLists,
     Tiles,
+    add_up,
+    cut_into_bands,
+    list_tiles,
     project,
     refusing,
     splat_blocks,
@@ -87,15 +92,24 @@ class GradientParams(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Frame:
-    """What backward needs kept from forward; the states only where there will be a backward pass."""
+class Blended:
+    """A band after blending. states: of its pixels at each bucket, only where a backward pass follows."""
 
     lists: TileLists
-    records: Tensor
-    transmittance: Tensor
-    moments: Tensor | None
     states: Tensor | None
     reached: Tensor
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What backward needs kept from forward. blended: of the one band that most images are; bands of an image too
+    large for that are blended again in backward, one after the other."""
+
+    projected: Projected
+    bands: list[Band]
+    blended: Blended | None
+    transmittance: Tensor
+    moments: Tensor | None
 
 
 class SurfelKernels:
@@ -109,46 +123,68 @@ class SurfelKernels:
         """Render into the images and radii given, and return what `backward` takes."""
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, radii = arguments[13:19], arguments[19]
-        records, outlines, lists = project(
-            self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii
-        )
-        kind = "plain" if images[5] is None else "distortion"
-        transmittance, reached = radii.new_empty(lists.height, lists.width), lists.ranges.new_empty(lists.tiles)
-        moments = None if images[5] is None else radii.new_empty(lists.height, lists.width, 2)
-        states = None
-        with refusing(lists.pairs):
-            if self._keep:
-                states = radii.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
-        arrays = (pointer(t) for t in (*images, transmittance, moments, states, reached))
-        inputs = (pointer(t) for t in (records, outlines, background))
-        params = BlendParams(lists.struct(), *inputs, *view[4:], *arrays)
-        self._launcher.launch("surfels", f"surfels_blend_{kind}", lists.tiles, TILE_PIXELS, params)
-        return Frame(lists, records, transmittance, moments, states, reached)
+        projected = project(self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii)
+        bands = cut_into_bands(self._launcher, projected)
+        size = (projected.height, projected.width)
+        moments = None if images[5] is None else radii.new_empty(*size, 2)
+        frame = Frame(projected, bands, None, radii.new_empty(size), moments)
+        if self._keep and len(bands) == 1:
+            return replace(frame, blended=self._blend(frame, bands[0], background, view, images, keep=True))
+        for band in bands:
+            self._blend(frame, band, background, view, images, keep=False)
+        return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
         """Write the splats' gradients from those of the images."""
-        splats, view = arguments[:5], arguments[6:13]
+        assert self._keep, "rendered without a backward pass in mind"
+        splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
-        assert frame.states is not None, "rendered without a backward pass in mind"
-        kind, lists = "plain" if v_images[5] is None else "distortion", frame.lists
-        with refusing(lists.pairs):
-            planes = self._prepare_pixels(kind, frame, images, v_images)
-            pairs = planes.new_empty(lists.pairs, tiles.PAIR_FIELDS)
-        states, state_planes = pointer(frame.states), frame.states.shape[1]
-        arrays = (pointer(t) for t in (frame.reached, planes, pairs))
-        params = BackwardParams(lists.struct(), pointer(frame.records), *view[4:], states, state_planes, *arrays)
-        self._launcher.launch("surfels", f"surfels_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
-        sums = sum_pairs(self._launcher, lists, pairs)
-        arrays = (pointer(t) for t in (frame.records, sums, lists.tile_counts, *v_splats))
+        parts = (
+            self._walk_back(frame, self._blended(frame, band, background, view, images), view, images, v_images)
+            for band in frame.bands
+        )
+        sums = add_up(parts)
+        arrays = (pointer(t) for t in (frame.projected.records, sums, frame.projected.whole.tile_counts, *v_splats))
         gradients = GradientParams(_splats_struct(splats, view), *arrays)
         self._launcher.launch("surfels", "surfels_gradients", splat_blocks(len(splats[0])), SPLAT_THREADS, gradients)
 
-    def _prepare_pixels(self, kind: str, frame: Frame, images: Any, v_images: Any) -> Tensor:
+    def _blended(self, frame: Frame, band: Band, background: Tensor, view: Any, images: Any) -> Blended:
+        return frame.blended or self._blend(frame, band, background, view, images, keep=True)
+
+    def _blend(self, frame: Frame, band: Band, background: Tensor, view: Any, images: Any, keep: bool) -> Blended:
+        """A band's pixels into the images."""
+        lists = list_tiles(self._launcher, frame.projected, band)
+        kind = "plain" if images[5] is None else "distortion"
+        reached, states = lists.ranges.new_empty(lists.tiles), None
+        with refusing(lists.pairs):
+            if keep:
+                states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
+        arrays = (pointer(t) for t in (*images, frame.transmittance, frame.moments, states, reached))
+        inputs = (pointer(t) for t in (frame.projected.records, frame.projected.outlines, background))
+        params = BlendParams(lists.struct(), *inputs, *view[4:], *arrays)
+        self._launcher.launch("surfels", f"surfels_blend_{kind}", lists.tiles, TILE_PIXELS, params)
+        return Blended(lists, states, reached)
+
+    def _walk_back(self, frame: Frame, blended: Blended, view: Any, images: Any, v_images: Any) -> Tensor:
+        """What a band's pixels say of each splat, [N,16]."""
+        assert blended.states is not None
+        kind, lists = "plain" if v_images[5] is None else "distortion", blended.lists
+        with refusing(lists.pairs):
+            planes = self._prepare_pixels(kind, frame, lists, images, v_images)
+            pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
+        states, state_planes = pointer(blended.states), blended.states.shape[1]
+        arrays = (pointer(t) for t in (blended.reached, planes, pairs))
+        records = pointer(frame.projected.records)
+        params = BackwardParams(lists.struct(), records, *view[4:], states, state_planes, *arrays)
+        self._launcher.launch("surfels", f"surfels_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
+        return sum_pairs(self._launcher, lists, pairs)
+
+    def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
         color, _, depth, _, normal, _ = images
-        planes = color.new_empty(frame.lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, frame.moments, color, depth, normal, *v_images, planes)
-        params = PixelParams(frame.lists.struct(), *(pointer(t) for t in arrays))
-        self._launcher.launch("surfels", f"surfels_pixels_{kind}", frame.lists.tiles, TILE_PIXELS, params)
+        params = PixelParams(lists.struct(), *(pointer(t) for t in arrays))
+        self._launcher.launch("surfels", f"surfels_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
 

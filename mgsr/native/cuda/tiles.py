@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import torch
@@ -20,6 +21,14 @@ PAIR_FIELDS, OUTLINE_FLOATS, RECORD_FLOATS = 16, 12, 16
 THREADS, SPLAT_THREADS = 256, 128
 BUCKET_WARPS, BUCKET_THREADS = 2, 64
 MAX_PAIRS = 2**31 - 1
+CURE = "expected fewer or smaller splats, a smaller image, or a card with more memory"
+PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
+
+
+class TileRows(ctypes.Structure):
+    """Rows of tiles, the end excluded."""
+
+    _fields_ = (("first", Int), ("end", Int))
 
 
 class Tiles(ctypes.Structure):
@@ -27,7 +36,18 @@ class Tiles(ctypes.Structure):
 
     _fields_ = (
         *((name, Int) for name in ("width", "height", "across", "count")),
+        ("rows", TileRows),
         *pointers("ranges", "entries", "bucket_ends"),
+    )
+
+
+class CountParams(ctypes.Structure):
+    _fields_ = (
+        ("count", Long),
+        ("width", Int),
+        ("height", Int),
+        ("rows", TileRows),
+        *pointers("outlines", "in_all", "tile_counts"),
     )
 
 
@@ -36,6 +56,7 @@ class EmitParams(ctypes.Structure):
         ("count", Long),
         ("width", Int),
         ("height", Int),
+        ("rows", TileRows),
         *pointers("outlines", "order", "tile_counts", "ends", "keys"),
         ("key_bytes", Int),
         ("owners", Pointer),
@@ -56,27 +77,56 @@ class SumParams(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class TileLists:
-    """Which splats each tile of an image blends, nearest first.
+class Band:
+    """Rows of tiles of an image, first to end (excluded). tile_counts [N] int32: how many of them each splat touches;
+    pairs: the sum."""
 
-    order [N] int64: splats by depth; tile_counts [N] int32; ends [N] int64: sums of the counts in that order, each with
-    its own; pairs: how many (splat, tile) pairs there are; ranges [tiles,2] and entries [pairs,2] int32, bucket_ends
-    [tiles] int32: see Tiles in kernels/common/tiles_cuda.h.
-    """
+    first: int
+    end: int
+    tile_counts: Tensor
+    pairs: int
+
+    def struct(self) -> TileRows:
+        """For the kernels' parameters."""
+        return TileRows(self.first, self.end)
+
+
+@dataclass(frozen=True)
+class Projected:
+    """A view's splats on its image. records [N,16], outlines [N,12]: see the families' kernels; order [N] int64: splats
+    by depth, nearest first; whole: the band that is all of the image."""
 
     width: int
     height: int
+    records: Tensor
+    outlines: Tensor
     order: Tensor
-    tile_counts: Tensor
+    whole: Band
+
+
+@dataclass(frozen=True)
+class TileLists:
+    """Which splats each tile of a band blends, nearest first.
+
+    ends [N] int64: sums of the band's tile counts in the splats' order, each with its own; ranges [tiles,2] and
+    entries [pairs,2] int32, bucket_ends [tiles] int32: see Tiles in kernels/common/tiles_cuda.h.
+    """
+
+    projected: Projected
+    band: Band
     ends: Tensor
-    pairs: int
     ranges: Tensor
     entries: Tensor
     bucket_ends: Tensor
 
     @property
+    def pairs(self) -> int:
+        """How many (splat, tile) pairs there are."""
+        return self.band.pairs
+
+    @property
     def tiles(self) -> int:
-        """How many tiles the image has."""
+        """How many tiles the band has."""
         return len(self.ranges)
 
     @property
@@ -91,8 +141,9 @@ class TileLists:
 
     def struct(self) -> Tiles:
         """For the kernels' parameters; its tensors must outlive the launch."""
+        width, height = self.projected.width, self.projected.height
         arrays = (pointer(t) for t in (self.ranges, self.entries, self.bucket_ends))
-        return Tiles(self.width, self.height, -(-self.width // TILE), self.tiles, *arrays)
+        return Tiles(width, height, _across(width), self.tiles, self.band.struct(), *arrays)
 
 
 # What every projection writes: the end of its params struct, after the splats.
@@ -101,17 +152,36 @@ PROJECTED = pointers("records", "outlines", "depths", "tile_counts", "radii")
 
 def project(
     launcher: Launcher, family: str, params: Callable[..., ctypes.Structure], splats: Any, radii: Tensor
-) -> tuple[Tensor, Tensor, TileLists]:
-    """Run a family's projection of its splats struct into radii [N]: records, outlines and the lists of the tiles.
+) -> Projected:
+    """Run a family's projection of its splats struct into radii [N], and sort the splats by depth.
 
-    params: the family's struct of the splats and PROJECTED.
+    params: the family's struct of the splats and PROJECTED. The number of pairs is read from the card, the one thing
+    the host waits for in a rendering: it waits for the projection alone, while the card goes on with the sort.
     """
     count = splats.count
     records, outlines = radii.new_empty(count, RECORD_FLOATS), radii.new_empty(count, OUTLINE_FLOATS)
     depths, tile_counts = radii.new_empty(count), radii.new_empty(count, dtype=torch.int32)
     arrays = (pointer(t) for t in (records, outlines, depths, tile_counts, radii))
     launcher.launch(family, f"{family}_project", splat_blocks(count), SPLAT_THREADS, params(splats, *arrays))
-    return records, outlines, list_tiles(launcher, depths, outlines, tile_counts, splats.width, splats.height)
+    total = read_later(tile_counts.sum(dtype=torch.int64))
+    order = torch.sort(depths, stable=True).indices
+    whole = Band(0, -(-splats.height // TILE), tile_counts, total())
+    return Projected(splats.width, splats.height, records, outlines, order, whole)
+
+
+@cache
+def most_pairs(device: torch.device) -> int:
+    """How many pairs a band may have: what half of the device's memory holds."""
+    if device.type != "cuda":
+        return MAX_PAIRS
+    return min(MAX_PAIRS, torch.cuda.get_device_properties(device).total_memory // 2 // PAIR_BYTES)
+
+
+def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
+    """The image as bands of `most_pairs` at most, in their order: one, unless there are too many pairs for that. Then
+    rows are halved until they fit, and for each part its count is waited for. A band's pixels and gradients don't
+    depend on the others. Raises GpuError where a single row of tiles has too many."""
+    return list(_halved(launcher, projected, projected.whole, most_pairs(projected.records.device)))
 
 
 def splat_blocks(splats: int) -> int:
@@ -119,49 +189,42 @@ def splat_blocks(splats: int) -> int:
     return -(-splats // SPLAT_THREADS)
 
 
-def list_tiles(
-    launcher: Launcher, depths: Tensor, outlines: Tensor, tile_counts: Tensor, width: int, height: int
-) -> TileLists:
-    """Sort the splats by depth and list them for each tile.
-
-    depths [N], outlines [N,12] and tile_counts [N] int32 as the projection left them. The number of pairs is read from
-    the card, the one thing the host waits for in a rendering: it waits for the projection alone, while the card goes on
-    with the sort. Raises GpuError when there are more pairs than memory, or than 2^31.
-    """
-    total = read_later(tile_counts.sum(dtype=torch.int64))
-    order = torch.sort(depths, stable=True).indices
-    ends = torch.cumsum(tile_counts[order], 0, dtype=torch.int64)
-    pairs = total()
-    tiles = -(-width // TILE) * -(-height // TILE)
-    with refusing(pairs):
-        entries, ranges = _fill_lists(launcher, outlines, order, tile_counts, ends, pairs, tiles, width, height)
+def list_tiles(launcher: Launcher, projected: Projected, band: Band) -> TileLists:
+    """List the splats for each tile of a band. Raises GpuError when memory does not hold the lists."""
+    ends = torch.cumsum(band.tile_counts[projected.order], 0, dtype=torch.int64)
+    with refusing(band.pairs):
+        entries, ranges = _fill_lists(launcher, projected, band, ends)
     buckets = (ranges[:, 1] - ranges[:, 0] + (BUCKET - 1)) // BUCKET
     bucket_ends = torch.cumsum(buckets, 0, dtype=torch.int32)
-    return TileLists(width, height, order, tile_counts, ends, pairs, ranges, entries, bucket_ends)
+    return TileLists(projected, band, ends, ranges, entries, bucket_ends)
 
 
 def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> Tensor:
-    """Sums [N,16] of the pairs' gradients [pairs,16] over each splat's tiles, in a fixed order; not set for a splat
-    that touches none."""
-    count = len(lists.order)
-    sums = pair_gradients.new_empty(count, PAIR_FIELDS)
-    arrays = (lists.order, lists.tile_counts, lists.ends, pair_gradients, sums)
-    params = SumParams(count, *(pointer(t) for t in arrays))
-    launcher.launch("tiles", "tiles_sum", -(-count * PAIR_FIELDS // THREADS), THREADS, params)
+    """Sums [N,16] of the pairs' gradients [pairs,16] over each splat's tiles in the band, in a fixed order."""
+    order = lists.projected.order
+    sums = pair_gradients.new_empty(len(order), PAIR_FIELDS)
+    arrays = (order, lists.band.tile_counts, lists.ends, pair_gradients, sums)
+    params = SumParams(len(order), *(pointer(t) for t in arrays))
+    launcher.launch("tiles", "tiles_sum", -(-len(order) * PAIR_FIELDS // THREADS), THREADS, params)
     return sums
+
+
+def add_up(of_bands: Iterator[Tensor]) -> Tensor:
+    """The sums of all bands [N,16], from each one's, in their order. One band at a time is asked for."""
+    total = next(of_bands)
+    for sums in of_bands:
+        total += sums
+    return total
 
 
 @contextmanager
 def refusing(pairs: int) -> Iterator[None]:
-    """Within the block, too little memory is a GpuError that says why; so are more than 2^31 pairs, at once."""
-    cure = "expected fewer or smaller splats, a smaller image, or a card with more memory"
-    if pairs > MAX_PAIRS:
-        raise GpuError(f"this view has {pairs} pairs of splats and tiles, more than 2^31: {cure}")
+    """Within the block, too little memory is a GpuError that says why."""
     try:
         yield
     except torch.OutOfMemoryError as error:
         raise GpuError(
-            f"the card's memory does not hold {pairs} pairs of splats and tiles ({error}): {cure}"
+            f"the card's memory does not hold {pairs} pairs of splats and tiles ({error}): {CURE}"
         ) from error
 
 
@@ -180,22 +243,36 @@ def read_later(scalar: Tensor) -> Callable[[], int]:
     return wait
 
 
-def _fill_lists(
-    launcher: Launcher,
-    outlines: Tensor,
-    order: Tensor,
-    tile_counts: Tensor,
-    ends: Tensor,
-    pairs: int,
-    tiles: int,
-    width: int,
-    height: int,
-) -> tuple[Tensor, Tensor]:
+def _halved(launcher: Launcher, projected: Projected, band: Band, most: int) -> Iterator[Band]:
+    if band.pairs <= most:
+        yield band
+        return
+    if band.end - band.first == 1:
+        raise GpuError(
+            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, more than {most}: {CURE}"
+        )
+    middle = (band.first + band.end) // 2
+    for first, end in ((band.first, middle), (middle, band.end)):
+        yield from _halved(launcher, projected, _counted(launcher, projected, first, end), most)
+
+
+def _counted(launcher: Launcher, projected: Projected, first: int, end: int) -> Band:
+    in_all = projected.whole.tile_counts
+    tile_counts = torch.empty_like(in_all)
+    arrays = (pointer(t) for t in (projected.outlines, in_all, tile_counts))
+    params = CountParams(len(in_all), projected.width, projected.height, TileRows(first, end), *arrays)
+    launcher.launch("tiles", "tiles_count", -(-len(in_all) // THREADS), THREADS, params)
+    return Band(first, end, tile_counts, int(tile_counts.sum(dtype=torch.int64)))
+
+
+def _fill_lists(launcher: Launcher, projected: Projected, band: Band, ends: Tensor) -> tuple[Tensor, Tensor]:
+    order, pairs, tiles = projected.order, band.pairs, (band.end - band.first) * _across(projected.width)
     # Short keys: the sort's time grows with their bits.
     keys = order.new_empty(pairs, dtype=torch.int16 if tiles <= 2**15 else torch.int32)
     owners = order.new_empty(pairs, dtype=torch.int32)
-    arrays = (pointer(t) for t in (outlines, order, tile_counts, ends, keys))
-    emit = EmitParams(len(order), width, height, *arrays, keys.element_size(), pointer(owners))
+    arrays = (pointer(t) for t in (projected.outlines, order, band.tile_counts, ends, keys))
+    size = (projected.width, projected.height, band.struct())
+    emit = EmitParams(len(order), *size, *arrays, keys.element_size(), pointer(owners))
     launcher.launch("tiles", "tiles_emit", -(-len(order) // THREADS), THREADS, emit)
     keys, slots = torch.sort(keys, stable=True)
     entries, ranges = owners.new_empty(pairs, 2), owners.new_zeros(tiles, 2)
@@ -203,3 +280,8 @@ def _fill_lists(
     listed = ListParams(pairs, pointer(keys), keys.element_size(), *arrays)
     launcher.launch("tiles", "tiles_list", -(-pairs // THREADS), THREADS, listed)
     return entries, ranges
+
+
+def _across(width: int) -> int:
+    """Tiles in a row."""
+    return -(-width // TILE)

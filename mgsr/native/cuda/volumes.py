@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torch import Tensor
 
-from mgsr.native.cuda import tiles
 from mgsr.native.cuda.launcher import Launcher
 from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
+    PAIR_FIELDS,
     PROJECTED,
     SPLAT_THREADS,
     TILE_PIXELS,
+    Band,
+    Projected,
     TileLists,
     Tiles,
+    add_up,
+    cut_into_bands,
+    list_tiles,
     project,
     refusing,
     splat_blocks,
@@ -79,15 +84,24 @@ class GradientParams(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class Frame:
-    """What backward needs kept from forward; the states only where there will be a backward pass."""
+class Blended:
+    """A band after blending. states: of its pixels at each bucket, only where a backward pass follows."""
 
     lists: TileLists
-    records: Tensor
-    radii: Tensor
-    transmittance: Tensor
     states: Tensor | None
     reached: Tensor
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What backward needs kept from forward. blended: of the one band that most images are; bands of an image too
+    large for that are blended again in backward, one after the other."""
+
+    projected: Projected
+    bands: list[Band]
+    blended: Blended | None
+    radii: Tensor
+    transmittance: Tensor
 
 
 class VolumeKernels:
@@ -106,42 +120,64 @@ class VolumeKernels:
             arguments[16:21],
             arguments[21],
         )
-        splats_struct = _splats_struct(splats, view)
-        records, _, lists = project(self._launcher, "volumes", ProjectParams, splats_struct, radii)
-        kind, transmittance = _kind(splats), background.new_empty(lists.height, lists.width)
-        reached, states = lists.ranges.new_empty(lists.tiles), None
-        with refusing(lists.pairs):
-            if self._keep:
-                states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
-        arrays = (records, background, *images, transmittance, states, reached)
-        params = BlendParams(lists.struct(), *(pointer(t) for t in arrays))
-        self._launcher.launch("volumes", f"volumes_blend_{kind}", lists.tiles, TILE_PIXELS, params)
-        return Frame(lists, records, radii, transmittance, states, reached)
+        projected = project(self._launcher, "volumes", ProjectParams, _splats_struct(splats, view), radii)
+        bands = cut_into_bands(self._launcher, projected)
+        transmittance = background.new_empty(projected.height, projected.width)
+        frame = Frame(projected, bands, None, radii, transmittance)
+        if self._keep and len(bands) == 1:
+            return replace(frame, blended=self._blend(_kind(splats), frame, bands[0], background, images, keep=True))
+        for band in bands:
+            self._blend(_kind(splats), frame, band, background, images, keep=False)
+        return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
         """Write the splats' gradients from those of the images."""
-        assert frame.states is not None, "rendered without a backward pass in mind"
-        splats, view = arguments[:8], arguments[9:16]
+        assert self._keep, "rendered without a backward pass in mind"
+        splats, background, view = arguments[:8], arguments[8], arguments[9:16]
         images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
-        kind, lists = _kind(splats), frame.lists
-        with refusing(lists.pairs):
-            planes = self._prepare_pixels(kind, frame, images, v_images)
-            pairs = planes.new_empty(lists.pairs, tiles.PAIR_FIELDS)
-        arrays = (frame.records, frame.states, frame.reached, planes, pairs)
-        params = BackwardParams(lists.struct(), *(pointer(t) for t in arrays))
-        self._launcher.launch("volumes", f"volumes_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
-        sums = sum_pairs(self._launcher, lists, pairs)
-        arrays = (frame.records, frame.radii, sums, lists.tile_counts, *v_splats)
+        kind = _kind(splats)
+        parts = (
+            self._walk_back(kind, frame, self._blended(kind, frame, band, background, images), images, v_images)
+            for band in frame.bands
+        )
+        sums = add_up(parts)
+        arrays = (frame.projected.records, frame.radii, sums, frame.projected.whole.tile_counts, *v_splats)
         gradients = GradientParams(_splats_struct(splats, view), *(pointer(t) for t in arrays))
         blocks = splat_blocks(len(splats[0]))
         self._launcher.launch("volumes", "volumes_gradients", blocks, SPLAT_THREADS, gradients)
 
-    def _prepare_pixels(self, kind: str, frame: Frame, images: Any, v_images: Any) -> Tensor:
+    def _blended(self, kind: str, frame: Frame, band: Band, background: Tensor, images: Any) -> Blended:
+        return frame.blended or self._blend(kind, frame, band, background, images, keep=True)
+
+    def _blend(self, kind: str, frame: Frame, band: Band, background: Tensor, images: Any, keep: bool) -> Blended:
+        """A band's pixels into the images."""
+        lists = list_tiles(self._launcher, frame.projected, band)
+        reached, states = lists.ranges.new_empty(lists.tiles), None
+        with refusing(lists.pairs):
+            if keep:
+                states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
+        arrays = (frame.projected.records, background, *images, frame.transmittance, states, reached)
+        params = BlendParams(lists.struct(), *(pointer(t) for t in arrays))
+        self._launcher.launch("volumes", f"volumes_blend_{kind}", lists.tiles, TILE_PIXELS, params)
+        return Blended(lists, states, reached)
+
+    def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
+        """What a band's pixels say of each splat, [N,16]."""
+        lists = blended.lists
+        with refusing(lists.pairs):
+            planes = self._prepare_pixels(kind, frame, lists, images, v_images)
+            pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
+        arrays = (frame.projected.records, blended.states, blended.reached, planes, pairs)
+        params = BackwardParams(lists.struct(), *(pointer(t) for t in arrays))
+        self._launcher.launch("volumes", f"volumes_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
+        return sum_pairs(self._launcher, lists, pairs)
+
+    def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
         color, _, depth, reflected, weight = images
-        planes = color.new_empty(frame.lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, color, depth, reflected, weight, *v_images, planes)
-        params = PixelParams(frame.lists.struct(), *(pointer(t) for t in arrays))
-        self._launcher.launch("volumes", f"volumes_pixels_{kind}", frame.lists.tiles, TILE_PIXELS, params)
+        params = PixelParams(lists.struct(), *(pointer(t) for t in arrays))
+        self._launcher.launch("volumes", f"volumes_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
 

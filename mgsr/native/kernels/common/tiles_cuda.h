@@ -21,10 +21,18 @@ struct SplatOutline {
   float unused;  // makes it 48 bytes
 };
 
-// The lists of all tiles.
+// Rows of tiles, the end excluded: the image's, or those of a band of it.
+struct TileRows {
+  int first, end;
+};
+
+__device__ inline TileRows all_rows(int height) { return {0, (height + kTile - 1) / kTile}; }
+
+// The lists of all tiles of a band, which are numbered from its first row on.
 struct Tiles {
   int width, height;        // of the image, pixels
-  int across, count;        // tiles in a row, and in all
+  int across, count;        // tiles in a row, and in the band
+  TileRows rows;            // of the band
   const int2* ranges;       // [tiles] begin and end in entries
   const int2* entries;      // [pairs] splat and slot, grouped by tile, nearest first
   const int* bucket_ends;   // [tiles] of each tile's buckets: the first bucket behind them
@@ -40,7 +48,7 @@ struct TilePixel {
   __device__ TilePixel(const Tiles& tiles, int tile, int number) {
     const int patch = number / kWarp, place = number % kWarp;
     x = tile % tiles.across * kTile + patch % 2 * kPatchWidth + place % kPatchWidth;
-    y = tile / tiles.across * kTile + patch / 2 * kPatchHeight + place / kPatchWidth;
+    y = (tiles.rows.first + tile / tiles.across) * kTile + patch / 2 * kPatchHeight + place / kPatchWidth;
   }
   __device__ bool inside(const Tiles& tiles) const { return x < tiles.width && y < tiles.height; }
   __device__ int64_t index(const Tiles& tiles) const { return int64_t(y) * tiles.width + x; }
@@ -70,15 +78,16 @@ __device__ inline bool on_image(const SplatOutline& s, int width, int height) {
          fmaxf(e.y + e.hy + kOutlineSlack, s.y + s.radius) >= 0 && fminf(e.y - e.hy - kOutlineSlack, s.y - s.radius) <= height;
 }
 
-// Calls visit(tile) for every tile in which the outline holds a pixel's centre, row by row.
+// Calls visit(tile) for every tile of a band in which the outline holds a pixel's centre, row by row.
 template <class Visit>
-__device__ inline void for_touched_tiles(const SplatOutline& s, int width, int height, const Visit& visit) {
+__device__ inline void for_touched_tiles(const SplatOutline& s, int width, int height, TileRows rows, const Visit& visit) {
   const float up = s.ellipse.y - s.ellipse.hy - kOutlineSlack, down = s.ellipse.y + s.ellipse.hy + kOutlineSlack;
   const float top = fmaxf(ceilf(fminf(up, s.y - s.radius) - 0.5f), 0.0f);
   const float bottom = fminf(floorf(fmaxf(down, s.y + s.radius) - 0.5f), height - 1.0f);
   if (!(top <= bottom)) return;
   const int across = (width + kTile - 1) / kTile;
-  for (int row = int(top) / kTile; row <= int(bottom) / kTile; ++row) {
+  const int begin = int(top) / kTile, end = int(bottom) / kTile + 1;
+  for (int row = begin < rows.first ? rows.first : begin; row < end && row < rows.end; ++row) {
     const float y0 = fmaxf(float(row * kTile), top), y1 = fminf(float(row * kTile + kTile - 1), bottom);
     const Columns c = outline_columns(s, y0 + 0.5f, y1 + 0.5f);
     if (c.x1 < c.x0) continue;
@@ -86,14 +95,19 @@ __device__ inline void for_touched_tiles(const SplatOutline& s, int width, int h
     const int first = int(held_between(c.x0 + 0.5f, 0.0f, float(width)));
     const int end = int(held_between(c.x1 + 0.5f, 0.0f, float(width)));
     if (first >= end) continue;
-    for (int column = first / kTile; column <= (end - 1) / kTile; ++column) visit(row * across + column);
+    for (int column = first / kTile; column <= (end - 1) / kTile; ++column) visit((row - rows.first) * across + column);
   }
 }
 
-__device__ inline int count_touched_tiles(const SplatOutline& s, int width, int height) {
+__device__ inline int count_touched_tiles(const SplatOutline& s, int width, int height, TileRows rows) {
   int count = 0;
-  for_touched_tiles(s, width, height, [&](int) { ++count; });
+  for_touched_tiles(s, width, height, rows, [&](int) { ++count; });
   return count;
+}
+
+// In the whole image.
+__device__ inline int count_touched_tiles(const SplatOutline& s, int width, int height) {
+  return count_touched_tiles(s, width, height, all_rows(height));
 }
 
 }  // namespace mgsr

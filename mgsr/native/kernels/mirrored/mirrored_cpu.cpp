@@ -168,16 +168,20 @@ void forward(const MirroredParams& p) {
   });
 }
 
-// What the pixels' places on the maps get, in texels.
-void coordinate_gradients(const MirroredParams& p, const PaddedMaps& layout, const float* maps, Block& b) {
+// What the pixels' light says of their places on the maps, in texels, where the normals' gradient is wanted; and of the
+// maps, where theirs is: added to v_maps.
+void look_back(const MirroredParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
+  const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
   for (int i = 0; i < b.count; ++i) {
     const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
-    vtexel slopes[2][2];
+    vtexel by[2][2] = {};
     for (int which = 0; which < 2; ++which) {
       const Cell cell(layout, b, which, i);
-      bilinear_slopes(cell.load(maps), cell.x, cell.y, slopes[which][0], slopes[which][1]);
+      if (to_normals) bilinear_slopes(cell.load(maps), cell.x, cell.y, by[which][0], by[which][1]);
+      if (to_maps) cell.add(v_maps, bilinear_vjp(v, cell.x, cell.y));
     }
-    const vtexel sum = sums(slopes[0][0] * v, slopes[0][1] * v, slopes[1][0] * v, slopes[1][1] * v);
+    if (!to_normals) continue;
+    const vtexel sum = sums(by[0][0] * v, by[0][1] * v, by[1][0] * v, by[1][1] * v);
     for (int k = 0; k < 4; ++k) b.v_texel[k / 2][k % 2][i] = sum[k];
   }
 }
@@ -194,16 +198,6 @@ void normal_gradients(const MirroredParams& p, const Rotation& rotation, const B
     for (int c = 0; c < 3; ++c) store(columns[c], v_normal[c].v);
     for (int lane = 0; lane < std::min(kWidth, b.count - i); ++lane)
       for (int c = 0; c < 3; ++c) p.v_normals[3 * b.pixel[i + lane] + c] = columns[c][lane];
-  }
-}
-
-void add_to_maps(const MirroredParams& p, const PaddedMaps& layout, const Block& b, float* v_maps) {
-  for (int i = 0; i < b.count; ++i) {
-    const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
-    for (int which = 0; which < 2; ++which) {
-      const Cell cell(layout, b, which, i);
-      cell.add(v_maps, bilinear_vjp(v, cell.x, cell.y));
-    }
   }
 }
 
@@ -239,8 +233,8 @@ void backward(const MirroredParams& p) {
     Block b;
     for (int64_t first = part * size; first < end; first += kBlock) {
       mirror_block(p, rotation, rays, first, end, b);
-      if (p.v_normals) coordinate_gradients(p, layout, maps, b), normal_gradients(p, rotation, b);
-      if (p.v_maps) add_to_maps(p, layout, b, own);
+      look_back(p, layout, maps, b, own);
+      if (p.v_normals) normal_gradients(p, rotation, b);
     }
   });
   if (p.v_maps) add_parts(p, layout, v_maps, parts);

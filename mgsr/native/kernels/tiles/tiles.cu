@@ -1,5 +1,8 @@
 // Lists of splats for each tile, and sums over a splat's tiles; the same for both branches.
 //
+// An image is worked in one band, or in several where its pairs are too many for the memory.
+//
+// tiles_count: a thread counts the tiles of a band that one splat touches.
 // tiles_emit: a thread writes one splat's (tile, splat) pairs, splats in depth order, so that a stable sort by tile leaves
 // each tile's list nearest first. A pair's place before that sort is its slot: a splat's slots are consecutive.
 // tiles_list: a thread writes one entry of the sorted lists, and the range of a tile where it begins or ends.
@@ -11,12 +14,22 @@ namespace mgsr {
 
 constexpr int kTilesThreads = 256;
 
+struct CountParams {
+  int64_t count;
+  int width, height;
+  TileRows rows;                 // of the band
+  const SplatOutline* outlines;  // [count], set where a splat is seen
+  const int* in_all;             // [count] tiles of the image that each splat touches
+  int* tile_counts;              // [count] those of the band
+};
+
 struct EmitParams {
   int64_t count;
   int width, height;
+  TileRows rows;                 // of the band
   const SplatOutline* outlines;  // [count]
   const int64_t* order;          // [count] splats, nearest first
-  const int* tile_counts;        // [count] of each splat
+  const int* tile_counts;        // [count] of each splat, in the band
   const int64_t* ends;           // [count] sums of the counts in depth order, each with its own
   void* keys;                    // [pairs] tiles, of 2 or 4 bytes
   int key_bytes;
@@ -48,6 +61,13 @@ __device__ inline int tile_key(const void* keys, int bytes, int64_t i) {
 
 }  // namespace mgsr
 
+MGSR_KERNEL(tiles_count, mgsr::CountParams, mgsr::kTilesThreads) {
+  using namespace mgsr;
+  const int64_t i = int64_t(blockIdx.x) * kTilesThreads + threadIdx.x;
+  if (i >= p.count) return;
+  p.tile_counts[i] = p.in_all[i] > 0 ? count_touched_tiles(p.outlines[i], p.width, p.height, p.rows) : 0;
+}
+
 MGSR_KERNEL(tiles_emit, mgsr::EmitParams, mgsr::kTilesThreads) {
   using namespace mgsr;
   const int64_t rank = int64_t(blockIdx.x) * kTilesThreads + threadIdx.x;
@@ -56,7 +76,7 @@ MGSR_KERNEL(tiles_emit, mgsr::EmitParams, mgsr::kTilesThreads) {
   const int count = p.tile_counts[splat];
   if (count == 0) return;
   int64_t slot = p.ends[rank] - count;
-  for_touched_tiles(p.outlines[splat], p.width, p.height, [&](int tile) {
+  for_touched_tiles(p.outlines[splat], p.width, p.height, p.rows, [&](int tile) {
     if (p.key_bytes == 2) static_cast<int16_t*>(p.keys)[slot] = int16_t(tile);
     else static_cast<int*>(p.keys)[slot] = tile;
     p.owners[slot++] = int(splat);

@@ -17,6 +17,8 @@ from worker.rq_worker import work
 
 # Tells a child which card is its own, so that it starts no children again.
 _CARD = "MGSR_WORKER_CARD"
+# The driver's own list of cards: asking CUDA would load it into this process.
+_DRIVERS_LIST = Path("/proc/driver/nvidia/gpus")
 
 
 def start_workers(gpus: str | None) -> None:
@@ -56,8 +58,8 @@ def _one_for_each(cards: list[str]) -> None:
 def _cards(gpus: str) -> list[str]:
     if gpus != "all":
         return [card.strip() for card in gpus.split(",")]
-    # The driver's own list: asking CUDA would load it into this process.
-    found = sorted(Path("/proc/driver/nvidia/gpus").glob("*"))
-    if not found:
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    cards = [str(i) for i, _ in enumerate(_DRIVERS_LIST.glob("*"))] if visible is None else visible.split(",")
+    if not any(cards):
         raise SetupError("--gpus all: no NVIDIA driver or card on this machine; leave it out to work on the CPU")
-    return [str(i) for i in range(len(found))]
+    return cards

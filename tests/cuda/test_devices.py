@@ -76,7 +76,14 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
     for branch in plan.parts.branches:
         assert all(tensor.device == META for tensor in branch.model.parameters().values())
         assert branch.densify_state.seen.device == META
-    expected = {"adam_update", "statistics_gather", "image_loss", "tiles_sum", "harmonics_backward_3"}
+    expected = {
+        "adam_update",
+        "statistics_gather",
+        "image_loss",
+        "tiles_sum",
+        "harmonics_backward_3",
+        "mirrored_texels",
+    }
     assert expected <= set(launcher.launched)
 
 

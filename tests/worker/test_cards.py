@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from service.contract.errors import SetupError
 from tests.service.stack import ROOT, TINY_OPTIONS, Stack
+from worker import start
 
 
 @pytest.mark.slow
@@ -26,3 +28,39 @@ def test_a_worker_for_each_card(tmp_path: Path, tiny_archive: bytes) -> None:
             workers.terminate()
             assert workers.wait(30) == 0
         assert stack.http.get("/readyz").json()["workers"] == 1
+
+
+@pytest.mark.parametrize(("visible", "cards"), [(None, ["0", "1", "2"]), ("2,1", ["2", "1"]), ("GPU-5a", ["GPU-5a"])])
+def test_all_cards_are_those_that_this_process_may_use(
+    visible: str | None, cards: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A child gets each, and sees no other."""
+    for name in ("0000:01:00.0", "0000:02:00.0", "0000:a1:00.0"):
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(start, "_DRIVERS_LIST", tmp_path)
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    if visible is not None:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    seen: list[str] = []
+
+    class Child:
+        def __init__(self, command: list[str], env: dict[str, str]) -> None:
+            seen.append(env["CUDA_VISIBLE_DEVICES"])
+
+        def wait(self) -> int:
+            return 0
+
+    monkeypatch.setattr(start.subprocess, "Popen", Child)
+    monkeypatch.setattr(start.signal, "signal", lambda number, handler: None)
+    start.start_workers("all")
+    assert seen == cards
+
+
+@pytest.mark.parametrize("visible", [None, ""])
+def test_no_card_is_told(visible: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(start, "_DRIVERS_LIST", tmp_path / "none")
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    if visible is not None:
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    with pytest.raises(SetupError, match="--gpus all: no NVIDIA driver or card"):
+        start.start_workers("all")

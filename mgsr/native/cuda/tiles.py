@@ -249,7 +249,7 @@ def _halved(launcher: Launcher, projected: Projected, band: Band, most: int) -> 
         return
     if band.end - band.first == 1:
         raise GpuError(
-            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, more than {most}: {CURE}"
+            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, and memory is for {most}: {CURE}"
         )
     middle = (band.first + band.end) // 2
     for first, end in ((band.first, middle), (middle, band.end)):

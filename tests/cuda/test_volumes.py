@@ -113,6 +113,17 @@ def test_agrees_with_the_processor(machine: Machine) -> None:
 
 
 @on_each_machine
+def test_long_keys_list_the_same(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As an image of more than 32768 tiles has them: 4096 x 2160 has 34560."""
+    splats = dual_splats(60)
+    short = render(machine, splats, camera(), dual=True)
+    monkeypatch.setattr(tiles, "SHORT_KEYS", 0)
+    long = render(machine, splats, camera(), dual=True)
+    for before, after in zip(short, long, strict=True):
+        assert all(torch.equal(before[name], after[name]) for name in before)
+
+
+@on_each_machine
 def test_equal_depths_blend_by_index(machine: Machine) -> None:
     splats = random_splats(8, 3, seed=6)
     splats["means"][:] = torch.tensor([0.0, 0.0, 0.1], dtype=torch.float64)

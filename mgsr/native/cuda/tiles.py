@@ -21,6 +21,7 @@ PAIR_FIELDS, OUTLINE_FLOATS, RECORD_FLOATS = 16, 12, 16
 THREADS, SPLAT_THREADS = 256, 128
 BUCKET_WARPS, BUCKET_THREADS = 2, 64
 MAX_PAIRS = 2**31 - 1
+SHORT_KEYS = 2**15  # tiles that keys of 16 bits tell apart
 CURE = "expected fewer or smaller splats, a smaller image, or a card with more memory"
 PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
 
@@ -268,7 +269,7 @@ def _counted(launcher: Launcher, projected: Projected, first: int, end: int) -> 
 def _fill_lists(launcher: Launcher, projected: Projected, band: Band, ends: Tensor) -> tuple[Tensor, Tensor]:
     order, pairs, tiles = projected.order, band.pairs, (band.end - band.first) * _across(projected.width)
     # Short keys: the sort's time grows with their bits.
-    keys = order.new_empty(pairs, dtype=torch.int16 if tiles <= 2**15 else torch.int32)
+    keys = order.new_empty(pairs, dtype=torch.int16 if tiles <= SHORT_KEYS else torch.int32)
     owners = order.new_empty(pairs, dtype=torch.int32)
     arrays = (pointer(t) for t in (projected.outlines, order, band.tile_counts, ends, keys))
     size = (projected.width, projected.height, band.struct())

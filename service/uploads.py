@@ -25,9 +25,14 @@ RAW_TYPES = {
     "application/x-tar",
     "application/gzip",
     "application/x-gzip",
+    "application/zstd",
+    "application/x-zstd",
     "application/octet-stream",
 }
+# What is taken, in words.
+ARCHIVES = "zip, tar, tar.gz or tar.zst"
 _HEAD = 512  # bytes, enough to tell what kind of archive it is
+_MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd")  # zip, gzip, zstd; a tar has its mark later
 
 
 @dataclass(frozen=True)
@@ -95,11 +100,9 @@ class _Sink:
         """Raise Problem for what is no archive, by its first bytes; the worker looks closer."""
         head = self._head
         if not head:
-            raise Problem(422, "archive_missing", "the archive is empty; expected a zip, tar or tar.gz file")
-        if not (head.startswith((b"PK", b"\x1f\x8b")) or head[257:262] == b"ustar"):
-            raise Problem(
-                422, "archive_unsupported", "expected a zip, tar or tar.gz file; this begins like none of them"
-            )
+            raise Problem(422, "archive_missing", f"the archive is empty; expected a {ARCHIVES} file")
+        if not (head.startswith(_MAGIC) or head[257:262] == b"ustar"):
+            raise Problem(422, "archive_unsupported", f"expected a {ARCHIVES} file; this begins like none of them")
 
 
 def too_large(limit: int) -> Problem:
@@ -144,7 +147,7 @@ async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink:
     if not fields.ended:
         raise Problem(400, "multipart_malformed", "the multipart body ends before its last boundary")
     if not fields.archive_seen:
-        raise Problem(422, "archive_missing", "expected a multipart field `archive` with a zip, tar or tar.gz file")
+        raise Problem(422, "archive_missing", f"expected a multipart field `archive` with a {ARCHIVES} file")
     return None if fields.options is None else _text(fields.options)
 
 

@@ -93,13 +93,13 @@ def _run(spec: JobSpec) -> JobResult:
 def _reconstruct(spec: JobSpec) -> None:
     from mgsr.cli.signals import stop_on_signals
     from mgsr.config import make_config
-    from worker.unpack import Limits, check_images, unpack_archive
+    from mgsr.data.archive import ArchiveLimits, unpack
+    from worker.images import check_images
 
     with stop_on_signals() as stop:
         emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
-        limits = Limits(spec.max_members, spec.max_unpacked, spec.max_ratio, spec.max_pixels)
-        unpack_archive(spec.archive, spec.scene, limits)
-        check_images(spec.scene, limits)
+        unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
+        check_images(spec.scene, spec.max_pixels)
         options = spec.options
         watch = ["watch.report_every=5", "watch.preview_every=200"]
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}"]

@@ -12,6 +12,7 @@ import stat
 import struct
 import tarfile
 import tempfile
+import unicodedata
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -20,16 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from mgsr.errors import SceneError
+from mgsr.errors import ArchiveError, SceneError
 
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst", ".7z", ".rar")
 
-# Far above any capture that a run could use; it stops archives that are made to fill the disk.
-MAX_BYTES = 32 << 30
-MAX_MEMBERS = 100_000
-# Photographs hardly shrink; small archives may be as compressible as they like (masks are).
-MAX_RATIO = 200
-RATIO_FROM = 256 << 20
+# Bytes out of an archive up to which it may be as compressible as it likes (masks are).
+RATIO_FROM = 64 << 20
 
 _LONGEST_NAME = 255
 _LONGEST_PATH = 1000
@@ -53,6 +50,16 @@ _DAMAGE = (
 
 
 @dataclass(frozen=True)
+class ArchiveLimits:
+    """What is taken at most: files, bytes after unpacking, and unpacked against packed bytes. The defaults are far
+    above any capture that a run could use; they stop archives that are made to fill the disk."""
+
+    members: int = 100_000
+    unpacked: int = 32 << 30
+    ratio: float = 200.0  # photographs hardly shrink
+
+
+@dataclass(frozen=True)
 class _Member:
     """A file of an archive and how to read it, or a folder (None)."""
 
@@ -60,24 +67,27 @@ class _Member:
     open: Callable[[], IO[bytes]] | None
 
 
-def unpack(archive: Path, target: Path | None = None) -> Path:
+def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | None = None) -> Path:
     """The folder with the archive's files: `target`, which must not hold anything, or else one that is removed when
     this process ends. zip, tar, tar.gz and tar.zst, told apart by their content.
 
-    Raises SceneError naming the member for names that are absolute, have '..' or control characters, are too long or
-    come twice (also where only their case differs), for links and devices, encrypted or damaged members, and for
-    archives that unpack to too much. Then nothing is left behind.
+    Raises ArchiveError, naming the member and the limit, for names that are absolute, have '..' or control characters,
+    are too long or come twice (also where only their case differs), for links and devices, encrypted or damaged
+    members, and for archives that unpack to more than the limits; what counts is what really comes out. Then nothing is
+    left behind.
     """
     folder = target or _temporary_folder()
     if folder.is_dir() and any(folder.iterdir()):
         raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
+    folder.mkdir(parents=True, exist_ok=True)
     try:
         with _opened(archive) as members:
-            _write_all(archive, members, folder)
+            _write_all(_Budget(archive, limits or ArchiveLimits()), members, folder)
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if _is_damage(error):
-            raise SceneError(f"{archive.name}: damaged or not an archive: {error}; make it again") from error
+            text = f"{archive.name}: damaged or not an archive: {error}; make it again"
+            raise ArchiveError("archive_damaged", text) from error
         raise
     return folder
 
@@ -111,7 +121,8 @@ def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
         elif head[257:262] == b"ustar":
             yield _tar_members(archive, file)
         else:
-            raise SceneError(f"{archive.name}: expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst")
+            text = f"{archive.name}: expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst"
+            raise ArchiveError("archive_unsupported", text)
 
 
 def _zstd_reader(file: IO[bytes]) -> Any:
@@ -180,8 +191,8 @@ def _tar_members(archive: Path, stream: Any) -> Iterator[_Member]:
             gauge.left = _HEADER_BYTES
 
 
-def _write_all(archive: Path, members: Iterator[_Member], folder: Path) -> None:
-    budget = _Budget(archive)
+def _write_all(budget: _Budget, members: Iterator[_Member], folder: Path) -> None:
+    archive = budget.archive
     taken: dict[str, str] = {}
     for member in members:
         budget.count_member(member.name)
@@ -194,7 +205,7 @@ def _write_all(archive: Path, members: Iterator[_Member], folder: Path) -> None:
         other = taken.setdefault(str(place).casefold(), member.name)
         if other is not member.name:
             raise _refused(archive, member.name, f"has the name of {other!r}, or differs in case only; rename one")
-        _write(archive, member, folder / place, budget)
+        _write(budget, member, folder / place)
 
 
 def _checked_place(archive: Path, text: str) -> PurePosixPath:
@@ -204,7 +215,7 @@ def _checked_place(archive: Path, text: str) -> PurePosixPath:
         raise _refused(archive, text, "points outside the archive; refused")
     if len(name) > _LONGEST_PATH or any(len(os.fsencode(part)) > _LONGEST_NAME for part in place.parts):
         raise _refused(archive, text[:80], f"has a name longer than {_LONGEST_NAME} bytes; rename it")
-    if any(ord(letter) < 32 or ord(letter) == 127 for letter in name):
+    if any(unicodedata.category(letter) == "Cc" for letter in name):
         raise _refused(archive, text, "has control characters in its name; rename it")
     return place
 
@@ -212,21 +223,24 @@ def _checked_place(archive: Path, text: str) -> PurePosixPath:
 class _Budget:
     """Counts what really comes out of an archive, whatever it declares."""
 
-    def __init__(self, archive: Path) -> None:
-        self._archive, self._packed = archive, archive.stat().st_size
+    def __init__(self, archive: Path, limits: ArchiveLimits) -> None:
+        self.archive, self._limits, self._packed = archive, limits, archive.stat().st_size
         self._members = self._bytes = 0
 
     def count_member(self, name: str) -> None:
         self._members += 1
-        if self._members > MAX_MEMBERS:
-            raise _refused(self._archive, name, f"is one too many: at most {MAX_MEMBERS} files are taken")
+        if self._members > (most := self._limits.members):
+            text = f"is one too many: at most {most} files are taken"
+            raise _refused(self.archive, name, text, "archive_too_many_members")
 
     def count_bytes(self, name: str, count: int) -> None:
         self._bytes += count
-        if self._bytes > MAX_BYTES:
-            raise _refused(self._archive, name, f"makes it unpack to more than {MAX_BYTES} bytes, the limit")
-        if self._bytes > RATIO_FROM and self._bytes > MAX_RATIO * self._packed:
-            raise _refused(self._archive, name, f"makes it unpack to over {MAX_RATIO} times its size, the limit")
+        if self._bytes > (most := self._limits.unpacked):
+            text = f"makes it unpack to more than {most} bytes, the limit"
+            raise _refused(self.archive, name, text, "archive_too_large")
+        if self._bytes > RATIO_FROM and self._bytes > (ratio := self._limits.ratio) * self._packed:
+            text = f"makes it unpack to over {ratio:g} times its size, the limit"
+            raise _refused(self.archive, name, text, "archive_ratio")
 
 
 def _make_folder(archive: Path, name: str, place: Path) -> None:
@@ -236,8 +250,9 @@ def _make_folder(archive: Path, name: str, place: Path) -> None:
         raise _refused(archive, name, "is a folder and a file; rename one") from error
 
 
-def _write(archive: Path, member: _Member, place: Path, budget: _Budget) -> None:
+def _write(budget: _Budget, member: _Member, place: Path) -> None:
     assert member.open is not None, "folders have nothing to write"
+    archive = budget.archive
     _make_folder(archive, member.name, place.parent)
     try:
         with member.open() as source, open(place, "xb") as sink:
@@ -248,12 +263,12 @@ def _write(archive: Path, member: _Member, place: Path, budget: _Budget) -> None
         raise _refused(archive, member.name, "is a folder and a file; rename one") from error
     except Exception as error:
         if _is_damage(error):
-            raise _refused(archive, member.name, f"can't be unpacked: {error}") from error
+            raise _refused(archive, member.name, f"can't be unpacked: {error}", "archive_damaged") from error
         raise
 
 
-def _refused(archive: Path, name: str, what: str) -> SceneError:
-    return SceneError(f"{archive.name}: member {name!r} {what}")
+def _refused(archive: Path, name: str, what: str, code: str = "archive_unsafe_member") -> ArchiveError:
+    return ArchiveError(code, f"{archive.name}: member {name!r} {what}")
 
 
 def _temporary_folder() -> Path:

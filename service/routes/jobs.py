@@ -22,7 +22,7 @@ from service.parts import OwnerDep, Parts, PartsDep, SnapshotDep
 from service.polls import poll_answer
 from service.problems import Problem, answers
 from service.snapshots import Snapshot
-from service.uploads import RAW_TYPES, Received, receive, too_large
+from service.uploads import ARCHIVES, RAW_TYPES, Received, receive, too_large
 from service.views import JobList, JobView
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -39,7 +39,7 @@ _SUBMIT_BODY: dict[str, Any] = {
                     "required": ["archive"],
                     "additionalProperties": False,
                     "properties": {
-                        "archive": {"type": "string", "format": "binary", "description": "zip, tar or tar.gz"},
+                        "archive": {"type": "string", "format": "binary", "description": ARCHIVES},
                         "options": {
                             "type": "string",
                             "contentMediaType": "application/json",
@@ -95,7 +95,7 @@ async def submit(
     idempotency_key: IdempotencyKey = None,
     options: OptionsQuery = None,
 ) -> Response:
-    """Submit a capture: an archive (zip, tar, tar.gz) of posed photographs, and what to make of it."""
+    """Submit a capture: an archive (zip, tar, tar.gz, tar.zst) of posed photographs, and what to make of it."""
     asked = _options(options)
     _check_webhook(asked, parts)
     await _room_for(request, owner, parts)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import gzip
 import io
+import shutil
 import stat
 import struct
+import subprocess
+import sys
 import tarfile
 import warnings
 import zipfile
@@ -16,8 +19,9 @@ import zstandard
 
 from mgsr.config import DataConfig
 from mgsr.data import archive
+from mgsr.data.archive import ArchiveLimits
 from mgsr.data.readers import load_scene
-from mgsr.errors import SceneError
+from mgsr.errors import ArchiveError, SceneError
 from tests.data.captures import BallCapture
 
 
@@ -73,10 +77,11 @@ def test_content_and_not_the_name_tells_the_kind(tmp_path):
     assert (archive.unpack(tmp_path / "a.zip", tmp_path / "out") / "a.txt").read_bytes() == b"x"
 
 
-def refuses(path, match):
-    """The archive is refused with that message, and nothing is left behind."""
-    with pytest.raises(SceneError, match=match):
-        archive.unpack(path, path.parent / "out")
+def refuses(path, match, code="archive_unsafe_member", limits=None):
+    """The archive is refused with that message and code, and nothing is left behind."""
+    with pytest.raises(ArchiveError, match=match) as refused:
+        archive.unpack(path, path.parent / "out", limits)
+    assert refused.value.code == code
     assert not (path.parent / "out").exists()
 
 
@@ -102,6 +107,7 @@ def test_members_that_point_outside(tmp_path, name, suffix):
         (["a/" + "n" * 300], "member 'a/nnn.* has a name longer than 255 bytes; rename it"),
         (["n/" * 2500 + "a"], "member 'n/n/.* has a name longer than"),
         (["a\nb.txt"], "has control characters in its name"),
+        (["a\x9b2Jb.txt"], "has control characters in its name"),
         (["Photo.png", "photo.PNG"], r"member 'photo\.PNG' has the name of 'Photo\.png', or differs in case only"),
         (["a.png", "a.png"], r"member 'a\.png' has the name of 'a\.png'"),
         (["a", "a/b.png"], "is a folder and a file; rename one"),
@@ -162,8 +168,7 @@ def test_damaged_member(tmp_path):
     data = bytearray((tmp_path / "bad.zip").read_bytes())
     data[200] ^= 1
     (tmp_path / "bad.zip").write_bytes(data)
-    with pytest.raises(SceneError, match=r"member 'photo\.png' can't be unpacked"):
-        archive.unpack(tmp_path / "bad.zip", tmp_path / "out")
+    refuses(tmp_path / "bad.zip", r"member 'photo\.png' can't be unpacked", "archive_damaged")
 
 
 @pytest.mark.parametrize("suffix", [".tar.gz", ".tar.zst", ".tar", ".zip"])
@@ -176,7 +181,20 @@ def test_archives_that_end_early(tmp_path, suffix):
     else:
         tarred(path, ("photo.png", content))
     path.write_bytes(path.read_bytes()[:50_000])
-    refuses(path, r"bad\.[\w.]+: (damaged or not an archive|member 'photo\.png' can't be unpacked)")
+    message = r"bad\.[\w.]+: (damaged or not an archive|member 'photo\.png' can't be unpacked)"
+    refuses(path, message, "archive_damaged")
+
+
+def test_a_packing_that_nobody_knows(tmp_path):
+    path = written(tmp_path, ".zip", "a.png")
+    data = bytearray(path.read_bytes())
+    data[8] = data[data.rindex(b"PK\x01\x02") + 10] = 97
+    path.write_bytes(data)
+    refuses(path, r"member 'a\.png' can't be unpacked: That compression method", "archive_damaged")
+
+
+def test_an_archive_of_nothing_is_an_empty_folder(tmp_path):
+    assert list(archive.unpack(written(tmp_path, ".zip"), tmp_path / "out").iterdir()) == []
 
 
 def test_a_zip_that_points_before_its_beginning(tmp_path):
@@ -185,13 +203,19 @@ def test_a_zip_that_points_before_its_beginning(tmp_path):
     end = data.rindex(b"PK\x05\x06") + 16
     data[end : end + 4] = struct.pack("<I", struct.unpack("<I", data[end : end + 4])[0] + 1000)
     path.write_bytes(data)
-    refuses(path, r"bad\.zip: (damaged|member 'a\.png' can't be unpacked)")
+    refuses(path, r"bad\.zip: (damaged|member 'a\.png' can't be unpacked)", "archive_damaged")
 
 
-@pytest.mark.parametrize("head", [b"hello", b"PK\x03\x04 no", b"\x1f\x8b\x08 no", b"\x28\xb5\x2f\xfd no", b""])
-def test_what_only_looks_like_an_archive(tmp_path, head):
-    (tmp_path / "bad.zip").write_bytes(head + b"x" * 600 * bool(head))
-    refuses(tmp_path / "bad.zip", r"bad\.zip: (damaged or not an archive|expected a folder, or an archive)")
+@pytest.mark.parametrize("head", [b"PK\x03\x04 no", b"\x1f\x8b\x08 no", b"\x28\xb5\x2f\xfd no"])
+def test_what_only_begins_like_an_archive(tmp_path, head):
+    (tmp_path / "bad.zip").write_bytes(head + b"x" * 600)
+    refuses(tmp_path / "bad.zip", r"bad\.zip: damaged or not an archive", "archive_damaged")
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", b"Rar!\x1a\x07\x01\x00" + bytes(600)])
+def test_what_is_no_archive(tmp_path, data):
+    (tmp_path / "bad.zip").write_bytes(data)
+    refuses(tmp_path / "bad.zip", r"bad\.zip: expected a folder, or an archive", "archive_unsupported")
 
 
 def test_an_archive_of_an_archive_is_named(tmp_path):
@@ -213,15 +237,26 @@ def test_a_folder_that_holds_something_is_not_unpacked_to(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".zip", ".tar.gz", ".tar.zst"])
-def test_a_bomb(tmp_path, monkeypatch, suffix):
-    monkeypatch.setattr(archive, "MAX_BYTES", 1000)
-    refuses(zeros(tmp_path, suffix, 5000), "zeros' makes it unpack to more than 1000 bytes, the limit")
+def test_a_bomb(tmp_path, suffix):
+    path = zeros(tmp_path, suffix, 5000)
+    message = "zeros' makes it unpack to more than 1000 bytes, the limit"
+    refuses(path, message, "archive_too_large", ArchiveLimits(unpacked=1000))
+
+
+def test_no_more_than_the_limit_is_ever_written(tmp_path, monkeypatch):
+    """The first member stays under the limit; of the second no byte beyond it reaches the disk."""
+    monkeypatch.setattr(shutil, "rmtree", lambda folder, **how: None)  # what is left to look at
+    path = tarred(tmp_path / "bad.tar.gz", ("a", bytes(1 << 19)), ("b", bytes(5 << 20)))
+    with pytest.raises(ArchiveError, match="'b' makes it unpack to more than 1048576 bytes"):
+        archive.unpack(path, tmp_path / "out", ArchiveLimits(unpacked=1 << 20))
+    assert sum(file.stat().st_size for file in (tmp_path / "out").iterdir()) <= 1 << 20
 
 
 @pytest.mark.parametrize("suffix", [".zip", ".tar.gz", ".tar.zst"])
 def test_a_bomb_below_the_size_limit_by_its_ratio(tmp_path, monkeypatch, suffix):
     monkeypatch.setattr(archive, "RATIO_FROM", 1 << 20)
-    refuses(zeros(tmp_path, suffix, 4 << 20), "zeros' makes it unpack to over 200 times its size, the limit")
+    path = zeros(tmp_path, suffix, 4 << 20)
+    refuses(path, "zeros' makes it unpack to over 200 times its size, the limit", "archive_ratio")
 
 
 def zeros(folder, suffix, count):
@@ -232,14 +267,13 @@ def zeros(folder, suffix, count):
     return folder / "bad.zip"
 
 
-def test_sizes_that_lie(tmp_path, monkeypatch):
+def test_sizes_that_lie(tmp_path):
     """A member that declares ten bytes gives no more of them, whatever follows."""
-    monkeypatch.setattr(archive, "MAX_BYTES", 1000)
     path = zeros(tmp_path, ".zip", 5000)
     data = path.read_bytes()
     assert data.count(struct.pack("<I", 5000)) == 2
     path.write_bytes(data.replace(struct.pack("<I", 5000), struct.pack("<I", 10)))
-    refuses(path, "member 'zeros' can't be unpacked: Bad CRC")
+    refuses(path, "member 'zeros' can't be unpacked: Bad CRC", "archive_damaged")
 
 
 def test_a_tar_header_that_would_fill_the_memory(tmp_path):
@@ -248,16 +282,44 @@ def test_a_tar_header_that_would_fill_the_memory(tmp_path):
     info.pax_headers = {"comment": "x" * (5 << 20)}
     with tarfile.open(tmp_path / "bad.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as out:
         out.addfile(info)
-    refuses(tmp_path / "bad.tar.gz", "a header of more than 4194304 bytes")
+    refuses(tmp_path / "bad.tar.gz", "a header of more than 4194304 bytes", "archive_damaged")
+
+
+def test_a_sparse_tar(tmp_path):
+    """Five gigabytes of holes in half a kilobyte."""
+    with (tmp_path / "holes").open("wb") as file:
+        file.truncate(5 << 30)
+    subprocess.run(["tar", "-C", tmp_path, "--sparse", "-cf", tmp_path / "bad.tar", "holes"], check=True)
+    assert (tmp_path / "bad.tar").stat().st_size < 100_000
+    refuses(tmp_path / "bad.tar", "member 'holes' is a link or a special file")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".tar.gz", ".tar.zst"])
+def test_memory_stays_bounded(tmp_path, suffix):
+    """Hundreds of megabytes that unpack from a few, and a limit in their midst."""
+    path = zeros(tmp_path, suffix, 300 << 20)
+    code = (
+        "import sys, resource; from pathlib import Path; from mgsr.data.archive import *\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "path, limits = Path(sys.argv[1]), ArchiveLimits(unpacked=200 << 20, ratio=1e9)\n"
+        "try: unpack(path, path.with_name('out'), limits)\n"
+        "except SceneError as error: assert error.code == 'archive_too_large', error\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
+    assert int(ran.stdout) * 1024 < 30 << 20
 
 
 @pytest.mark.parametrize("suffix", [".zip", ".tar"])
-def test_too_many_members(tmp_path, monkeypatch, suffix):
-    monkeypatch.setattr(archive, "MAX_MEMBERS", 3)
-    refuses(written(tmp_path, suffix, *"abcd"), "member 'd' is one too many: at most 3 files are taken")
+def test_too_many_members(tmp_path, suffix):
+    path = written(tmp_path, suffix, *"abcd")
+    message = "member 'd' is one too many: at most 3 files are taken"
+    refuses(path, message, "archive_too_many_members", ArchiveLimits(members=3))
 
 
 @pytest.mark.slow
 def test_a_hundred_thousand_members_and_one_more(tmp_path):
-    path = tarred(tmp_path / "bad.tar.gz", *[(f"{i}.txt", b"") for i in range(archive.MAX_MEMBERS + 1)])
-    refuses(path, "member '100000.txt' is one too many: at most 100000 files are taken")
+    path = tarred(tmp_path / "bad.tar.gz", *[(f"{i}.txt", b"") for i in range(100_001)])
+    refuses(path, "member '100000.txt' is one too many: at most 100000 files are taken", "archive_too_many_members")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import io
 import json
 import subprocess
 import time
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ import trimesh
 from PIL import Image
 
 from tests.service.stack import LONG_OPTIONS, ROOT, TINY_OPTIONS, Stack
+from tests.worker.archives import plain, tar_of, zst
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +168,33 @@ def _until_there(stack: Stack, address: str) -> httpx.Response:
             return answer
         time.sleep(0.1)
     raise AssertionError(f"{address}: {answer.text}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [".tar", ".tar.gz", ".tar.zst"])
+@pytest.mark.parametrize("form", [True, False], ids=["form", "body"])
+def test_every_kind_of_archive_ends_in_a_mesh(stack: Stack, tiny_archive: bytes, kind: str, form: bool) -> None:
+    """Zips are what the other tests send. As the form that browsers send, and as the body with its own type."""
+    archive = tar_of(*[plain(name, data) for name, data in zip_members(tiny_archive)])
+    pack, name = {
+        ".tar": (bytes, "application/x-tar"),
+        ".tar.gz": (gzip.compress, "application/gzip"),
+        ".tar.zst": (zst, "application/zstd"),
+    }[kind]
+    if form:
+        job = stack.submitted(pack(archive), TINY_OPTIONS)
+    else:
+        query, head = {"options": json.dumps(TINY_OPTIONS)}, {"Content-Type": name}
+        answer = stack.http.post("/jobs", params=query, content=pack(archive), headers=head)
+        assert answer.status_code == 202, answer.text
+        job = answer.json()["id"]
+    assert stack.wait_for(job, "succeeded")["metrics"]["mesh"]["faces"] > 500
+
+
+def zip_members(archive: bytes) -> list[tuple[str, bytes]]:
+    """Name and content of each file."""
+    with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+        return [(name, opened.read(name)) for name in opened.namelist()]
 
 
 @pytest.mark.slow

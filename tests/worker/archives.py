@@ -9,6 +9,8 @@ import zipfile
 import zlib
 from collections.abc import Callable
 
+import zstandard
+
 
 def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
     """A zip of names and contents."""
@@ -26,6 +28,11 @@ def tar_of(*members: tuple[tarfile.TarInfo, bytes], mode: str = "w") -> bytes:
         for member, data in members:
             target.addfile(member, io.BytesIO(data))
     return held.getvalue()
+
+
+def zst(data: bytes) -> bytes:
+    """Packed with zstd."""
+    return zstandard.compress(data)
 
 
 def plain(name: str, data: bytes) -> tuple[tarfile.TarInfo, bytes]:
@@ -107,6 +114,10 @@ MALICIOUS: dict[str, tuple[Callable[[], bytes], str]] = {
     "tar_pipe": (lambda: tar_of(special("a", tarfile.FIFOTYPE)), "archive_unsafe_member"),
     "tar_gz_bomb": (lambda: tar_of(plain("a.bin", bytes(90 << 20)), mode="w:gz"), "archive_ratio"),
     "tar_gz_cut": (lambda: tar_of(plain("a.bin", bytes(9 << 20)), mode="w:gz")[:-2000], "archive_damaged"),
+    "tar_zst_parent": (lambda: zst(tar_of(plain("../evil.txt", b"x"))), "archive_unsafe_member"),
+    "tar_zst_bomb": (lambda: zst(tar_of(plain("a.bin", bytes(90 << 20)))), "archive_ratio"),
+    "tar_zst_cut": (lambda: zst(tar_of(plain("a.bin", bytes(range(256)) * 4000)))[:-20], "archive_damaged"),
+    "nothing_in_it": (lambda: zip_of(), "bad_scene"),
     "image_bomb": (lambda: zip_of(("images/0.png", png_bomb(16_000, 16_000))), "image_too_large"),
     "image_claims_more": (lambda: zip_of(("images/0.png", png_bomb(80_000, 100))), "bad_scene"),
     "no_scene": (lambda: zip_of(("readme.txt", b"nothing here")), "bad_scene"),

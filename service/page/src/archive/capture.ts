@@ -14,6 +14,7 @@ const TYPES: [RegExp, string][] = [
   [/\.zip$/i, "application/zip"],
   [/\.tar$/i, "application/x-tar"],
   [/\.(tar\.gz|tgz)$/i, "application/gzip"],
+  [/\.(tar\.zst|tzst)$/i, "application/zstd"],
 ];
 // What systems leave behind in folders.
 const LITTER = /(^|\/)(\.|__MACOSX\/|Thumbs\.db$|desktop\.ini$)/;
@@ -68,5 +69,5 @@ function withoutTop(members: Member[]): { folder: string | null; inside: Member[
 }
 
 function stem(name: string): string {
-  return name.replace(/\.(zip|tar|tar\.gz|tgz)$/i, "");
+  return name.replace(/\.(zip|tar|tar\.gz|tgz|tar\.zst|tzst)$/i, "");
 }

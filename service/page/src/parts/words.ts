@@ -74,7 +74,7 @@ const TROUBLES: Record<string, string> = {
   webhook_refused: "The service may not call this webhook address.",
   archive_missing: "Nothing was in the upload.",
   archive_too_large: "The archive is larger than the service takes.",
-  archive_unsupported: "This is no zip, tar or tar.gz archive.",
+  archive_unsupported: "This is no zip, tar, tar.gz or tar.zst archive.",
   archive_damaged: "The archive is damaged. Pack it again.",
   archive_unsafe_member: "The archive has an entry that could leave its folder, so it was refused.",
   archive_too_many_members: "The archive has too many files.",

@@ -54,7 +54,7 @@ class Picker {
   }
 
   private makeZone(): HTMLElement {
-    const archive = h("input", { type: "file", class: "unseen", accept: ".zip,.tar,.tgz,.gz", tabindex: -1, "aria-hidden": "true" });
+    const archive = h("input", { type: "file", class: "unseen", accept: ".zip,.tar,.tgz,.gz,.tzst,.zst", tabindex: -1, "aria-hidden": "true" });
     const folder = h("input", { type: "file", class: "unseen", webkitdirectory: true, tabindex: -1, "aria-hidden": "true" });
     for (const input of [archive, folder]) {
       input.addEventListener("change", () => {
@@ -76,7 +76,7 @@ class Picker {
         "p",
         { class: "note" },
         "Photographs with their poses, as COLMAP, nerfstudio, Blender or NeuS write them. ",
-        `zip, tar or tar.gz, up to ${bytes(this.options.max_upload)}.`,
+        `zip, tar, tar.gz or tar.zst, up to ${bytes(this.options.max_upload)}.`,
       ),
       archive,
       folder,

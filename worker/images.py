@@ -1,0 +1,21 @@
+"""Refuses images that would fill the memory when they are decoded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mgsr.data.files import IMAGE_SUFFIXES
+from mgsr.data.images import image_size
+from mgsr.errors import ArchiveError
+
+
+def check_images(folder: Path, most: int) -> None:
+    """Raise ArchiveError for the first image below `folder` with more pixels than `most`, judged by its header."""
+    for path in sorted(folder.rglob("*")):
+        if path.suffix.lower() not in IMAGE_SUFFIXES or not path.is_file():
+            continue
+        name = path.relative_to(folder).as_posix()
+        width, height = image_size(path, "the archive")
+        if width * height > most:
+            text = f"image {name}: {width}x{height} pixels; at most {most} in one are taken"
+            raise ArchiveError("image_too_large", text)

@@ -5,12 +5,9 @@ python scripts/options_page.py
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import io
 import sys
-import tokenize
 from enum import Enum, StrEnum
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -19,11 +16,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from mgsr import config as module
 from mgsr.config import METHODS, PRESETS, Config
+from worker.comments import field_comments
 
 
 def settings_markdown() -> str:
     """A heading and a table for each group of settings, then what the presets and methods change."""
-    comments = _comments(inspect.getsource(module))
+    comments = field_comments(inspect.getsource(module))
     parts = [_group(prefix, node, comments) for prefix, node in _groups(Config()) if prefix]
     return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
 
@@ -81,38 +79,6 @@ def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
         for name, changed in table.items()
     ]
     return "\n".join(lines)
-
-
-def _comments(source: str) -> dict[str, dict[str, str]]:
-    """The comment of each field by class and field: the one on its lines, and the lines that go on below it, in small
-    letters; where there is none, the lines above it."""
-    at = {t.start[0]: (t.string.lstrip("# "), t.line.lstrip().startswith("#")) for t in _tokens(source)}
-    found: dict[str, dict[str, str]] = {}
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.ClassDef):
-            fields = [item for item in node.body if isinstance(item, ast.AnnAssign)]
-            found[node.name] = {ast.unparse(item.target): _comment(item, at) for item in fields}
-    return found
-
-
-def _tokens(source: str) -> list[tokenize.TokenInfo]:
-    return [t for t in tokenize.generate_tokens(io.StringIO(source).readline) if t.type == tokenize.COMMENT]
-
-
-def _comment(item: ast.AnnAssign, at: dict[int, tuple[str, bool]]) -> str:
-    assert item.end_lineno is not None
-    words = [at[line][0] for line in range(item.lineno, item.end_lineno + 1) if line in at]
-    line = item.end_lineno + 1
-    if words:
-        while line in at and at[line][1] and at[line][0][:1].islower():
-            words.append(at[line][0])
-            line += 1
-    else:
-        line = item.lineno - 1
-        while line in at and at[line][1]:
-            words.insert(0, at[line][0])
-            line -= 1
-    return " ".join(words)
 
 
 if __name__ == "__main__":

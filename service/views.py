@@ -26,6 +26,8 @@ _EXAMPLE: JsonDict = {
     "total": 3200,
     "progress": 0.61,
     "eta_seconds": 94.0,
+    "step_progress": None,
+    "step_eta_seconds": None,
     "training_seconds": 142.5,
     "losses": {"l1": 0.02, "ssim": 0.05},
     "psnr": 29.4,
@@ -69,7 +71,9 @@ class JobView(BaseModel):
     iteration: int | None = None
     total: int | None = Field(None, description="Planned iterations of this stage.")
     progress: float = Field(0.0, ge=0, le=1)
-    eta_seconds: float | None = Field(None, description="Estimated time left.")
+    eta_seconds: float | None = Field(None, description="Estimated time left; known once training goes on.")
+    step_progress: float | None = Field(None, ge=0, le=1, description="Of the step alone, where it is long.")
+    step_eta_seconds: float | None = Field(None, description="Estimated time left to that step's end.")
     training_seconds: float | None = Field(None, description="Spent in training so far.")
     losses: dict[str, float | None] = Field({}, description="The last iteration's loss terms, times their weights.")
     psnr: float | None = Field(None, description="dB on held-back views.")
@@ -96,8 +100,8 @@ class JobList(BaseModel):
 
 # Fields that are taken over from a worker's progress.
 _PROGRESS = (
-    *("step", "stage", "iteration", "total", "progress", "eta_seconds", "training_seconds", "losses", "psnr"),
-    *("splats", "previews", "curve", "attempt", "memory_bytes"),
+    *("step", "stage", "iteration", "total", "progress", "eta_seconds", "step_progress", "step_eta_seconds"),
+    *("training_seconds", "losses", "psnr", "splats", "previews", "curve", "attempt", "memory_bytes"),
 )
 
 
@@ -109,7 +113,8 @@ def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_pos
         fields = {name: progress[name] for name in _PROGRESS if name in progress}
         fields["message"] = progress.get("text")
     if outcome is not None:
-        fields |= {"status": outcome.status, "finished": outcome.finished, "error": outcome.error, "eta_seconds": None}
+        fields |= {"status": outcome.status, "finished": outcome.finished, "error": outcome.error}
+        fields |= {"eta_seconds": None, "step_progress": None, "step_eta_seconds": None}
         fields |= {"metrics": outcome.metrics, "attempt": outcome.attempt or fields.get("attempt")}
         if outcome.status is JobStatus.SUCCEEDED:
             fields |= {"progress": 1.0, "step": "done", "message": None}

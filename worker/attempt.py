@@ -96,7 +96,8 @@ class Attempt:
                 self._reason_outside,
             )
             self._load_earlier_curve()
-            self._progress(step="fetch", text="fetching the archive", progress=0.0)
+            unknown = {"eta_seconds": None, "step_progress": None, "step_eta_seconds": None}
+            self._progress(step="fetch", text="fetching the archive", progress=0.0, **unknown)
             return self._while_watching(self._fetch) or self._run_process() or self._publish()
 
     def _reason_outside(self) -> Reason | None:

@@ -5,24 +5,27 @@ python -m worker.describe, after each change of mgsr/config.py or of the version
 
 from __future__ import annotations
 
+import inspect
 import json
 import types
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 
-from mgsr import __version__
+from mgsr import __version__, config
 from mgsr.config import METHODS, PRESETS, Config, field_types
 from service import contract
+from worker.comments import field_comments
 
 LIBRARY = Path(contract.__file__).with_name("library.json")
 
 
 def describe_library() -> dict[str, Any]:
-    """Version, presets, methods, and a JSON schema of every single setting with its default in the preset standard."""
-    defaults = Config()
+    """Version, presets, methods, and a JSON schema of every single setting with its meaning, by the comments of
+    mgsr/config.py, and its default in the preset standard."""
+    defaults, comments = Config(), field_comments(inspect.getsource(config))
     settings = {
-        path: _schema(kind) | {"default": _default(defaults, path)}
+        path: _schema(kind) | _meaning(defaults, path, kind, comments) | {"default": _value(defaults, path)}
         for path, kind in field_types(defaults).items()
         if path not in ("preset", "method", "seed")
     }
@@ -45,8 +48,21 @@ def _schema(kind: Any) -> dict[str, Any]:
     return {"type": {bool: "boolean", str: "string"}[kind]}
 
 
-def _default(node: Any, path: str) -> Any:
-    for part in path.split("."):
+def _meaning(defaults: Config, path: str, kind: Any, comments: dict[str, dict[str, str]]) -> dict[str, str]:
+    """The setting's comment, and of a choice what its members mean."""
+    group, _, name = path.rpartition(".")
+    texts = [comments[type(_value(defaults, group)).__name__].get(name, "")]
+    texts += [" ".join((inspect.getdoc(part) or "").split()) for part in (kind, *get_args(kind)) if _is_choice(part)]
+    said = " ".join(filter(None, texts))
+    return {"description": said} if said else {}
+
+
+def _is_choice(kind: Any) -> bool:
+    return inspect.isclass(kind) and issubclass(kind, StrEnum)
+
+
+def _value(node: Any, path: str) -> Any:
+    for part in filter(None, path.split(".")):
         node = getattr(node, part)
     return node
 

@@ -26,7 +26,7 @@ CURVE_ROWS = 240
 AFTER_SECONDS = 15.0
 AFTER_SHARE = 0.1
 # Progress before training, of which nobody knows yet how long it will take.
-BEFORE = {"unpack": 0.0, "load": 0.01, "start": 0.02, "train": 0.03}
+BEFORE = {"unpack": 0.0, "load": 0.01, "start": 0.02, "train": 0.05}
 # Shares of the time after training that have passed when a step begins.
 AFTER = {"export": 0.0, "render": 0.0, "mesh": 0.03, "evaluate": 0.72, "report": 0.82}
 
@@ -38,7 +38,7 @@ class Reporter:
         self._previews = previews
         self._emit = emit
         self._log = log
-        self._begun = time.monotonic()
+        self._step, self._begun = "", time.monotonic()  # the step, and when it began; training's stays
         self._last = float("-inf")
         self._curve: list[dict[str, Any]] = []
         self._pictures: dict[str, int] = {}
@@ -50,10 +50,24 @@ class Reporter:
         if event.training is not None:
             self._train(event.training)
         elif event.step in BEFORE:
-            self._emit("step", text=event.text, step=event.step, **self._place(BEFORE[event.step], None))
+            self._prepare(event)
         elif event.step in AFTER:
             left = self._after * (1 - AFTER[event.step])
             self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
+
+    def _prepare(self, event: Event) -> None:
+        """A step before training: how far it is and how long it will go on, where it says."""
+        if event.step != self._step:
+            self._step, self._begun = event.step, time.monotonic()
+        begin, done = BEFORE[event.step], event.done
+        if not done:
+            self._emit("step", text=event.text, step=event.step, **self._place(begin, None))
+            return
+        end = min(value for value in BEFORE.values() if value > begin)
+        left = (time.monotonic() - self._begun) / done * (1 - done)
+        part = {"step_progress": round(done, 3), "step_eta_seconds": round(left, 1)}
+        place = self._place(begin + (end - begin) * done, None)
+        self._emit("step", text=event.text, step=event.step, **place | part)
 
     def _train(self, training: Progress) -> None:
         for name, picture in training.previews.items():
@@ -103,14 +117,15 @@ class Reporter:
         return whole_training - training.seconds + self._after
 
     def _reached(self, left: float, trained: float = 0.0) -> float:
-        """The share of the whole time that has passed; training before a resume counts too."""
+        """Progress by the share of the time from training on that has passed; training before a resume counts too."""
         spent = max(time.monotonic() - self._begun, trained)
-        return spent / (spent + left)
+        return BEFORE["train"] + (1 - BEFORE["train"]) * spent / (spent + left)
 
     def _place(self, progress: float, left: float | None) -> dict[str, Any]:
-        """Progress, which never falls, and the time left."""
+        """Progress, which never falls, and the time left; nothing of the step's own."""
         self._progress = max(self._progress, min(progress, 0.99))
-        return {"progress": round(self._progress, 4), "eta_seconds": None if left is None else round(left, 1)}
+        whole = {"progress": round(self._progress, 4), "eta_seconds": None if left is None else round(left, 1)}
+        return whole | {"step_progress": None, "step_eta_seconds": None}
 
     def _write_preview(self, name: str, picture: np.ndarray) -> None:
         self._previews.mkdir(exist_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -29,6 +30,9 @@ from mgsr.training.run import train
 
 StopCheck = Callable[[], bool]
 
+# Seconds between two words of how far a long step is.
+SELDOM = 2.0
+
 
 def never() -> bool:
     """For callers that will not stop a run."""
@@ -48,6 +52,21 @@ class Steps:
             raise Cancelled(f"stopped on request before the step {step}")
         self.progress(Event(step, text))
         return self.clock.step(step)
+
+    def share(self, step: str, text: str) -> Callable[[float], None]:
+        """What a long step calls with the share of it that is done, 0..1: passed on now and then; heeds the wish to
+        stop, too."""
+        told = time.monotonic()
+
+        def tell(done: float) -> None:
+            nonlocal told
+            if self.should_stop():
+                raise Cancelled(f"stopped on request in the step {step}")
+            if time.monotonic() - told > SELDOM:
+                told = time.monotonic()
+                self.progress(Event(step, f"{text}: {done:.0%}", done=done))
+
+        return tell
 
 
 def run_scene(
@@ -134,13 +153,14 @@ def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
 
 
 def _loading(done: int, total: int) -> Event:
-    return Event("load", f"read {done} of {total} photographs")
+    return Event("load", f"read {done} of {total} photographs", done=done / total)
 
 
 def _start(scene: Scene, config: Config, step: Steps) -> StartingPoints:
+    settings = config.train
+    most = max(settings.surfels.max_start, settings.volumes.max_start)
     with step("start", "choosing starting points"):
-        settings = config.train
-        return starting_points(scene, max(settings.surfels.max_start, settings.volumes.max_start), config.seed)
+        return starting_points(scene, most, config.seed, step.share("start", "choosing starting points"))
 
 
 def _train(

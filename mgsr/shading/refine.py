@@ -7,7 +7,7 @@ others 2005), and the masks' outlines hold the surface where they touch it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -79,6 +79,7 @@ def refine_by_shading(
     reach: float,
     passes: Mapping[Light, Sequence[Pass]],
     threads: int | None = None,
+    progress: Callable[[float], None] = lambda done: None,
 ) -> Refined:
     """The vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
 
@@ -86,6 +87,7 @@ def refine_by_shading(
     max_ratio: the largest share that the light may leave unexplained.
     reach: pixels; shape larger than this is left as it is, but for what the outlines say.
     passes: for each light, how the surface is bent.
+    progress: told after each round of the share of the rounds that are done.
     """
     photographs = linear_photographs(views)
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
@@ -99,12 +101,16 @@ def refine_by_shading(
     light = min(ratios, key=lambda kind: ratios[kind])
     if not ratios[light] <= max_ratio:
         return Refined(vertices, Light.UNKNOWN)
+    rounds = sum(each.rounds for each in passes[light])
+    done = 0
     for each in passes[light]:
         work, before = work_on(each.edge)
         after = before
         for _ in range(each.rounds):
             readings, normals = work.read(after)
             after = work.bend(after, normals, work.explain(light, after, readings, normals), reach)
+            done += 1
+            progress(done / rounds)
         moves = interpolation(before, work.faces, vertices) @ (after - before)
         vertices = vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel)
     return Refined(vertices, light)

@@ -9,7 +9,7 @@ taken off, so that a flash's falloff and smooth shading vanish too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,10 +46,15 @@ _SLOPES = torch.from_numpy(_GRID / np.linalg.norm(_GRID, axis=0)).float()  # two
 _SPREAD_OUT = torch.from_numpy(np.kron(np.column_stack([np.ones(len(_GRID)), _GRID]).T, np.eye(2))).float()
 
 
-def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
+def carve_by_color(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    views: Sequence[View],
+    progress: Callable[[float], None] = lambda done: None,
+) -> np.ndarray:
     """The vertices [V,3] of a hull, those moved inwards that the photographs show deeper.
 
-    A surface without colour pattern stays as it is.
+    A surface without colour pattern stays as it is. progress: told of the share of the vertices that are done.
     """
     looks = [_look(view) for view in views]
     noise = max(float(np.median([look.noise for look in looks])), MIN_NOISE)
@@ -57,7 +62,7 @@ def carve_by_color(vertices: np.ndarray, faces: np.ndarray, views: Sequence[View
     normals = mean_normals(vertex_normals(vertices, faces), laplacian, rounds=3)
     pixel = pixel_size([look.camera for look in looks], vertices.mean(axis=0))
     chosen = _frontal_views(RayCaster(vertices, faces), vertices, normals, looks, gap=pixel)
-    agreement = _agreement(vertices, normals, looks, chosen, pixel, noise)
+    agreement = _agreement(vertices, normals, looks, chosen, pixel, noise, progress)
     wanted, sure = _deeper(spread(agreement, laplacian, POOL * pixel / edge_length(vertices, faces)))
     moves = smooth_displacements(laplacian, np.where(sure, wanted * pixel, 0), np.where(sure, 1, STAY), SPREAD)
     return vertices + np.clip(moves, OFFSETS[0] * pixel, 0)[:, None] * normals
@@ -116,7 +121,13 @@ def _frontal_views(
 
 
 def _agreement(
-    vertices: np.ndarray, normals: np.ndarray, looks: Sequence[_Look], chosen: np.ndarray, pixel: float, noise: float
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    looks: Sequence[_Look],
+    chosen: np.ndarray,
+    pixel: float,
+    noise: float,
+    progress: Callable[[float], None],
 ) -> np.ndarray:
     """The mean correlation [V,D] of the patches in the chosen views, for each of the OFFSETS; 0 with under 3 views.
 
@@ -124,9 +135,12 @@ def _agreement(
     """
     patches = _Patches.at(vertices, normals, pixel)
     parts = np.array_split(np.arange(len(vertices)), -(-len(vertices) // CHUNK))
+    agreements = []
     with one_torch_thread():
-        agreements = map_ahead(lambda at: _part(patches.some(at), looks, chosen[:, at], noise), parts, None)
-        return np.concatenate(list(agreements))
+        for part in map_ahead(lambda at: _part(patches.some(at), looks, chosen[:, at], noise), parts, None):
+            agreements.append(part)
+            progress(len(agreements) / len(parts))
+    return np.concatenate(agreements)
 
 
 def _part(patches: _Patches, looks: Sequence[_Look], chosen: np.ndarray, noise: float) -> np.ndarray:

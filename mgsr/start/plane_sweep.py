@@ -8,7 +8,7 @@ something in the ball.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,11 +36,17 @@ SPACING = 0.02  # points closer than this are one, outside the ball in the space
 CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY deviations farther than is usual
 
 
-def sweep_planes(views: Sequence[View]) -> PointCloud:
-    """Points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none."""
+def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lambda done: None) -> PointCloud:
+    """Points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none.
+
+    progress: told of the share of the views that are done.
+    """
     looks = [_look(view) for view in views]
+    maps = []
     with one_torch_thread():
-        maps = list(map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None))
+        for found in map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None):
+            maps.append(found)
+            progress(len(maps) / len(looks))
     clouds = [_confirmed(index, looks, maps) for index in range(len(looks))]
     positions, colors = (np.concatenate(part) for part in zip(*clouds, strict=True))
     kept = _thinned(positions)

@@ -104,8 +104,10 @@ def _place(job: Job) -> str:
 
 
 def _detail(job: Job) -> str:
-    left, psnr = job.get("eta_seconds"), job.get("psnr")
+    left, step_left, psnr = (job.get(name) for name in ("eta_seconds", "step_eta_seconds", "psnr"))
     parts = [] if left is None else [f"about {left:.0f} s left"]
+    if left is None and step_left is not None:
+        parts = [f"this step about {step_left:.0f} s"]
     return ", ".join(parts if psnr is None else [*parts, f"{psnr:.1f} dB"])
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import tarfile
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from service.contract.settings import Settings
 from service.contract.store import Store
@@ -64,13 +66,56 @@ def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
         page.get_by_label("Method").select_option("2dgs")
         page.get_by_label("Most triangles").fill("20000")
         page.get_by_label("Masks").select_option("off")
-        page.get_by_label("Close holes").check()
+        page.get_by_label("Close holes").select_option("on")
+        page.get_by_text("Every setting").click()
+        page.get_by_label("Seed").fill("7")
+        page.get_by_label("Find a setting").fill("shading ratio")
+        ratio = page.get_by_label("Shading ratio")
+        expect(ratio).to_have_attribute("placeholder", "none")  # as the draft has it
+        ratio.fill("0.7")
+        expect(page.get_by_label("Seed")).to_be_hidden()
         job = start(page)
         expect(page.get_by_role("heading", level=1)).to_have_text("copper kettle")
     options = job["options"]
     assert isinstance(options, dict)
     assert (options["preset"], options["method"], options["name"]) == ("draft", "2dgs", "copper kettle")
-    assert options["settings"] == {"data.masks": "off", "mesh.max_faces": 20000, "mesh.close_holes": True}
+    assert options["seed"] == 7
+    assert options["settings"] == {
+        "data.masks": "off",
+        "mesh.max_faces": 20000,
+        "mesh.close_holes": True,
+        "mesh.shading_ratio": 0.7,
+    }
+
+
+def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
+    """A setting and an option of the job that the page has never heard of, with their meaning."""
+
+    def newer(route: Route) -> None:
+        known = route.fetch().json()
+        known["settings"]["mesh.sparkle"] = {"type": "number", "default": 0.5, "description": "how much it sparkles"}
+        known["options"]["properties"]["urgency"] = {"$ref": "#/$defs/Urgency", "default": "low"}
+        known["options"]["$defs"]["Urgency"] = {"enum": ["low", "high"], "description": "whose turn it is"}
+        route.fulfill(json=known)
+
+    with visit() as page:
+        page.route("**/options", newer)
+        page.reload()
+        page.set_input_files(ARCHIVE, zip_file())
+        page.get_by_text("More settings").click()
+        page.get_by_text("Every setting").click()
+        sparkle, urgency = page.get_by_label("Sparkle"), page.get_by_label("Urgency")
+        expect(sparkle).to_have_attribute("placeholder", "0.5")
+        expect(sparkle).to_have_accessible_description("how much it sparkles")
+        expect(urgency).to_have_accessible_description("whose turn it is")
+        sparkle.fill("0.75")
+        urgency.select_option("high")
+        with page.expect_request(lambda request: request.method == "POST") as sending:
+            page.get_by_role("button", name="Start", exact=True).click()
+        (text,) = parse_qs(urlsplit(sending.value.url).query)["options"]
+        options = json.loads(text)
+        assert options["settings"] == {"mesh.sparkle": 0.75} and options["urgency"] == "high"
+        expect(page.get_by_role("alert")).to_contain_text("One of the options does not fit.")  # by this service
 
 
 def test_a_folder_arrives_as_it_is(visit: Opener, service: Stack, capture_folder: Path) -> None:

@@ -44,6 +44,12 @@ def test_from_the_queue_to_the_results_without_a_reload(
         puppet = Puppet(service, job)
         puppet.tell(step="load", text="reading", progress=0.01)
         expect(page.locator("main").get_by_text("Reading the photographs")).to_be_visible()
+        puppet.tell(step="start", text="", progress=0.03, step_progress=0.4, step_eta_seconds=24.0)
+        expect(page.locator("main").get_by_text("Finding where to start: 40 %")).to_be_visible()
+        expect(page.locator("main").get_by_text("3 % · this step: about 30 s left")).to_be_visible()
+        # It runs down by itself while there is no news.
+        expect(page.locator("main").get_by_text("3 % · this step: about 20 s left")).to_be_visible(timeout=15_000)
+        puppet.tell(step_progress=None, step_eta_seconds=None)
         puppet.train(0.25, "warmup_surfels", {"render": picture("red")})
         expect(page.locator("main").get_by_text("Training: flat Gaussians, warm-up")).to_be_visible()
         expect(page.locator("main").get_by_text("25 % · about 2 min left")).to_be_visible()

@@ -52,6 +52,15 @@ def test_without_masks_or_points_a_ball(tmp_path):
     np.testing.assert_array_equal(points.positions, starting_points(scene, 4000, seed=0).positions)
 
 
+@pytest.mark.parametrize("masks", [Masks.AUTO, Masks.OFF])
+def test_the_share_of_the_work_that_is_done(tmp_path, masks):
+    """Told on the way of both the hull and stereo, never falling."""
+    scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
+    told = []
+    starting_points(scene, 500, seed=0, progress=told.append)
+    assert len(told) >= 2 and told == sorted(told) and 0 < told[0] < 1 and told[-1] <= 1
+
+
 def test_own_points_come_first_and_are_thinned(tmp_path):
     scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
     rng = np.random.default_rng(0)

@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,12 +19,13 @@ import pytest
 from mgsr.cli.events import Event
 from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
+from worker import reporting
 from worker.attempt import folder_name, joined
 from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
 
-def report(tmp_path: Path, events: list[Event]) -> list[dict[str, Any]]:
+def report(tmp_path: Path, events: Iterable[Event]) -> list[dict[str, Any]]:
     told: list[dict[str, Any]] = []
     reporter = Reporter(
         tmp_path / "previews", lambda kind, **data: told.append({"kind": kind, **data}), lambda event: None
@@ -42,7 +45,8 @@ def test_training_as_a_person_sees_it(tmp_path: Path) -> None:
     assert (told["stage"], told["iteration"], told["total"], told["psnr"]) == ("alone", 500, 1000, 20.0)
     # 5 of 10 seconds of training are left, then the steps after it.
     assert told["eta_seconds"] == 5.0 + AFTER_SECONDS + AFTER_SHARE * 10.0
-    assert abs(told["progress"] - 5.0 / (5.0 + told["eta_seconds"])) < 1e-3
+    before = BEFORE["train"]
+    assert abs(told["progress"] - (before + (1 - before) * 5.0 / (5.0 + told["eta_seconds"]))) < 1e-3
     assert told["curve"] == [{"seconds": 5.0, "stage": "alone", "iteration": 500, "loss": 0.75, "psnr": 20.0}]
 
 
@@ -80,6 +84,40 @@ def test_progress_rises_and_the_time_left_falls(tmp_path: Path) -> None:
     assert shares == sorted(shares) and shares[-1] <= 0.99 and told[-1]["text"] == "the step report"
     left = [entry["eta_seconds"] for entry in told[-len(AFTER) :]]
     assert left == sorted(left, reverse=True) and left[-1] > 0
+
+
+def test_a_long_step_before_training_moves_and_says_how_long_it_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(reporting, "time", SimpleNamespace(monotonic=lambda: now))
+
+    def events() -> Iterator[Event]:
+        nonlocal now
+        yield Event("load", "reading")
+        now += 50  # counts for the step before alone
+        yield Event("start", "choosing starting points")
+        now += 10
+        yield Event("start", "choosing starting points: 25%", done=0.25)
+        now += 10
+        yield Event("start", "choosing starting points: 50%", done=0.5)
+        yield Event("train", "training")
+
+    told = report(tmp_path, events())
+    assert [(entry["step_progress"], entry["step_eta_seconds"]) for entry in told] == [
+        *[(None, None)] * 2,
+        *((0.25, 30.0), (0.5, 20.0)),
+        (None, None),
+    ]
+    shares = [entry["progress"] for entry in told]
+    assert shares == sorted(set(shares)) and shares[0] == BEFORE["load"] and shares[-1] == BEFORE["train"]
+
+
+def test_training_after_a_long_start_goes_on_where_that_ended(tmp_path: Path) -> None:
+    """The bar neither waits nor jumps: what came before training is a fixed share of it."""
+    told = report(tmp_path, [Event("train", "training"), *(training(i, total=100) for i in (2, 100))])
+    assert BEFORE["train"] == told[0]["progress"] < told[1]["progress"] < told[-1]["progress"]
+    assert told[1]["progress"] < BEFORE["train"] + 0.02
 
 
 def test_curves_of_two_attempts_are_one() -> None:

@@ -29,6 +29,9 @@ export interface Progress {
   total: number | null;
   progress: number;
   eta_seconds: number | null;
+  /** Of the step alone, where it is long and comes before training. */
+  step_progress: number | null;
+  step_eta_seconds: number | null;
   training_seconds: number | null;
   losses: Record<string, number | null>;
   psnr: number | null;
@@ -70,6 +73,8 @@ export interface JobOptions {
   preset?: string;
   method?: string;
   settings?: Record<string, SettingValue>;
+  /** What else the service's schema has. */
+  [other: string]: unknown;
 }
 
 export interface JobList {
@@ -86,14 +91,25 @@ export interface Artifact {
 
 /** The part of JSON schema that settings use. */
 export interface SettingSchema {
-  type?: "boolean" | "integer" | "number" | "string";
+  type?: "boolean" | "integer" | "number" | "string" | "null";
+  description?: string;
   enum?: string[];
   minimum?: number;
+  maximum?: number;
   default?: SettingValue;
-  anyOf?: { type: string; minimum?: number }[];
+  anyOf?: SettingSchema[];
+  /** Of a choice that is described elsewhere in the schema. */
+  $ref?: string;
+}
+
+/** The JSON schema of a job's options. */
+export interface OptionsSchema {
+  properties: Record<string, SettingSchema>;
+  $defs?: Record<string, SettingSchema>;
 }
 
 export interface Options {
+  options: OptionsSchema;
   presets: Record<string, Record<string, string>>;
   methods: Record<string, Record<string, string>>;
   settings: Record<string, SettingSchema>;

@@ -2,6 +2,7 @@
 
 import { Problem, Unreachable } from "../api/problem";
 import type { Job } from "../api/types";
+import { percent, timeLeft } from "./format";
 
 const STATUS: Record<string, string> = {
   queued: "Waiting",
@@ -114,7 +115,15 @@ export function activity(job: Job): string {
   if (job.cancelling) return "Stopping; a checkpoint is kept";
   if (job.status === "queued") return queueWord(job.queue_position);
   const step = job.step === null ? "Starting" : (STEPS[job.step] ?? job.message ?? job.step);
+  if (job.step_progress !== null) return `${step}: ${percent(job.step_progress)}`;
   return job.step === "train" && job.stage !== null ? `${step}: ${stageWord(job.stage)}` : step;
+}
+
+/** How long it will take, `waited` seconds after the service said so; empty where nobody knows. */
+export function remaining(job: Job, waited: number): string {
+  if (job.eta_seconds !== null) return timeLeft(Math.max(0, job.eta_seconds - waited));
+  if (job.step_eta_seconds === null) return "";
+  return `this step: ${timeLeft(Math.max(0, job.step_eta_seconds - waited))}`;
 }
 
 function queueWord(position: number | null): string {

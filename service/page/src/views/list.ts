@@ -4,9 +4,9 @@ import type { Service } from "../api/service";
 import { Unreachable } from "../api/problem";
 import type { Job } from "../api/types";
 import { h, setText } from "../parts/dom";
-import { moment, percent, timeLeft } from "../parts/format";
+import { moment, percent } from "../parts/format";
 import { errorBox } from "../parts/notice";
-import { activity, statusWord } from "../parts/words";
+import { activity, remaining, statusWord } from "../parts/words";
 
 const PAGE = 20;
 const BUSY_PERIOD = 2000;
@@ -109,6 +109,5 @@ class Row {
 }
 
 function describe(job: Job): string {
-  const left = job.eta_seconds === null ? "" : ` · ${timeLeft(job.eta_seconds)}`;
-  return `${percent(job.progress)}${left}`;
+  return [percent(job.progress), remaining(job, 0)].filter(Boolean).join(" · ");
 }

@@ -5,8 +5,8 @@ import type { Service } from "../api/service";
 import type { CurvePoint, Job } from "../api/types";
 import { Chart, type Point } from "../parts/chart";
 import { h, setText } from "../parts/dom";
-import { bytes, count, percent, timeLeft } from "../parts/format";
-import { activity, PREVIEWS } from "../parts/words";
+import { bytes, count, percent } from "../parts/format";
+import { activity, PREVIEWS, remaining } from "../parts/words";
 
 export class LivePanel {
   readonly element: HTMLElement;
@@ -18,8 +18,13 @@ export class LivePanel {
   private readonly psnr = new Chart({ name: "PSNR on held-back photographs", unit: "dB", digits: 1, better: "higher" });
   private readonly charts = h("div", { class: "pair" }, this.loss.element, this.psnr.element);
   private readonly gallery: PreviewGallery;
+  private shown: Job;
+  private since = performance.now();
+  // The time left runs down also while the service has nothing new to say.
+  private readonly clock = window.setInterval(() => this.showLeft(), 1000);
 
   constructor(service: Service, job: Job) {
+    this.shown = job;
     this.gallery = new PreviewGallery(service, job.id);
     this.element = h(
       "div",
@@ -31,13 +36,15 @@ export class LivePanel {
   }
 
   leave(): void {
+    clearInterval(this.clock);
     this.gallery.leave();
   }
 
   update(job: Job): void {
-    const left = job.eta_seconds === null ? "" : timeLeft(job.eta_seconds);
+    this.shown = job;
+    this.since = performance.now();
     setText(this.step, activity(job));
-    setText(this.left, job.status === "queued" ? "" : [percent(job.progress), left].filter(Boolean).join(" · "));
+    this.showLeft();
     if (job.status === "queued" || job.cancelling) this.bar.removeAttribute("value");
     else this.bar.value = job.progress;
     this.showFigures(job);
@@ -45,6 +52,12 @@ export class LivePanel {
     this.loss.update(points(job.curve, "loss"));
     this.psnr.update(points(job.curve, "psnr"));
     this.gallery.update(job);
+  }
+
+  private showLeft(): void {
+    const { shown } = this;
+    const left = remaining(shown, (performance.now() - this.since) / 1000);
+    setText(this.left, shown.status === "queued" ? "" : [percent(shown.progress), left].filter(Boolean).join(" · "));
   }
 
   private showFigures(job: Job): void {

@@ -1,11 +1,13 @@
-// The form for a job's options, made of what `GET /options` says.
+// The form for a job's options, made of what `GET /options` says: what a newer service knows shows up by itself.
 
 import type { JobOptions, Options, SettingSchema, SettingValue } from "../api/types";
 import { h, newId } from "../parts/dom";
+import { field, labelled, select, type Field } from "../parts/fields";
 import { METHODS, PRESETS } from "../parts/words";
 
 /** The settings that people often want, and what they are called. What the service does not know is left out. */
 const OFTEN: Record<string, { label: string; note: string; words?: Record<string, string> }> = {
+  time_budget: { label: "Time budget, seconds", note: "The run plans itself so that it ends near this." },
   "data.max_side": { label: "Longest image side, pixels", note: "Larger photographs are shrunk to it." },
   "data.masks": {
     label: "Masks",
@@ -17,61 +19,136 @@ const OFTEN: Record<string, { label: string; note: string; words?: Record<string
     note: "Behind the object, where masks cut it out.",
     words: { auto: "Chosen for the capture", random: "Random colours", white: "White", black: "Black" },
   },
-  "mesh.max_faces": { label: "Most triangles of the mesh", note: "Empty: as many as the detail needs." },
+  "mesh.max_faces": { label: "Most triangles of the mesh", note: "Without: as many as the detail needs." },
   "mesh.color": {
     label: "Colours of the mesh",
     note: "The object's own colour has no highlights baked in.",
     words: { transmitted: "The object's own colour", full: "As photographed, with reflections" },
   },
   "mesh.close_holes": { label: "Close holes", note: "Also where no photograph saw the surface." },
+  "output.texture": { label: "Texture of the mesh, pixels a side", note: "Also writes a mesh with a picture on it, e.g. 2048." },
 };
-
-interface Field {
-  element: HTMLElement;
-  /** undefined: as the preset has it. */
-  read(): SettingValue | undefined;
-}
+/** What the form asks in its own way. */
+const ASKED = new Set(["name", "preset", "method", "settings"]);
 
 export class OptionsForm {
   readonly element: HTMLFormElement;
   private readonly name: HTMLInputElement;
-  private readonly fields: Map<string, Field>;
   private readonly method: HTMLSelectElement;
+  private readonly settings = new Map<string, Field>();
+  private readonly others = new Map<string, Field>();
 
-  constructor(options: Options, name: string) {
+  constructor(
+    private readonly options: Options,
+    name: string,
+  ) {
     this.name = h("input", { id: newId(), value: name, maxlength: 200, autocomplete: "off" });
     this.method = select(Object.keys(options.methods), METHODS, "mgsr");
-    this.fields = new Map(
-      Object.entries(OFTEN)
-        .filter(([key]) => key in options.settings)
-        .map(([key, { label, note, words }]) => [key, field(label, note, options.settings[key]!, words ?? {})]),
-    );
     this.element = h(
       "form",
-      { class: "card options" },
+      { class: "card options", onchange: () => this.showUsual() },
       labelled("Name", this.name),
       presetChoice(Object.keys(options.presets)),
-      h(
-        "details",
-        {},
-        h("summary", {}, "More settings"),
-        h("div", { class: "fields" }, labelled("Method", this.method), ...[...this.fields.values()].map((one) => one.element)),
-      ),
+      h("details", {}, h("summary", {}, "More settings"), this.often(), this.every()),
     );
+    this.showUsual();
   }
 
   /** What was chosen. */
   read(): JobOptions {
-    const chosen = [...this.fields].map(([key, one]) => [key, one.read()] as const).filter(([, value]) => value !== undefined);
-    const preset = new FormData(this.element).get("preset") as string;
-    const settings = Object.fromEntries(chosen) as Record<string, SettingValue>;
-    return { name: this.name.value.trim() || null, preset, method: this.method.value, settings };
+    const preset = this.preset();
+    const settings = chosen(this.settings);
+    return { name: this.name.value.trim() || null, preset, method: this.method.value, settings, ...chosen(this.others) };
   }
 
   /** Bring the keyboard to it. */
   focus(): void {
     this.name.focus();
     this.name.select();
+  }
+
+  private preset(): string {
+    return new FormData(this.element).get("preset") as string;
+  }
+
+  private often(): HTMLElement {
+    const known = Object.entries(OFTEN).filter(([key]) => key in this.options.settings);
+    const fields = known.map(([key, { label, note, words }]) => this.setting(key, label, note, words));
+    return h("div", { class: "fields" }, labelled("Method", this.method), ...fields);
+  }
+
+  /** Everything else, by its own name, with a field that finds it; filled when it is first opened. */
+  private every(): HTMLElement {
+    const place = h("div", { class: "every" });
+    const details = h("details", {}, h("summary", {}, "Every setting"), place);
+    details.addEventListener(
+      "toggle",
+      () => {
+        const find = h("input", { type: "search", autocomplete: "off" });
+        const groups = this.groups();
+        find.addEventListener("input", () => filter(groups, find.value));
+        place.append(labelled("Find a setting", find), ...groups);
+        this.showUsual();
+      },
+      { once: true },
+    );
+    return details;
+  }
+
+  private groups(): HTMLElement[] {
+    const { properties, $defs } = this.options.options;
+    const others = Object.entries(properties).filter(([key]) => !ASKED.has(key));
+    const job = others.map(([key, schema]) => this.other(key, resolved(schema, $defs)));
+    const groups = new Map<string, HTMLElement[]>([["job", job]]);
+    for (const [key, schema] of Object.entries(this.options.settings)) {
+      if (key in OFTEN) continue;
+      const cut = key.lastIndexOf(".");
+      const group = cut < 0 ? "job" : key.slice(0, cut);
+      const made = this.setting(key, inWords(key.slice(cut + 1)), schema.description ?? "");
+      groups.set(group, [...(groups.get(group) ?? []), made]);
+    }
+    return [...groups].map(([name, fields]) =>
+      h("fieldset", {}, h("legend", {}, inWords(name.replaceAll(".", ", "))), h("div", { class: "fields" }, ...fields)),
+    );
+  }
+
+  private setting(key: string, label: string, note: string, words?: Record<string, string>): HTMLElement {
+    const made = field(label, note, this.options.settings[key]!, words);
+    this.settings.set(key, made);
+    made.element.dataset["key"] = key;
+    return made.element;
+  }
+
+  private other(key: string, schema: SettingSchema): HTMLElement {
+    const made = field(inWords(key), schema.description ?? "", schema);
+    made.setUsual(schema.default);
+    this.others.set(key, made);
+    made.element.dataset["key"] = key;
+    return made.element;
+  }
+
+  /** What counts where a field is left alone depends on preset and method. */
+  private showUsual(): void {
+    const rows = [this.options.presets[this.preset()], this.options.methods[this.method.value]];
+    for (const [key, made] of this.settings) {
+      const hits = rows.flatMap((row) => Object.entries(row ?? {}).filter(([name]) => key === name || key.endsWith(`.${name}`)));
+      made.setUsual(hits.at(-1)?.[1] ?? this.options.settings[key]!.default);
+    }
+  }
+}
+
+function chosen(fields: Map<string, Field>): Record<string, SettingValue> {
+  const values = [...fields].map(([key, one]) => [key, one.read()] as const);
+  return Object.fromEntries(values.filter(([, value]) => value !== undefined)) as Record<string, SettingValue>;
+}
+
+/** Show only the fields that have the text in their name, label or note. */
+function filter(groups: HTMLElement[], text: string): void {
+  const wanted = text.trim().toLowerCase();
+  for (const group of groups) {
+    const fields = [...group.querySelectorAll<HTMLElement>(".field")];
+    for (const one of fields) one.hidden = !`${one.dataset["key"]} ${one.textContent}`.toLowerCase().includes(wanted);
+    group.hidden = fields.every((one) => one.hidden);
   }
 }
 
@@ -83,54 +160,14 @@ function presetChoice(names: string[]): HTMLElement {
   return h("fieldset", { class: "choices" }, h("legend", {}, "Quality"), ...choices);
 }
 
-function field(label: string, note: string, schema: SettingSchema, words: Record<string, string>): Field {
-  if (schema.enum !== undefined) return choice(label, note, schema, words);
-  return schema.type === "boolean" ? tick(label, note, schema) : number(label, note, schema);
+/** The schema with its `$ref`, which says what a choice is, put in. */
+function resolved(schema: SettingSchema, definitions: Record<string, SettingSchema> = {}): SettingSchema {
+  const name = schema.$ref?.split("/").at(-1);
+  return name === undefined ? schema : { ...definitions[name], ...schema };
 }
 
-function choice(label: string, note: string, schema: SettingSchema, words: Record<string, string>): Field {
-  const input = select(schema.enum!, words, `${schema.default}`);
-  return {
-    element: labelled(label, input, note),
-    read: () => (input.value === schema.default ? undefined : input.value),
-  };
-}
-
-function tick(label: string, note: string, schema: SettingSchema): Field {
-  const input = h("input", { type: "checkbox", checked: schema.default === true });
-  return {
-    element: h("label", { class: "tick" }, input, h("span", {}, label), h("span", { class: "note" }, note)),
-    read: () => (input.checked === schema.default ? undefined : input.checked),
-  };
-}
-
-function number(label: string, note: string, schema: SettingSchema): Field {
-  const kinds = schema.anyOf ?? [schema];
-  const [kind] = kinds.filter(({ type }) => type !== "null");
-  const step = kind?.type === "integer" ? 1 : "any";
-  const usual = schema.default === null ? "" : `${schema.default}`;
-  const optional = kinds.some(({ type }) => type === "null");
-  const input = h("input", { type: "number", min: kind?.minimum, step, value: usual, required: !optional, inputmode: "decimal" });
-  return {
-    element: labelled(label, input, note),
-    read: () => (input.value === usual ? undefined : input.value === "" ? null : input.valueAsNumber),
-  };
-}
-
-function select(values: string[], words: Record<string, string>, chosen: string): HTMLSelectElement {
-  const options = values.map((value) => h("option", { value, selected: value === chosen }, words[value] ?? value));
-  return h("select", {}, ...options);
-}
-
-function labelled(label: string, control: HTMLElement, note?: string): HTMLElement {
-  const id = control.id || newId();
-  control.id = id;
-  if (note !== undefined) control.setAttribute("aria-describedby", `${id}-note`);
-  return h(
-    "div",
-    { class: "field" },
-    h("label", { for: id }, label),
-    control,
-    note !== undefined && h("span", { class: "note", id: `${id}-note` }, note),
-  );
+/** "max_side" is "Max side". */
+function inWords(name: string): string {
+  const words = name.replaceAll("_", " ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
 }

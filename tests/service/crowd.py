@@ -1,7 +1,7 @@
 """Many clients of one job, in a process of their own: `python -m tests.service.crowd PORT JOB SECONDS`.
 
 300 poll its status, each once a second over a connection that it keeps, and 50 follow its events. Prints JSON: the
-seconds of every answer, sorted, and how many events came to each follower.
+seconds of every answer, sorted; how many events came to each follower; the share of a core that all this took.
 """
 
 from __future__ import annotations
@@ -49,11 +49,14 @@ async def follow(port: int, job: str, ends: float) -> int:
 
 async def crowd(port: int, job: str, seconds: float) -> None:
     """All of them at once."""
-    ends = time.monotonic() + seconds
+    begun, used = time.monotonic(), time.process_time()
+    ends = begun + seconds
     took: list[float] = []
     following = asyncio.gather(*(follow(port, job, ends) for _ in range(FOLLOWERS)))
     await asyncio.gather(*(poll(port, job, ends, took) for _ in range(POLLERS)))
-    print(json.dumps({"took": sorted(took), "events": await following}))
+    events = await following
+    share = (time.process_time() - used) / (time.monotonic() - begun)
+    print(json.dumps({"took": sorted(took), "events": events, "share": share}))
 
 
 if __name__ == "__main__":

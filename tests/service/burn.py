@@ -1,0 +1,23 @@
+"""Takes as much of a core as a crowd of clients does, but asks nothing of the service: `python -m tests.service.burn
+SHARE SECONDS`. In slices of some milliseconds, since clients wake up often and work shortly."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+SLICE = 0.005
+
+
+def burn(share: float, seconds: float) -> None:
+    """Use `share` of a core for so long, or what there is of it."""
+    ends = time.monotonic() + seconds
+    while (begun := time.monotonic()) < ends:
+        until = time.process_time() + SLICE * share
+        while time.process_time() < until:
+            sum(range(1000))
+        time.sleep(max(0.0, SLICE - (time.monotonic() - begun)))
+
+
+if __name__ == "__main__":
+    burn(float(sys.argv[1]), float(sys.argv[2]))

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = ("adam", "harmonics", "image", "surfels", "volumes")
+FAMILIES = ("adam", "harmonics", "image", "mirrored", "surfels", "volumes")
 
 
 @pytest.fixture(scope="module")

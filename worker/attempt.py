@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import shutil
 import threading
@@ -25,6 +26,8 @@ from worker.process import Exit, JobProcess
 from worker.publish import headline, upload_results
 from worker.scratch import scratch_folder
 from worker.watch import Reason, Watch
+
+log = logging.getLogger("mgsr.worker")
 
 TICK = 0.1
 BEAT_PERIOD = 10.0
@@ -176,10 +179,11 @@ class Attempt:
         while (ended := process.poll()) is None:
             self._pass_on(process)
             reason = self._watch.look(process.memory)
-            if reason is not None and (reason in AT_ONCE or self._known["step"] != "train"):
-                return process.kill()
             if reason is not None and asked is None:
                 asked = time.monotonic()
+                log.info("job %s: stopping: %s", self._record.id, reason)
+                if reason in AT_ONCE or self._known["step"] != "train":
+                    return process.kill()
                 process.ask_to_stop()
             if asked is not None and time.monotonic() - asked > self._around.settings.stop_grace:
                 return process.kill()

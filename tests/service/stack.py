@@ -18,6 +18,7 @@ from typing import Any
 import httpx
 from redis import Redis, RedisError
 
+from service.contract.settings import Settings
 from service.contract.valkey import prepare_server
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +40,8 @@ LONG_OPTIONS: dict[str, Any] = {
     "method": "2dgs",
     "settings": TINY | {"train.warmup.surfel_iterations": 100_000, "train.warmup.stop_rule": "none"},
 }
+# Seconds in which a job that trains is gone after a cancel: what it is given for its checkpoint, and some to spare.
+STOPPED = Settings.model_fields["stop_grace"].default + 10.0
 
 
 def free_port() -> int:

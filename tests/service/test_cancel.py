@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.stack import LONG_OPTIONS, TINY, TINY_OPTIONS, Stack
+from tests.service.stack import LONG_OPTIONS, STOPPED, TINY, TINY_OPTIONS, Stack
+
+SEEN = 2.0
 
 
 @pytest.fixture
@@ -18,18 +20,21 @@ def busy(stack: Stack, tiny_archive: bytes) -> Iterator[str]:
     stack.wait_for(job, "running", step="train")
     yield job
     stack.http.delete(f"/jobs/{job}")
-    stack.wait_for(job, "cancelled", seconds=15)
+    stack.wait_for(job, "cancelled", seconds=STOPPED)
 
 
 def test_while_it_trains(stack: Stack, busy: str) -> None:
-    """Within two seconds the process is gone, and only then the job counts as cancelled."""
+    """The worker sees it within two seconds; the job counts as cancelled only once the process is gone, which writes a
+    checkpoint first."""
     assert stack.job_processes()
     asked = time.monotonic()
     answer = stack.http.delete(f"/jobs/{busy}")
     assert answer.status_code == 202 and answer.json()["cancelling"]
-    stack.wait_for(busy, "cancelled", seconds=10)
+    while f"job {busy}: stopping: cancelled" not in stack.logs():
+        assert time.monotonic() - asked < SEEN, stack.logs()
+        time.sleep(0.02)
+    stack.wait_for(busy, "cancelled", seconds=STOPPED)
     assert not stack.job_processes()
-    assert time.monotonic() - asked < 4  # two to be seen, two for a checkpoint on a busy machine
     again = stack.http.delete(f"/jobs/{busy}")
     assert again.status_code == 200 and again.json()["status"] == "cancelled"
 
@@ -78,7 +83,7 @@ def test_retry_goes_on_from_the_checkpoint(stack: Stack, tiny_archive: bytes) ->
     while (iteration := stack.wait_for(job, "running", step="train")["iteration"] or 0) < 300:
         time.sleep(0.1)
     stack.http.delete(f"/jobs/{job}")
-    stopped = stack.wait_for(job, "cancelled", seconds=10)
+    stopped = stack.wait_for(job, "cancelled", seconds=STOPPED)
     answer = stack.http.post(f"/jobs/{job}/retry")
     assert answer.status_code == 202 and answer.json()["status"] in ("queued", "running")
     assert stack.http.post(f"/jobs/{job}/retry").json()["code"] == "not_retryable"  # it runs already

@@ -18,7 +18,7 @@ from service.contract.jobs import Jobs
 from service.contract.options import JobOptions
 from service.contract.queue import JobQueue
 from service.contract.store import Store
-from tests.service.stack import FINAL, LONG_OPTIONS, TINY_OPTIONS, Stack, kill_process
+from tests.service.stack import FINAL, LONG_OPTIONS, STOPPED, TINY_OPTIONS, Stack, kill_process
 
 RECOVERED = 45.0
 STUCK = 60.0
@@ -67,7 +67,7 @@ def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes)
             time.sleep(0.1)
         assert min(row["iteration"] for row in stack.job(job)["curve"]) >= 5
         stack.http.delete(f"/jobs/{job}")
-        stack.wait_for(job, "cancelled", seconds=15)
+        stack.wait_for(job, "cancelled", seconds=STOPPED)
         assert len(list((tmp_path / "scratch").iterdir())) == 0, "scratch of the killed worker"
 
 
@@ -82,7 +82,7 @@ def test_the_queue_may_lose_everything(tmp_path: Path, tiny_archive: bytes) -> N
         time.sleep(6)
         assert stack.wait_for(running, "running", step="train", seconds=10)["attempt"] == 1
         stack.http.delete(f"/jobs/{running}")
-        stack.wait_for(running, "cancelled", seconds=15)
+        stack.wait_for(running, "cancelled", seconds=STOPPED)
         stack.wait_for(waiting, "succeeded", seconds=60)
 
 
@@ -97,7 +97,7 @@ def test_a_worker_that_is_stopped_hands_its_job_back(tmp_path: Path, tiny_archiv
         stack.start("worker0")
         stack.wait_for(job, "running", step="train", seconds=30)
         stack.http.delete(f"/jobs/{job}")
-        stack.wait_for(job, "cancelled", seconds=15)
+        stack.wait_for(job, "cancelled", seconds=STOPPED)
 
 
 def test_a_worker_without_redis_ends_when_asked(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from tests.service.stack import LONG_OPTIONS, ROOT, TINY_OPTIONS, Stack
+from tests.service.stack import LONG_OPTIONS, ROOT, STOPPED, TINY_OPTIONS, Stack
 from tests.worker.archives import plain, tar_of, zst
 
 
@@ -158,7 +158,7 @@ def test_progress_that_a_person_believes(stack: Stack, tiny_archive: bytes) -> N
     assert b"surfels" in _until_there(stack, f"/jobs/{job}/log.txt").content
     assert stack.http.get(f"/jobs/{job}/mesh.ply").json()["code"] == "no_results"
     stack.http.delete(f"/jobs/{job}")
-    assert stack.wait_for(job, "cancelled", seconds=10)["curve"]
+    assert stack.wait_for(job, "cancelled", seconds=STOPPED)["curve"]
 
 
 def _until_there(stack: Stack, address: str) -> httpx.Response:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.stack import LONG_OPTIONS, ROOT, TINY, Stack
+from tests.service.stack import LONG_OPTIONS, ROOT, STOPPED, TINY, Stack
 
 ROUNDS, SECONDS = 4, 10.0
 # The crowd begins earlier and ends later than what is measured.
@@ -116,7 +116,7 @@ def test_three_hundred_who_poll_and_fifty_who_follow(tmp_path: Path, tiny_archiv
             burdened += pace_beside(stand_in, stack, job)
             said(stand_in)
         stack.http.delete(f"/jobs/{job}")
-        stack.wait_for(job, "cancelled", seconds=20)
+        stack.wait_for(job, "cancelled", seconds=STOPPED)
     took.sort()
     p99 = took[int(0.99 * len(took))]
     by_service, by_all = (1 - crowded.per_second / other.per_second for other in (burdened, alone))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -61,6 +63,12 @@ def until(page: Page, expression: str, seconds: float = 10.0) -> Any:
         assert time.monotonic() < ends, expression
         page.wait_for_timeout(50)
     return value
+
+
+def keep_picture(page: Page, name: str) -> None:
+    """A screenshot of the whole page for people to look at, in the folder MGSR_SCREENSHOTS, where that is set."""
+    if folder := os.environ.get("MGSR_SCREENSHOTS"):
+        page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
 
 
 @contextmanager

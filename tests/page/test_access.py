@@ -8,6 +8,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page, expect
 
+from tests.page.browser import keep_picture
 from tests.page.conftest import Opener
 from tests.page.puppet import Puppet
 from tests.page.results import METRICS
@@ -51,6 +52,7 @@ def test_axe_finds_nothing(visit: Opener, addresses: dict[str, str], state: str,
     """Witness: axe-core's rules, with contrast, names, landmarks and order of headings."""
     with visit(addresses[state], color_scheme=scheme) as page:
         ready(page, state)
+        keep_picture(page, f"{state}-{scheme}")
         found = Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21aa", "wcag22aa", "best-practice"]})
         assert found.violations_count == 0, found.generate_report()
 
@@ -59,6 +61,7 @@ def test_axe_finds_nothing(visit: Opener, addresses: dict[str, str], state: str,
 def test_nothing_is_wider_than_a_small_phone(visit: Opener, addresses: dict[str, str], state: str) -> None:
     with visit(addresses[state], viewport=PHONE, has_touch=True, is_mobile=True) as page:
         ready(page, state)
+        keep_picture(page, f"{state}-phone")
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         small = page.evaluate(
             """() => [...document.querySelectorAll('button, select, summary, main a, .choices label')]

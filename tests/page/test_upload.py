@@ -88,6 +88,24 @@ def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
     }
 
 
+def test_a_wrong_value_is_shown_wherever_it_is(visit: Opener, service: Stack) -> None:
+    """Also in a part of the form that has been closed, and where the search hides it."""
+    before = len(service.http.get("/jobs?limit=200").json()["jobs"])
+    with visit() as page:
+        page.set_input_files(ARCHIVE, zip_file())
+        page.get_by_text("More settings").click()
+        page.get_by_text("Every setting").click()
+        wrong = page.get_by_label("Shading ratio")
+        wrong.fill("much")
+        page.get_by_label("Find a setting").fill("seed")
+        page.get_by_text("More settings").click()
+        expect(wrong).to_be_hidden()
+        page.get_by_role("button", name="Start", exact=True).click()
+        expect(wrong).to_be_visible()
+        expect(wrong).to_be_focused()
+    assert len(service.http.get("/jobs?limit=200").json()["jobs"]) == before
+
+
 def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
     """A setting and an option of the job that the page has never heard of, with their meaning."""
 

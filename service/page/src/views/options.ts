@@ -51,6 +51,8 @@ export class OptionsForm {
       presetChoice(Object.keys(options.presets)),
       h("details", {}, h("summary", {}, "More settings"), this.often(), this.every()),
     );
+    // Before the browser brings the keyboard to the first wrong field, which it can't while that is not to be seen.
+    this.element.addEventListener("invalid", (event) => reveal(event.target as HTMLElement), true);
     this.showUsual();
   }
 
@@ -149,6 +151,14 @@ function filter(groups: HTMLElement[], text: string): void {
     const fields = [...group.querySelectorAll<HTMLElement>(".field")];
     for (const one of fields) one.hidden = !`${one.dataset["key"]} ${one.textContent}`.toLowerCase().includes(wanted);
     group.hidden = fields.every((one) => one.hidden);
+  }
+}
+
+/** Show an element, whatever it lies in. */
+function reveal(element: HTMLElement): void {
+  for (let one: HTMLElement | null = element; one !== null; one = one.parentElement) {
+    one.hidden = false;
+    if (one instanceof HTMLDetailsElement) one.open = true;
   }
 }
 

@@ -70,17 +70,19 @@ def prepare_views(
 def _prepared(
     view: View, masked: bool, margin: int | None, edge_band: int, device: torch.device, reduce: int
 ) -> TrainingView:
-    color = torch.from_numpy(view.image).to(device).to(torch.float32) / 255
+    color = torch.from_numpy(view.image).to(torch.float32) / 255
     if not masked or view.alpha is None:
-        return TrainingView(view.name, *_reduced(view.camera, color, reduce), None)
-    alpha = torch.from_numpy(view.alpha).to(device).to(torch.float32) / 255
+        camera, color = _reduced(view.camera, color, reduce)
+        return TrainingView(view.name, camera, color.to(device), None)
+    alpha = torch.from_numpy(view.alpha).to(torch.float32) / 255
     camera, both = _reduced(view.camera, torch.cat([color * alpha[..., None], alpha[..., None]], dim=-1), reduce)
     color, alpha = both[..., :3].contiguous(), both[..., 3].contiguous()
-    drawn = alpha.cpu().numpy()
+    # Found on the host, so that a card is never waited for.
+    drawn = alpha.numpy()
     region = None if margin is None else bounding_region(drawn, margin)
-    off_edge = outline_weights(alpha, edge_band) if edge_band else None
+    off_edge = outline_weights(alpha, edge_band).to(device) if edge_band else None
     covered = torch.from_numpy(np.flatnonzero(drawn)).to(device)
-    return TrainingView(view.name, camera, color, alpha, region, off_edge, covered)
+    return TrainingView(view.name, camera, color.to(device), alpha.to(device), region, off_edge, covered)
 
 
 def _reduced(camera: Camera, image: Tensor, by: int) -> tuple[Camera, Tensor]:

@@ -78,6 +78,25 @@ class Guard:
         """The loss is about to rise for a good reason, such as an opacity reset."""
         self._usual, self._losses, self._kept = None, [], self._copies()
 
+    def state(self) -> dict[str, Any]:
+        """What its next judgements depend on, with the copy of the last good look, for a checkpoint."""
+        return {
+            "losses": list(self._losses),
+            "dropped": list(self._dropped),
+            "bad_steps": self._bad_steps,
+            "returns": self._returns,
+            "usual": self._usual,
+            "kept": self._kept,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take back what `state` gave; the branches' devices may be others."""
+        device = self.stage.trained[0].device
+        self._losses = [loss.to(device) for loss in state["losses"]]
+        self._dropped = [bad.to(device) for bad in state["dropped"]]
+        self._bad_steps, self._returns = state["bad_steps"], state["returns"]
+        self._usual, self._kept = state["usual"], state["kept"]
+
     def _trouble(self, mean: float) -> str:
         if not bool(torch.isfinite(torch.stack(_squares(_tensors(self.stage.trained, "values"))).sum())):
             return ", ".join(self._bad_names(None)) + " not finite"

@@ -24,7 +24,8 @@ from mgsr.training.views import pick_background, plain_background
 
 
 class Trainer:
-    """Runs a plan. Its state is the plan's, the stage's number, the reports and the clock; `checkpoint` holds it all.
+    """Runs a plan. Its state is the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint`
+    holds it all.
 
     progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
     iteration; deadline: seconds of training after which the stages end where they are.
@@ -53,6 +54,7 @@ class Trainer:
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
         self.incidents: list[str] = []
+        self.guard: Guard | None = None  # of the stage that runs
         self._clock_start = time.perf_counter()
         self._saved_at = 0.0
 
@@ -67,6 +69,7 @@ class Trainer:
             stage = self.plan.stages[self.stage_index]
             begun = self.seconds - stage.seconds
             reason = self._run_stage(stage, begun)
+            self.guard = None
             self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason))
             self.stage_index += 1
             self.save()
@@ -88,6 +91,7 @@ class Trainer:
             "reports": [asdict(report) for report in self.reports],
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
+            "guard": None if self.guard is None else self.guard.state(),
         }
 
     def resume(self) -> None:
@@ -104,11 +108,17 @@ class Trainer:
         self.reports = [StageReport(**report) for report in state["reports"]]
         self.curve = [CurveRow(**row) for row in state["curve"]]
         self.incidents = state["incidents"]
+        if state["guard"] is not None:
+            self.guard = self._new_guard(self.plan.stages[self.stage_index])
+            self.guard.restore(state["guard"])
+
+    def _new_guard(self, stage: Stage) -> Guard:
+        return Guard(stage, self.config.watch.check_every, self.incidents)
 
     def _run_stage(self, stage: Stage, begun: float) -> str:
         """Iterate to the stage's end; returns why it ended."""
         reason = "iterations"
-        guard = Guard(stage, self.config.watch.check_every, self.incidents)
+        guard = self.guard = self.guard or self._new_guard(stage)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - begun
             self._heed_caller(stage)

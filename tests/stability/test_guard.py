@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import pytest
 import torch
 
+from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.errors import TrainingError
+from mgsr.errors import Cancelled, TrainingError
 from mgsr.training.branch import Branch
 from mgsr.training.guard import Guard
 from mgsr.training.plan import make_plan
@@ -16,7 +18,7 @@ from mgsr.training.run import train
 from mgsr.training.stages import Stage, Step
 from mgsr.training.views import TrainingView
 from tests.training.ball import ball_points, ball_scene
-from tests.training.test_train import short, tensors
+from tests.training.test_train import assert_same, short, tensors
 
 QUICK = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=6")
 
@@ -145,23 +147,44 @@ def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch)
     assert all(torch.isfinite(tensor).all() for tensor in tensors(result).values())
 
 
-def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Once, in the middle, a step throws every colour far off; the training ends near one that had no such step."""
-    config = short(
-        "2dgs", "warmup.surfel_iterations=60", "mutual.iterations=20", "curve_every=1000", "report_every=1000"
-    )
-    calm = train(scene(), ball_points(100), config)
-    taken, steps = Branch.step, iter(range(10_000))
+def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From here on a branch's thirty-first step throws every colour far off, once."""
+    taken = Branch.step
 
     def step(branch: Branch, progress: float) -> None:
         taken(branch, progress)
-        if next(steps) == 30:
+        if branch.steps == 31:
             branch.optimizer.params["sh"].data.mul_(1e4)
 
     monkeypatch.setattr(Branch, "step", step)
-    result = train(scene(), ball_points(100), config)
+
+
+def bursting() -> Config:
+    return short("2dgs", "warmup.surfel_iterations=60", "mutual.iterations=20", "curve_every=1000", "report_every=1000")
+
+
+def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the middle; the training ends near one that had no such step."""
+    calm = train(scene(), ball_points(100), bursting())
+    burst_at_step_30(monkeypatch)
+    result = train(scene(), ball_points(100), bursting())
     assert any("were undone: the loss rose" in text for text in result.incidents)
     assert result.curve[-1].psnr > calm.curve[-1].psnr - 2
+
+
+@pytest.mark.parametrize("stop_at", [20, 35])
+def test_a_resumed_run_goes_back_to_the_same_look(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop_at: int
+) -> None:
+    """Stopped before the burst, or between it and the look that notices it, it is undone as if nothing had stopped."""
+    burst_at_step_30(monkeypatch)
+    straight = train(scene(), ball_points(100), bursting())
+    path, calls = tmp_path / "checkpoint", iter(range(1000))
+    with pytest.raises(Cancelled):
+        train(scene(), ball_points(100), bursting(), None, lambda: next(calls) >= stop_at, path)
+    resumed = train(scene(), ball_points(100), bursting(), checkpoint_path=path, resume=True)
+    assert len(straight.incidents) == 1 and resumed.incidents == straight.incidents
+    assert_same(resumed, straight)
 
 
 def test_a_training_without_trouble_has_no_incident() -> None:

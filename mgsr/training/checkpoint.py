@@ -17,7 +17,7 @@ from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError
 
-FORMAT = 3
+FORMAT = 4
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:

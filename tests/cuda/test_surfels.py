@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
-from mgsr.ops.surfels import SplatStats, rasterize_surfels
+from mgsr.ops.surfels import SplatStats, SurfelOptions, rasterize_surfels
 from tests.cuda.machines import SHIM, Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_surfels import (
     BACKGROUND,
     IMAGES,
+    NEARLY_EDGE_ON,
     OPTIONS,
     SPLATS,
     STEEP,
@@ -21,6 +23,7 @@ from tests.ops.test_surfels import (
     brute_force,
     edge_on_splats,
     run,
+    slanted_part,
 )
 from tests.oracles.surfels import MIN_ALPHA
 
@@ -85,9 +88,15 @@ def test_small_splats_and_large(machine: Machine, size: float) -> None:
 
 
 @on_each_machine
-@pytest.mark.parametrize("sine", [1e-4, 5e-4, 0.01, 0.1])
+@pytest.mark.parametrize("sine", [1e-4, 5e-4, 1.1e-3, 2e-3, 0.01, 0.1])
 def test_edge_on(machine: Machine, sine: float) -> None:
-    compare(machine, edge_on_splats(40, sine), camera(), STEEP)
+    compare(machine, edge_on_splats(40, sine), camera(), NEARLY_EDGE_ON)
+
+
+@on_each_machine
+def test_the_slanted_splats_of_a_large_scene(shared_data: Path, machine: Machine) -> None:
+    splats, view = slanted_part(shared_data / "raster" / "s20k_256.npz", side=96)
+    compare(machine, splats, view, NEARLY_EDGE_ON, SurfelOptions(distortion=True))
 
 
 @on_each_machine

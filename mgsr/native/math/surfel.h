@@ -90,18 +90,30 @@ MGSR_HD ProjectedSurfel<T> project_surfel(const Camera<T>& cam, const SurfelFram
   return s;
 }
 
+// Gradients of a projected surfel. W: [3,3], v_A A^T of A = [L; g], which is all that the parameters need of L's and g's
+// gradients. Each pixel adds to it by its (u, v) = L d alone, so that no digits go where a splat is seen from the side, L
+// is large and (u, v) is not.
+template <class T>
+struct SurfelPull {
+  T x, y, depth;
+  T W[9];
+  T normal[3];
+};
+
+// w = 1 + slope . L d, of a splat that is not edge-on.
+template <class T>
+MGSR_HD void surfel_slope(const SurfelFrame<T>& f, const T scale[2], T slope[2]) {
+  slope[0] = -at_least(scale[0], T(kShortest)) * f.tu[2] / f.p[2];
+  slope[1] = -at_least(scale[1], T(kShortest)) * f.tv[2] / f.p[2];
+}
+
 // Adds to v_mean[3], v_quat[4], v_scale[2] what the gradients `v` of the projected values mean for them.
 // Per entry of M^-1 the derivative is that of an inverse, v_H = -H^-T v_(H^-1) H^-T; the camera matrix cancels in
 // the product of the two right factors, W.
 template <class T>
-MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T scale[2], const SurfelFrame<T>& f,
-                                const ProjectedSurfel<T>& v, T v_mean[3], T v_quat[4], T v_scale[2]) {
-  const ProjectedSurfel<T> s = project_surfel(cam, f);
-  const T A[6] = {s.L[0], s.L[1], s.L[2], s.L[3], s.g[0], s.g[1]};
-  const T v_A[6] = {v.L[0], v.L[1], v.L[2], v.L[3], v.g[0], v.g[1]};
-  T W[9];
-  for (int i = 0; i < 3; ++i)
-    for (int k = 0; k < 3; ++k) W[3 * i + k] = v_A[2 * i] * A[2 * k] + v_A[2 * i + 1] * A[2 * k + 1];
+MGSR_HD void pull_surfel_back(const Camera<T>& cam, const T quat[4], const T scale[2], const SurfelFrame<T>& f,
+                              const SurfelPull<T>& v, T v_mean[3], T v_quat[4], T v_scale[2]) {
+  const T* W = v.W;
   T v_H[9];  // by columns: of s_u t_u, s_v t_v, p
   for (int k = 0; k < 3; ++k)
     for (int i = 0; i < 3; ++i) v_H[3 * k + i] = -(f.G[i] * W[k] + f.G[3 + i] * W[3 + k] + f.G[6 + i] * W[6 + k]);
@@ -121,6 +133,19 @@ MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T s
   const T v_p[3] = {v_H[6] + v_ux, v_H[7] + v_uy,
                     v_H[8] + v.depth + iz * (W[0] + W[4] + W[8] - v_ux * f.p[0] - v_uy * f.p[1])};
   to_camera_vjp(cam, v_p, v_mean);
+}
+
+// As pull_surfel_back, from gradients of the projected values themselves.
+template <class T>
+MGSR_HD void project_surfel_vjp(const Camera<T>& cam, const T quat[4], const T scale[2], const SurfelFrame<T>& f,
+                                const ProjectedSurfel<T>& v, T v_mean[3], T v_quat[4], T v_scale[2]) {
+  const ProjectedSurfel<T> s = project_surfel(cam, f);
+  const T A[6] = {s.L[0], s.L[1], s.L[2], s.L[3], s.g[0], s.g[1]};
+  const T v_A[6] = {v.L[0], v.L[1], v.L[2], v.L[3], v.g[0], v.g[1]};
+  SurfelPull<T> pull = {v.x, v.y, v.depth, {}, {v.normal[0], v.normal[1], v.normal[2]}};
+  for (int i = 0; i < 3; ++i)
+    for (int k = 0; k < 3; ++k) pull.W[3 * i + k] = v_A[2 * i] * A[2 * k] + v_A[2 * i + 1] * A[2 * k + 1];
+  pull_surfel_back(cam, quat, scale, f, pull, v_mean, v_quat, v_scale);
 }
 
 // The image of the disk u^2 + v^2 <= r2: an ellipse by its centre (relative to the projected centre) and covariance

@@ -3,7 +3,7 @@
 // It goes front to back too. With q = v_out . (what the splat adds), the gradient to alpha_i is
 // T_i q_i - (everything behind i) / (1 - alpha_i), and "everything behind" is the pixel's total less a running sum: one
 // scalar however many outputs there are. A splat's footprint depends on nine numbers (centre, L, g, depth); over the
-// pixels their gradients need nine sums, since L enters only by its product with three second moments. With opacity,
+// pixels their gradients need nine sums, since L enters only by its product with three second moments (record.h). With opacity,
 // colour and normal a pair has 16 sums.
 #pragma once
 
@@ -86,35 +86,38 @@ template <bool Plain>
 inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g,
                    float low_pass, vfloat sums[kPairFields]) {
   const SurfelRecord& s = *batch.splat[e];
-  const vfloat dx = pixels.x + (pixels.x0 - s.x);
-  vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {};
+  const vfloat dx = pixels.x + (pixels.x0 - s.x), ax = s.L[0] * dx, bx = s.L[2] * dx;
+  vfloat second = {}, second_y = {}, yy = {}, w = {}, w_y = {}, blur = {}, blur_y = {}, second_a = {}, second_b = {};
   for (int k = 0; k < kPairFields; ++k) sums[k] = vfloat{};
   for (int n = 0; n < kVectors; ++n) {
     const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = batch.r[e][n];
     // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
     vfloat v_w = (scaled * batch.exponent[e][n] - step.depth[n]) * r, v_second = scaled * (r * r);
-    if (!Plain) {
+    if (Plain) {
+      const vfloat y = v_second * dy;
+      second += v_second, second_y += y, yy += y * dy, w_y += v_w * dy;
+    } else {
       v_second = keep(batch.on_disk[e][n], v_second), v_w = keep(batch.on_disk[e][n], v_w);
+      const vfloat a = fma(splat(s.L[1]), dy, ax), b = fma(splat(s.L[3]), dy, bx), a2 = v_second * a, b2 = v_second * b;
+      second_a += a2, second_b += b2, sums[kXX] += a2 * a, sums[kXY] += a2 * b, sums[kYY] += b2 * b;
+      sums[kSlopeX] += v_w * a, sums[kSlopeY] += v_w * b;
       const vfloat v_blur = keep(~batch.on_disk[e][n], step.opacity[n] / low_pass);
       blur += v_blur, blur_y += v_blur * dy;
     }
-    const vfloat y = v_second * dy;
-    second += v_second, second_y += y, yy += y * dy;
-    w += v_w, w_y += v_w * dy;
+    w += v_w;
     sums[kDepth] += step.depth[n], sums[kOpacity] += step.opacity[n];
     for (int k = 0; k < 3; ++k) sums[kColor + k] += step.share[n] * load(g.color[k] + n * kWidth);
     for (int k = 0; k < 3; ++k) sums[kNormal + k] += step.share[n] * load(g.normal[k] + n * kWidth);
   }
-  const vfloat second_x = second * dx;
-  sums[kXX] = second_x * dx, sums[kXY] = second_y * dx, sums[kYY] = yy;
-  sums[kSlopeX] = w * dx, sums[kSlopeY] = w_y;
   if (Plain) {
+    const vfloat second_x = second * dx;
+    sums[kXX] = second_x * dx, sums[kXY] = second_y * dx, sums[kYY] = yy;
+    sums[kSlopeX] = w * dx, sums[kSlopeY] = w_y;
     sums[kMeanX] = second_x, sums[kMeanY] = second_y, sums[kW] = w;
   } else {
     // Moving the centre moves every d the other way.
-    const vfloat a = s.L[0] * second_x + s.L[1] * second_y, b = s.L[2] * second_x + s.L[3] * second_y;
-    sums[kMeanX] = blur * dx + s.L[0] * a + s.L[2] * b - s.g[0] * w;
-    sums[kMeanY] = blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
+    sums[kMeanX] = blur * dx + s.L[0] * second_a + s.L[2] * second_b - s.g[0] * w;
+    sums[kMeanY] = blur_y + s.L[1] * second_a + s.L[3] * second_b - s.g[1] * w;
   }
 }
 

@@ -92,7 +92,8 @@ struct SurfelRing {
   }
 };
 
-// What a lane adds up for its splat. second: the exponent's gradient / w^2; w: w's gradient; blur: where the low-pass rules.
+// What a lane adds up for its splat: moments (x, y) over the pixels' offsets where it is plain, else over L times those.
+// xx, xy, yy, x, y: of the exponent's gradient / w^2; w_x, w_y, w: of w's gradient; blur: where the low-pass rules.
 struct SurfelSums {
   float xx = 0, xy = 0, yy = 0, x = 0, y = 0, w_x = 0, w_y = 0, w = 0, blur_x = 0, blur_y = 0;
   float depth = 0, opacity = 0, color[3] = {}, normal[3] = {};
@@ -103,9 +104,8 @@ struct SurfelSums {
     for (int k = 0; k < 3; ++k) fields[kColor + k] = color[k], fields[kNormal + k] = normal[k];
     if (s.plain()) return;
     // Moving the centre moves every d the other way.
-    const float a = s.L[0] * x + s.L[1] * y, b = s.L[2] * x + s.L[3] * y;
-    fields[kMeanX] = blur_x + s.L[0] * a + s.L[2] * b - s.g[0] * w;
-    fields[kMeanY] = blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
+    fields[kMeanX] = blur_x + s.L[0] * x + s.L[2] * y - s.g[0] * w;
+    fields[kMeanY] = blur_y + s.L[1] * x + s.L[3] * y - s.g[1] * w;
   }
 };
 
@@ -138,10 +138,11 @@ __device__ inline void meet_pixel(const SurfelBackwardParams& p, const SurfelRec
   }
   if (m.on_disk) {
     const float scaled = 2.0f * kLn2 * step.v_exponent, v_w = (scaled * m.exponent - v_log_depth) * m.r;
-    const float vx = scaled * m.r * m.r * m.dx, vy = scaled * m.r * m.r * m.dy;
+    const float x = s.plain() ? m.dx : m.a, y = s.plain() ? m.dy : m.b;
+    const float vx = scaled * m.r * m.r * x, vy = scaled * m.r * m.r * y;
     sums.x += vx, sums.y += vy, sums.w += v_w;
-    sums.xx = fmaf(vx, m.dx, sums.xx), sums.xy = fmaf(vx, m.dy, sums.xy), sums.yy = fmaf(vy, m.dy, sums.yy);
-    sums.w_x = fmaf(v_w, m.dx, sums.w_x), sums.w_y = fmaf(v_w, m.dy, sums.w_y);
+    sums.xx = fmaf(vx, x, sums.xx), sums.xy = fmaf(vx, y, sums.xy), sums.yy = fmaf(vy, y, sums.yy);
+    sums.w_x = fmaf(v_w, x, sums.w_x), sums.w_y = fmaf(v_w, y, sums.w_y);
   } else {
     const float v_blur = step.v_exponent / p.low_pass;
     sums.blur_x = fmaf(v_blur, m.dx, sums.blur_x), sums.blur_y = fmaf(v_blur, m.dy, sums.blur_y);

@@ -44,7 +44,8 @@ __device__ inline DepthUnit depth_unit(const Tiles& tiles, const SurfelRecord* r
 
 // A splat at a pixel.
 struct SurfelMeeting {
-  float dx, dy;
+  float dx, dy;    // from the centre, pixels
+  float a, b;      // L d
   float alpha;     // 0 where it does not count
   float r;         // depth = the centre's depth * r: 1 / w, or 1 where the low-pass is stronger
   float exponent;  // the weight is 2^-exponent
@@ -55,9 +56,9 @@ struct SurfelMeeting {
 __device__ inline SurfelMeeting meet(const SurfelRecord& s, int x, int y, float near, float low_pass) {
   SurfelMeeting m;
   m.dx = (float(x) + 0.5f) - s.x, m.dy = (float(y) + 0.5f) - s.y;
-  const float a = fmaf(s.L[1], m.dy, __fmul_rn(s.L[0], m.dx)), b = fmaf(s.L[3], m.dy, __fmul_rn(s.L[2], m.dx));
+  m.a = fmaf(s.L[1], m.dy, __fmul_rn(s.L[0], m.dx)), m.b = fmaf(s.L[3], m.dy, __fmul_rn(s.L[2], m.dx));
   m.r = 1.0f / fmaf(s.g[1], m.dy, fmaf(s.g[0], m.dx, 1.0f));
-  m.exponent = __fmul_rn(fmaf(a, a, __fmul_rn(b, b)), __fmul_rn(m.r, m.r));
+  m.exponent = __fmul_rn(fmaf(m.a, m.a, __fmul_rn(m.b, m.b)), __fmul_rn(m.r, m.r));
   m.on_disk = true;
   if (!s.plain()) {
     const float blur = __fmul_rn(kExponentScale / low_pass, fmaf(m.dx, m.dx, __fmul_rn(m.dy, m.dy)));

@@ -7,8 +7,8 @@
 #include <cstring>
 
 #include "kernels/surfels/backward_cpu.h"
+#include "kernels/surfels/precise.h"
 #include "kernels/surfels/surfels.h"
-#include "math/surfel.h"
 #include "math/surfel_bounds.h"
 
 namespace mgsr {
@@ -46,13 +46,15 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   SurfelFrame<float> f;
   surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f);
   if (!(f.p[2] > in.near) || !(opacity >= kMinAlpha) || !(scale[0] > 0) || !(scale[1] > 0)) return false;
-  const ProjectedSurfel<float> s = project_surfel(in.camera, f);
+  ProjectedSurfel<float> s = project_surfel(in.camera, f);
+  const bool needle = is_needle(s);
+  if (needle) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
   record = surfel_record(s, f.edge_on, opacity);
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (!all_finite(&record.x, 16) || !all_finite(scale, 2)) return false;
   const SurfelImage image = {in.near, in.low_pass, float(in.width), float(in.height)};
   bounds = surfel_bounds(in.camera, image, f, s, scale, opacity);
-  if (bounds.radius > 0 || bounds.clipped) record.signed_depth = -s.depth;
+  if (bounds.radius > 0 || bounds.clipped || needle) record.signed_depth = -s.depth;
   const PixelBox box = Outline(bounds).box();
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
 }
@@ -75,24 +77,24 @@ void project_all(const SurfelInputs& in, SurfelState& state, float* radii) {
 }
 
 // From the pairs' sums to the gradients of splat i, whose record is s.
-void splat_backward(const SurfelInputs& in, int64_t i, const SurfelRecord& s, const float* total, const SurfelGradients& v) {
-  const float *scale = in.scales + 2 * i, *quat = in.quats + 4 * i;
-  SurfelFrame<float> f;
-  surfel_frame(in.camera, in.means + 3 * i, quat, scale, f);
-  const ProjectedSurfel<float> g = surfel_gradients(s, total);
-  for (int k = 0; k < 3; ++k) v.colors[3 * i + k] = total[kColor + k];
+template <class T>
+void splat_backward(const Camera<T>& cam, const SurfelInputs& in, int64_t i, const SurfelRecord& s, const float* total,
+                    const SurfelGradients& v) {
+  const auto g = surfel_geometry_gradients(cam, in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, s, total);
+  std::copy_n(g.mean, 3, v.means + 3 * i), std::copy_n(g.quat, 4, v.quats + 4 * i), std::copy_n(g.scale, 2, v.scales + 2 * i);
+  std::copy_n(g.center, 2, v.means2d + 2 * i), std::copy_n(total + kColor, 3, v.colors + 3 * i);
   v.opacities[i] = total[kOpacity] / in.opacities[i];
-  v.means2d[2 * i] = g.x, v.means2d[2 * i + 1] = g.y;
-  project_surfel_vjp(in.camera, quat, scale, f, g, v.means + 3 * i, v.quats + 4 * i, v.scales + 2 * i);
 }
 
 void reduce_pairs(const SurfelInputs& in, const SurfelState& state, const SurfelGradients& v) {
+  const Camera<double> precise = camera_as<double>(in.camera);
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
     float total[kPairFields];
     for (int64_t i = begin; i < end; ++i) {
       if (state.depths[i] < 0) continue;
       sum_pairs(state.lists, state.pair_gradients, i, total);
-      splat_backward(in, i, state.records[i], total, v);
+      const SurfelRecord& s = state.records[i];
+      s.plain() ? splat_backward(in.camera, in, i, s, total, v) : splat_backward(precise, in, i, s, total, v);
     }
   });
 }

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
-#include "kernels/surfels/record.h"
+#include "kernels/surfels/precise.h"
 #include "math/surfel_bounds.h"
 
 namespace mgsr {
@@ -43,7 +43,9 @@ __device__ inline bool project_surfel_splat(const SurfelSplats& in, int64_t i, S
   SurfelFrame<float> f;
   surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f);
   if (!(f.p[2] > in.near) || !(opacity >= kMinAlpha) || !(scale[0] > 0) || !(scale[1] > 0)) return false;
-  const ProjectedSurfel<float> s = project_surfel(in.camera, f);
+  ProjectedSurfel<float> s = project_surfel(in.camera, f);
+  const bool needle = is_needle(s);
+  if (needle) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
   record = surfel_record(s, f.edge_on, opacity);
   for (int k = 0; k < 3; ++k) record.color[k] = in.colors[3 * i + k];
   if (!finite(&record.x, 2) || !finite(record.L, 4) || !finite(record.g, 2) || !finite(&record.signed_depth, 2) ||
@@ -51,28 +53,29 @@ __device__ inline bool project_surfel_splat(const SurfelSplats& in, int64_t i, S
     return false;
   const SurfelImage image = {in.near, in.low_pass, float(in.width), float(in.height)};
   const SurfelBounds b = surfel_bounds(in.camera, image, f, s, scale, opacity);
-  if (b.radius > 0 || b.clipped) record.signed_depth = -s.depth;
+  if (b.radius > 0 || b.clipped || needle) record.signed_depth = -s.depth;
   outline.ellipse = b.disk, outline.x = b.x, outline.y = b.y, outline.radius = b.radius, outline.unused = 0.0f;
   return true;
 }
 
 __device__ inline void surfel_splat_gradients(const SurfelGradientParams& p, int64_t i) {
   const SurfelSplats& in = p.in;
-  float mean[3] = {}, quat[4] = {}, scale[2] = {}, color[3] = {}, opacity = 0.0f, x = 0.0f, y = 0.0f;
+  SurfelGeometryGradients g = {};
+  float color[3] = {}, opacity = 0.0f;
   if (p.tile_counts[i] > 0) {
+    const float *mean = in.means + 3 * i, *quat = in.quats + 4 * i, *scale = in.scales + 2 * i;
+    const SurfelRecord& s = p.records[i];
     float total[kPairFields];
     for (int k = 0; k < kPairFields; ++k) total[k] = p.sums[i * kPairFields + k];
-    const ProjectedSurfel<float> g = surfel_gradients(p.records[i], total);
-    SurfelFrame<float> f;
-    surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, in.scales + 2 * i, f);
-    project_surfel_vjp(in.camera, in.quats + 4 * i, in.scales + 2 * i, f, g, mean, quat, scale);
+    g = s.plain() ? surfel_geometry_gradients(in.camera, mean, quat, scale, s, total)
+                  : surfel_geometry_gradients(camera_as<double>(in.camera), mean, quat, scale, s, total);
     for (int k = 0; k < 3; ++k) color[k] = total[kColor + k];
-    opacity = total[kOpacity] / in.opacities[i], x = g.x, y = g.y;
+    opacity = total[kOpacity] / in.opacities[i];
   }
-  for (int k = 0; k < 3; ++k) p.means[3 * i + k] = mean[k], p.colors[3 * i + k] = color[k];
-  for (int k = 0; k < 4; ++k) p.quats[4 * i + k] = quat[k];
-  for (int k = 0; k < 2; ++k) p.scales[2 * i + k] = scale[k];
-  p.opacities[i] = opacity, p.means2d[2 * i] = x, p.means2d[2 * i + 1] = y;
+  for (int k = 0; k < 3; ++k) p.means[3 * i + k] = g.mean[k], p.colors[3 * i + k] = color[k];
+  for (int k = 0; k < 4; ++k) p.quats[4 * i + k] = g.quat[k];
+  for (int k = 0; k < 2; ++k) p.scales[2 * i + k] = g.scale[k], p.means2d[2 * i + k] = g.center[k];
+  p.opacities[i] = opacity;
 }
 
 }  // namespace mgsr

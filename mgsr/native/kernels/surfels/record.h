@@ -15,21 +15,22 @@ constexpr float kNever = 1e6f;  // L of an edge-on splat: its disk counts nowher
 struct alignas(64) SurfelRecord {
   float x, y;
   float L[4], g[2];
-  float signed_depth;  // of the centre; negative where the low-pass or the near plane may decide for a pixel
+  float signed_depth;  // of the centre; negative unless plain
   float log2_opacity;
   float color[3], normal[3];
 
+  // Neither the low-pass nor the near plane decides for any pixel, and its outline is not much longer than wide.
   MGSR_MEMBER bool plain() const { return signed_depth > 0; }
   MGSR_MEMBER float depth() const { return signed_depth > 0 ? signed_depth : -signed_depth; }
 };
 
-// Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient /
-// w^2, which give L's. kSlopeX, kSlopeY, kW: w's gradient times dx, dy, 1. kMeanX, kMeanY: first moments where the splat
-// is plain, else the centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
+// Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient / w^2,
+// and kSlopeX, kSlopeY first ones of w's gradient: over d where the splat is plain, else over L d, whose moments keep their
+// digits however thin the splat is. kW: w's gradient. kMeanX, kMeanY: first moments where the splat is plain, else the
+// centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
 enum SurfelPairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
 
-// The record of a projected splat, but for its colour; where the low-pass or the near plane decides, its depth is to be
-// negated.
+// The record of a projected splat, but for its colour; where it is not plain, its depth is to be negated.
 MGSR_HD SurfelRecord surfel_record(const ProjectedSurfel<float>& s, bool edge_on, float opacity) {
   SurfelRecord record = {s.x, s.y, {}, {s.g[0], s.g[1]}, s.depth, log2(opacity), {}, {s.normal[0], s.normal[1], s.normal[2]}};
   for (int k = 0; k < 4; ++k) record.L[k] = kRootExponentScale * s.L[k];
@@ -37,22 +38,27 @@ MGSR_HD SurfelRecord surfel_record(const ProjectedSurfel<float>& s, bool edge_on
   return record;
 }
 
-// From the sums over a splat's pairs to the gradients of its projection.
-MGSR_HD ProjectedSurfel<float> surfel_gradients(const SurfelRecord& s, const float* total) {
-  ProjectedSurfel<float> g = {};
-  g.x = total[kMeanX], g.y = total[kMeanY];
+// From the sums over a splat's pairs to the gradients of its projection; slope: of math/surfel.h.
+template <class T>
+MGSR_HD SurfelPull<T> surfel_gradients(const SurfelRecord& s, const T slope[2], const float* total) {
+  T uu = total[kXX], uv = total[kXY], vv = total[kYY], u = total[kSlopeX], v = total[kSlopeY];
+  SurfelPull<T> g = {total[kMeanX], total[kMeanY], total[kDepth] / T(s.depth()), {}, {}};
   if (s.plain()) {
+    const T L[4] = {s.L[0], s.L[1], s.L[2], s.L[3]};
     // Moving the centre moves every d the other way.
-    const float a = s.L[0] * g.x + s.L[1] * g.y, b = s.L[2] * g.x + s.L[3] * g.y;
-    g.x = s.L[0] * a + s.L[2] * b - s.g[0] * total[kW];
-    g.y = s.L[1] * a + s.L[3] * b - s.g[1] * total[kW];
+    const T a = L[0] * g.x + L[1] * g.y, b = L[2] * g.x + L[3] * g.y, v_w = total[kW];
+    g.x = L[0] * a + L[2] * b - s.g[0] * v_w;
+    g.y = L[1] * a + L[3] * b - s.g[1] * v_w;
+    const T ux = L[0] * uu + L[1] * uv, uy = L[0] * uv + L[1] * vv, vx = L[2] * uu + L[3] * uv, vy = L[2] * uv + L[3] * vv;
+    const T along[2] = {L[0] * u + L[1] * v, L[2] * u + L[3] * v};
+    uu = ux * L[0] + uy * L[1], uv = ux * L[2] + uy * L[3], vv = vx * L[2] + vy * L[3], u = along[0], v = along[1];
   }
-  g.depth = total[kDepth] / s.depth();
-  for (int k = 0; k < 4; k += 2) {
-    g.L[k] = -kRootExponentScale * (s.L[k] * total[kXX] + s.L[k + 1] * total[kXY]);
-    g.L[k + 1] = -kRootExponentScale * (s.L[k] * total[kXY] + s.L[k + 1] * total[kYY]);
-  }
-  g.g[0] = total[kSlopeX], g.g[1] = total[kSlopeY];
+  // The exponent's scale cancels in the second moments; the first ones are in units of its root.
+  u *= T(1 / kRootExponentScale), v *= T(1 / kRootExponentScale);
+  const T W[9] = {-uu, -uv, -(uu * slope[0] + uv * slope[1]),
+                  -uv, -vv, -(uv * slope[0] + vv * slope[1]),
+                  u,   v,   u * slope[0] + v * slope[1]};
+  for (int i = 0; i < 9; ++i) g.W[i] = W[i];
   for (int k = 0; k < 3; ++k) g.normal[k] = total[kNormal + k];
   return g;
 }

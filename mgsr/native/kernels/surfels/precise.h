@@ -1,0 +1,60 @@
+// A splat's projection and its way back, the same on both machines: in float64 where float32 loses what is left of an axis
+// that lies nearly along the sight.
+#pragma once
+
+#include "kernels/surfels/record.h"
+
+namespace mgsr {
+
+template <class T>
+struct SurfelParameters {
+  T mean[3], quat[4], scale[2];
+
+  MGSR_MEMBER SurfelParameters(const float* m, const float* q, const float* s)
+      : mean{m[0], m[1], m[2]}, quat{q[0], q[1], q[2], q[3]}, scale{s[0], s[1]} {}
+};
+
+// Whether a splat is so much longer than wide on the image (over 30 times) that its moments over pixels lose the width.
+MGSR_HD bool is_needle(const ProjectedSurfel<float>& s) {
+  const float trace = s.L[0] * s.L[0] + s.L[1] * s.L[1] + s.L[2] * s.L[2] + s.L[3] * s.L[3];
+  const float det = s.L[0] * s.L[3] - s.L[1] * s.L[2];
+  return !(trace * trace < 1e3f * det * det);
+}
+
+// A needle's projection; edge_on as in SurfelFrame.
+MGSR_HD ProjectedSurfel<float> project_needle(const Camera<float>& camera, const float* mean, const float* quat,
+                                              const float* scale, bool& edge_on) {
+  const SurfelParameters<double> splat(mean, quat, scale);
+  const Camera<double> cam = camera_as<double>(camera);
+  SurfelFrame<double> f;
+  surfel_frame(cam, splat.mean, splat.quat, splat.scale, f);
+  edge_on = f.edge_on;
+  const ProjectedSurfel<double> s = project_surfel(cam, f);
+  ProjectedSurfel<float> rounded = {float(s.x), float(s.y), float(s.depth), {}, {float(s.g[0]), float(s.g[1])}, {}};
+  for (int k = 0; k < 4; ++k) rounded.L[k] = float(s.L[k]);
+  for (int k = 0; k < 3; ++k) rounded.normal[k] = float(s.normal[k]);
+  return rounded;
+}
+
+// From the sums over a splat's pairs to the gradients of its geometry; center: of its pixel coordinates.
+struct SurfelGeometryGradients {
+  float mean[3], quat[4], scale[2], center[2];
+};
+
+template <class T>
+MGSR_HD SurfelGeometryGradients surfel_geometry_gradients(const Camera<T>& cam, const float* mean, const float* quat,
+                                                          const float* scale, const SurfelRecord& s, const float* total) {
+  const SurfelParameters<T> splat(mean, quat, scale);
+  SurfelFrame<T> f;
+  surfel_frame(cam, splat.mean, splat.quat, splat.scale, f);
+  T slope[2], v_mean[3] = {}, v_quat[4] = {}, v_scale[2] = {};
+  surfel_slope(f, splat.scale, slope);
+  const SurfelPull<T> g = surfel_gradients(s, slope, total);
+  pull_surfel_back(cam, splat.quat, splat.scale, f, g, v_mean, v_quat, v_scale);
+  return {{float(v_mean[0]), float(v_mean[1]), float(v_mean[2])},
+          {float(v_quat[0]), float(v_quat[1]), float(v_quat[2]), float(v_quat[3])},
+          {float(v_scale[0]), float(v_scale[1])},
+          {float(g.x), float(g.y)}};
+}
+
+}  // namespace mgsr

@@ -1,7 +1,8 @@
 """Whole small trainings of hard scenes, five seeds each, and how much their results differ:
 
-    PYTHONPATH=. python benchmarks/stability.py
+    PYTHONPATH=. python benchmarks/stability.py --keep benchmarks/results/stability.md
 
+The rows take the place of those of the same scenes in the file's table, so that several processes may share the scenes.
 Each row is one scene of `hard_scenes.py`: mean, standard deviation and worst of the PSNR of three held-out views, of
 both branches; the mean distance of the 2D branch's depth points from the true surface, times 1000 (the ball's radius is
 600, a pixel covers 34); how many trainings ended with a number that is not finite, or ended early; and the steps that
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -99,17 +101,34 @@ def summary(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:
     )
 
 
+def line(cells: tuple[str, ...] | list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def keep(path: Path, row: tuple[str, ...]) -> None:
+    """Put a row into the table of a Markdown file, which has all else of its text already."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    first = lines.index(line(HEADER)) + 2
+    end = next((i for i in range(first, len(lines)) if not lines[i].startswith("|")), len(lines))
+    rows = {text.split("|")[1].strip(): text for text in lines[first:end]} | {row[0]: line(row)}
+    ordered = [rows[name] for name in SCENES if name in rows]
+    path.write_text("\n".join([*lines[:first], *ordered, *lines[end:]]) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", default=list(SCENES), metavar="scene", help=", ".join(SCENES))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--keep", type=Path, help="a file with the table, as in benchmarks/results")
     args = parser.parse_args()
     runtime.set_threads(args.threads)
-    for row in (HEADER, ["---"] * len(HEADER)):
-        print("| " + " | ".join(row) + " |")
+    print(line(HEADER), line(["---"] * len(HEADER)), sep="\n")
     for name in args.scenes:
-        print("| " + " | ".join(summary(name, [run(name, seed) for seed in range(args.seeds)])) + " |", flush=True)
+        row = summary(name, [run(name, seed) for seed in range(args.seeds)])
+        print(line(row), flush=True)
+        if args.keep is not None:
+            keep(args.keep, row)
 
 
 if __name__ == "__main__":

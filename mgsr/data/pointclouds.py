@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +18,14 @@ def read_points(path: Path) -> PointCloud:
     try:
         vertex = PlyData.read(str(path))["vertex"]
         positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
-        names = {item.name for item in vertex.properties}
-    except (PlyParseError, KeyError, ValueError, IndexError, OSError, MemoryError) as error:
+        colors = _colors(vertex, len(positions))
+    except (PlyParseError, KeyError, ValueError, TypeError, IndexError, OverflowError, OSError, MemoryError) as error:
         raise SceneError(f"{path.name}: expected a PLY with vertices: {error}; export it again or remove it") from error
-    colors = np.full(positions.shape, 128, np.uint8)
-    if {"red", "green", "blue"} <= names:
-        colors = np.stack([np.asarray(vertex[name], np.uint8) for name in ("red", "green", "blue")], axis=1)
     finite = np.isfinite(positions).all(axis=1)
     return PointCloud(positions[finite], colors[finite])
+
+
+def _colors(vertex: Any, count: int) -> np.ndarray:
+    if not {"red", "green", "blue"} <= {item.name for item in vertex.properties}:
+        return np.full((count, 3), 128, np.uint8)
+    return np.stack([np.asarray(vertex[name], np.uint8) for name in ("red", "green", "blue")], axis=1)

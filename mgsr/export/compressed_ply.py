@@ -13,7 +13,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from mgsr.errors import SceneError
-from mgsr.export.splats import Splats
+from mgsr.export.splats import DAMAGE, Splats
 from mgsr.export.spz import three_scales
 
 _CHUNK = 256
@@ -70,7 +70,7 @@ def load_compressed_ply(path: Path) -> Splats:
         }
         rest = _load_harmonics(data, len(vertices))
         quats = _unpacked_rotations(vertices["packed_rotation"])
-    except (PlyParseError, KeyError, ValueError, IndexError, OSError) as error:
+    except (PlyParseError, *DAMAGE) as error:
         raise SceneError(f"{path.name}: expected a compressed PLY of splats: {error}; write it again") from error
     alpha = np.clip(color[:, 3], 0.5 / 255, 1 - 0.5 / 255)
     splats = {

@@ -21,9 +21,7 @@ class UpAxis(StrEnum):
     Z = "z"
 
 
-def write_ply(
-    path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray
-) -> None:
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
     """Binary little-endian PLY: vertices [V,3], faces [F,3], unit normals [V,3], colours [V,3] sRGB 0..1 (as uchar).
 
     Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as it does in

@@ -36,6 +36,8 @@ _SHAPES = {
 _COLOR, _REFLECTED = "f_", "refl_"
 _SPLIT_FIELDS = ("refl_opacity", "refl_weight", "refl_dc_0", "refl_dc_1", "refl_dc_2")
 _SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
+# What a damaged PLY makes its reader raise: a ValueError is also text that can't be decoded.
+DAMAGE = (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError, OSError)
 
 
 def write_splats(path: Path, splats: Splats, user_from_scene: Similarity | None = None) -> None:
@@ -66,18 +68,11 @@ def load_splats(path: Path) -> Splats:
     """
     try:
         data = PlyData.read(str(path))
-        vertex = data["vertex"]
-    except (PlyParseError, KeyError, OSError) as error:
-        raise SceneError(f"{path}: expected a PLY of splats: {error}") from error
-    names = {item.name for item in vertex.properties}
-    missing = [name for name in ("x", "f_dc_0", "opacity", "scale_0", "rot_0") if name not in names]
-    if missing:
-        raise SceneError(f"{path}: expected splats in the viewers' layout; it has no {', '.join(missing)}")
-    lost = [name for name in _SPLIT_FIELDS if name not in names]
-    if lost and "refl_opacity" in names:
-        raise SceneError(f"{path}: expected a whole reflected half; it has no {', '.join(lost)}; write it again")
-    notes = _notes(data.comments)
-    return _splats(vertex, names, notes)
+        splats = _splats(data["vertex"], path, _notes(data.comments))
+    except (PlyParseError, *DAMAGE) as error:
+        raise SceneError(f"{path}: expected a PLY of splats: {error}; write it again") from error
+    _check(splats)
+    return splats
 
 
 def _notes(comments: list[str]) -> dict[str, str]:
@@ -86,7 +81,10 @@ def _notes(comments: list[str]) -> dict[str, str]:
     return {line[1]: line[2] for line in words if len(line) == 3 and line[0] == "mgsr"}
 
 
-def _splats(vertex: PlyElement, names: set[str], notes: dict[str, str]) -> Splats:
+def _splats(vertex: PlyElement, path: Path, notes: dict[str, str]) -> Splats:
+    names = {item.name for item in vertex.properties}
+    _check_properties(names, path)
+
     def stack(prefix: str, count: int) -> np.ndarray:
         return np.stack([np.asarray(vertex[f"{prefix}{index}"], np.float32) for index in range(count)], axis=1)
 
@@ -104,6 +102,15 @@ def _splats(vertex: PlyElement, names: set[str], notes: dict[str, str]) -> Splat
         splats["weight_logits"] = np.asarray(vertex["refl_weight"], np.float32)
         splats["refl_sh"] = _load_sh(vertex, names, _REFLECTED)
     return splats
+
+
+def _check_properties(names: set[str], path: Path) -> None:
+    missing = [name for name in ("x", "f_dc_0", "opacity", "scale_0", "rot_0") if name not in names]
+    if missing:
+        raise SceneError(f"{path}: expected splats in the viewers' layout; it has no {', '.join(missing)}")
+    lost = [name for name in _SPLIT_FIELDS if name not in names]
+    if lost and "refl_opacity" in names:
+        raise SceneError(f"{path}: expected a whole reflected half; it has no {', '.join(lost)}; write it again")
 
 
 def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Damaged and hostile files: whatever is changed in them, a reader gives a capture or one SceneError.
 
-The short run uses the same examples each time; the slow one looks for new ones, each parser for ten minutes or so:
-`python -m pytest -m slow tests/data/test_fuzz.py`. What it finds becomes a test of its own below.
+What the long run finds becomes a test of its own (tests/fuzzing.py).
 """
 
 from __future__ import annotations
@@ -11,12 +10,11 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -29,80 +27,7 @@ from tests.data.captures import BallCapture
 from tests.data.test_app_formats import metashape, opensfm, polycam, realitycapture
 from tests.data.test_archive import tarred, zipped
 from tests.data.test_research_formats import middlebury, neus
-
-QUICK = settings(max_examples=25, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
-LONG = settings(max_examples=100_000, deadline=None, suppress_health_check=list(HealthCheck))
-
-
-# What is changed: bytes of any file, and values of JSON files.
-
-Change = Callable[[bytes], bytes]
-
-_TOKENS = [b"nan", b"-inf", b"1e999", b"-1", b"0", b"", b"\x00", b"\xff\xff\xff\xff\xff\xff\xff\x7f", b",", b" ", b"\n"]
-_VALUES = [None, True, -1, 0, 1e308, 10**30, float("nan"), float("inf"), "", "../x", "a\x00b", [], {}, [[]], [None] * 4]
-
-
-@st.composite
-def byte_changes(draw: Any) -> Change:
-    """A few edits: bytes flipped, cut out, doubled, or replaced by words that parsers dislike."""
-    edits = draw(
-        st.lists(st.tuples(st.floats(0, 1), st.integers(0, 12), st.sampled_from(_TOKENS)), min_size=1, max_size=4)
-    )
-    kinds = draw(st.lists(st.sampled_from(["flip", "cut", "insert", "replace", "truncate"]), min_size=4, max_size=4))
-
-    def change(data: bytes) -> bytes:
-        for (place, count, token), kind in zip(edits, kinds, strict=False):
-            at = int(place * len(data))
-            match kind:
-                case "flip":
-                    data = data[:at] + bytes(255 ^ byte for byte in data[at : at + 1]) + data[at + 1 :]
-                case "cut":
-                    data = data[:at] + data[at + count :]
-                case "insert":
-                    data = data[:at] + token + data[at:]
-                case "replace":
-                    data = data[:at] + token + data[at + max(count, len(token)) :]
-                case "truncate":
-                    data = data[:at]
-        return data
-
-    return change
-
-
-@st.composite
-def value_changes(draw: Any) -> Change:
-    """Values somewhere in a JSON document replaced or removed."""
-    edits = draw(
-        st.lists(
-            st.tuples(st.lists(st.integers(0, 30), min_size=1, max_size=6), st.sampled_from([*_VALUES, "REMOVE"])),
-            min_size=1,
-            max_size=3,
-        )
-    )
-
-    def change(data: bytes) -> bytes:
-        document = json.loads(data)
-        for path, value in edits:
-            _put(document, path, value)
-        return json.dumps(document).encode()
-
-    return change
-
-
-def _put(node: Any, path: list[int], value: Any) -> None:
-    """Follow the path as far as it goes, and change what is there."""
-    while isinstance(node, (dict, list)) and node:
-        keys = list(node) if isinstance(node, dict) else list(range(len(node)))
-        key = keys[path[0] % len(keys)]
-        path = path[1:]
-        if not path or not isinstance(node[key], (dict, list)) or not node[key]:
-            if value == "REMOVE":
-                del node[key]
-            else:
-                node[key] = value
-            return
-        node = node[key]
-
+from tests.fuzzing import LONG, QUICK, Change, byte_changes, repeat, value_changes
 
 # What is read: a scene of every format, and the file of it that is changed.
 
@@ -184,7 +109,7 @@ def fuzz_reader(root: Path, name: str, changes: st.SearchStrategy[Change], how: 
         path.write_bytes(change(whole))
         read_or_refuse(root)
 
-    run()
+    repeat(run, how)
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -236,7 +161,7 @@ def fuzz_archive(root: Path, name: str, how: settings) -> None:
             assert not (root / "out").exists(), "nothing is left behind"
         shutil.rmtree(root / "out", ignore_errors=True)
 
-    run()
+    repeat(run, how)
 
 
 @pytest.mark.parametrize("name", ARCHIVES)
@@ -272,4 +197,4 @@ def test_damaged_images_for_long(tmp_path, name):
             return
         assert colors.dtype == np.uint8 and colors.ndim == 3 and colors.shape[2] == 3
 
-    run()
+    repeat(run, LONG)

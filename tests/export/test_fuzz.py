@@ -1,0 +1,68 @@
+"""Damaged splat and mesh files: a reader gives what is in them or one error of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from mgsr.errors import MgsrError
+from mgsr.export.compressed_ply import load_compressed_ply, write_compressed_ply
+from mgsr.export.convert import load_mesh
+from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.obj_files import write_obj
+from mgsr.export.splats import load_splats, write_splats
+from mgsr.export.spz import load_spz, write_spz
+from tests.export.test_packed_splats import splats
+from tests.fuzzing import LONG, QUICK, Change, byte_changes, repeat
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+MESH = (CORNERS, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]), np.eye(4)[:, :3] + 0.1, CORNERS)
+
+SPLATS: dict[str, tuple[Callable[..., None], Callable[[Path], Any]]] = {
+    "a.ply": (write_splats, load_splats),
+    "a.compressed.ply": (write_compressed_ply, load_compressed_ply),
+    "a.spz": (write_spz, load_spz),
+}
+MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": write_glb, "mesh.obj": write_obj}
+
+
+def fuzz(path: Path, load: Callable[[Path], Any], how: settings) -> None:
+    whole = path.read_bytes()
+
+    @how
+    @given(byte_changes())
+    def run(change: Change) -> None:
+        path.write_bytes(change(whole))
+        try:
+            load(path)
+        except MgsrError as error:
+            assert len(str(error)) < 1000
+
+    repeat(run, how)
+
+
+def fuzz_file(root: Path, name: str, how: settings) -> None:
+    if name in MESHES:
+        MESHES[name](root / name, *MESH)
+        fuzz(root / name, load_mesh, how)
+    else:
+        write, load = SPLATS[name]
+        write(root / name, splats(5, coefficients=4))
+        fuzz(root / name, load, how)
+
+
+@pytest.mark.parametrize("name", [*SPLATS, *MESHES])
+def test_damaged_files(tmp_path, name):
+    fuzz_file(tmp_path, name, QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", [*SPLATS, *MESHES])
+def test_damaged_files_for_long(tmp_path, name):
+    fuzz_file(tmp_path, name, LONG)

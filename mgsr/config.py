@@ -7,6 +7,7 @@ row of METHODS, then the caller's ``key=value`` overrides. ABLATIONS has the pap
 from __future__ import annotations
 
 import difflib
+import math
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -78,6 +79,27 @@ class MeshConfig:
     close_holes: bool = False  # keep what Poisson invents where nothing was seen
     max_faces: int | None = None  # decimate to this many; none is off
     color: MeshColor = MeshColor.TRANSMITTED
+
+
+class Up(StrEnum):
+    """Which axis of the capture's frame points up: y, z, or auto, what most photographs have as their upper side."""
+
+    AUTO = "auto"
+    Y = "y"
+    Z = "z"
+
+
+@dataclass(frozen=True)
+class OutputConfig:
+    """Which files are written, and in which unit and pose."""
+
+    scale: float = 1.0  # what all lengths in the written files are multiplied with; 1 is the capture's own unit
+    up: Up = Up.AUTO  # .glb files are y up: they are turned if this is z
+    obj: bool = False  # mesh.obj too
+    texture: int | None = None  # texels along a side of the picture of mesh_textured.glb; none writes no such file
+    texture_faces: int | None = (
+        50_000  # decimate mesh_textured.glb to this many, as its picture shows the rest; none is off
+    )
 
 
 class Branches(StrEnum):
@@ -342,6 +364,7 @@ class Config:
     data: DataConfig = field(default_factory=DataConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
+    output: OutputConfig = field(default_factory=OutputConfig)
 
 
 # What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing.
@@ -451,6 +474,7 @@ def validate(config: Config) -> None:
         value = _value(config, path)
         if isinstance(value, (int, float)) and value < 0:
             raise ConfigError(f"{path}: expected 0 or more, got {value}")
+    _validate_output(config.output)
     for path, degree in (
         ("train.surfels.sh_degree", train.surfels.sh_degree),
         ("train.volumes.sh_degree", train.volumes.sh_degree),
@@ -474,6 +498,15 @@ def validate(config: Config) -> None:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
+
+
+def _validate_output(output: OutputConfig) -> None:
+    if not (math.isfinite(output.scale) and output.scale > 0):
+        raise ConfigError(f"output.scale: expected a number above 0, got {output.scale:g}")
+    if output.texture is not None and not 16 <= output.texture <= 16384:
+        raise ConfigError(f"output.texture: expected 16 to 16384 texels, got {output.texture}")
+    if output.texture_faces is not None and output.texture_faces < 100:
+        raise ConfigError(f"output.texture_faces: expected at least 100, got {output.texture_faces}")
 
 
 def _known(kind: str, name: str, table: Mapping[str, Any]) -> str:

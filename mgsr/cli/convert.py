@@ -11,7 +11,7 @@ import typer
 from mgsr.cli.options import refusals
 from mgsr.data.archive import ARCHIVE_SUFFIXES
 from mgsr.errors import ConfigError
-from mgsr.export.mesh_files import UpAxis
+from mgsr.export.gltf import UpAxis
 
 SourceArgument = Annotated[
     Path, typer.Argument(metavar="A", help="A mesh (.ply .glb .obj), splats (.ply .spz) or a scene.")

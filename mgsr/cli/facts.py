@@ -57,7 +57,7 @@ def run_report(
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
         other={
-            "input": _input(scene, start, path),
+            "input": _input(scene, start, path, config.output.scale),
             "light": str(mesh.light),
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "settings": asdict(config),
@@ -86,9 +86,15 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
     } | ({"notes": list(scene.notes)} if scene.notes else {})
 
 
-def _input(scene: Scene, start: StartingPoints, path: Path) -> dict[str, Any]:
+def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict[str, Any]:
     begun = {"source": str(start.source), "count": len(start.positions)}
-    return scene_facts(scene, path) | {"starting_points": begun}
+    facts = scene_facts(scene, path)
+    # As the written files have it.
+    facts["user_from_scene"] = {
+        "scale": float(scene.user_from_scene.scale * unit),
+        "offset": [float(x) * unit for x in scene.user_from_scene.offset],
+    }
+    return facts | {"starting_points": begun}
 
 
 def scene_line(scene: Scene) -> str:

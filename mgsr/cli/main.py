@@ -14,12 +14,17 @@ from mgsr.cli.demo import demo
 from mgsr.cli.options import (
     DeviceOption,
     MethodOption,
+    ObjOption,
     OutOption,
     PresetOption,
     ResumeOption,
+    ScaleOption,
     SceneArgument,
     SeedOption,
     SetOption,
+    TextureOption,
+    UpOption,
+    output_overrides,
     refusals,
 )
 from mgsr.cli.poses import poses
@@ -81,11 +86,16 @@ def mesh(
     out: OutOption,
     preset: PresetOption = "standard",
     device: DeviceOption = "auto",
+    texture: TextureOption = None,
+    obj: ObjOption = False,
+    up: UpOption = None,
+    scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
     """Extract mesh.ply and mesh.glb from the splats in OUT, with the preset's settings of the surface."""
     with refusals():
-        config = make_config(preset, overrides=settings or [])
+        overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        config = make_config(preset, overrides=overrides)
         from mgsr.cli.device import pick_device
         from mgsr.cli.outputs import read_models, write_mesh
         from mgsr.cli.pipeline import make_mesh
@@ -94,7 +104,7 @@ def mesh(
         chosen = pick_device(device)
         loaded = load_scene(scene, config.data)
         surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config)
-        write_mesh(out, surface, loaded)
+        write_mesh(out, surface, loaded, config.output)
         print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
 
 
@@ -111,7 +121,7 @@ def render(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", 
         chosen = pick_device(device)
         loaded = load_scene(scene, config.data)
         models = read_models(out, loaded).to(chosen.torch)
-        write_renders(out, list(render_views(models, loaded.test, config)), loaded)
+        write_renders(out, list(render_views(models, loaded.test, config)), loaded, config.output)
         print(f"{out / RENDERS}: {len(loaded.test)} views")
 
 

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from mgsr.cli.signals import INTERRUPTED
-from mgsr.config import METHODS, PRESETS
+from mgsr.config import METHODS, PRESETS, Up
 from mgsr.errors import Cancelled, MgsrError
 
 REFUSED = 2
@@ -29,6 +29,26 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (mgsr/config.py); may be repeated."),
 ]
+TextureOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="TEXELS", help="Also write mesh_textured.glb with a picture of so many texels a side, such as 2048."
+    ),
+]
+ObjOption = Annotated[bool, typer.Option("--obj", help="Also write mesh.obj.")]
+UpOption = Annotated[
+    Up | None, typer.Option(help="Which axis of the capture's frame points up; .glb files are turned to y.")
+]
+ScaleOption = Annotated[
+    float | None,
+    typer.Option(help="Multiply all lengths in the written files, such as by 1000 from metres to millimetres."),
+]
+
+
+def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float | None) -> list[str]:
+    """What these options mean as settings; none for what was not given."""
+    given = {"texture": texture, "obj": "on" if obj else None, "up": up, "scale": scale}
+    return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 
 
 @contextmanager

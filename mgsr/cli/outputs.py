@@ -14,10 +14,14 @@ import torch
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import ViewImages
 from mgsr.cli.whole import whole
+from mgsr.config import OutputConfig, Up
 from mgsr.data.scene import Scene
 from mgsr.errors import MgsrError
-from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
+from mgsr.export.obj_files import write_obj
+from mgsr.export.ply_unit import read_unit
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.gaussians.mirrored import MirroredLight
@@ -32,6 +36,8 @@ from mgsr.report.shading import up_direction
 
 MESH = "mesh.ply"
 MESH_GLB = "mesh.glb"
+MESH_OBJ = "mesh.obj"
+MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
 VOLUMES = "splats_3d.ply"
 LIGHT = "mirrored_light.npz"
@@ -51,15 +57,16 @@ def clear_reports(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def write_models(out: Path, models: Models, scene: Scene) -> None:
-    """The branches as splat files, and the light; what is not there leaves none, also none of an earlier run."""
+def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
+    """The branches as splat files, in the output's unit, and the light; what is not there leaves none, also
+    none of an earlier run."""
     for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
         if model is None:
             (out / name).unlink(missing_ok=True)
             continue
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
         with whole(out / name) as path:
-            write_splats(path, arrays, scene.user_from_scene)
+            write_splats(path, arrays, scene.user_from_scene, output.scale)
     if models.light is None:
         (out / LIGHT).unlink(missing_ok=True)
         return
@@ -78,18 +85,36 @@ def read_models(out: Path, scene: Scene) -> Models:
     return Models(surfels, volumes, light)
 
 
-def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene) -> None:
-    """mesh.ply and mesh.glb, of a mesh in the user's frame."""
-    arrays = (mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig) -> None:
+    """mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for, of a mesh in the user's frame;
+    lengths are in the output's unit. Those that are not asked for are removed."""
+    arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
+    up = _up_axis(scene, output)
     with whole(out / MESH) as path:
-        write_ply(path, *arrays)
-    up = UpAxis.Z if abs(up_direction([view.camera for view in scene.train])[2]) > Z_UP else UpAxis.Y
+        write_ply(path, *arrays, unit=output.scale)
     with whole(out / MESH_GLB) as path:
         write_glb(path, *arrays, up=up)
+    for name in (MESH_OBJ, MESH_TEXTURED):
+        (out / name).unlink(missing_ok=True)
+    if output.obj:
+        with whole(out / MESH_OBJ) as path:
+            write_obj(path, *arrays)
+    if mesh.textured is not None:
+        textured = mesh.textured
+        picture = (textured.faces, textured.normals, textured.uvs, textured.picture)
+        with whole(out / MESH_TEXTURED) as path:
+            write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
+
+
+def _up_axis(scene: Scene, output: OutputConfig) -> UpAxis:
+    if output.up is not Up.AUTO:
+        return UpAxis(output.up.value)
+    return UpAxis.Z if abs(up_direction([view.camera for view in scene.train])[2]) > Z_UP else UpAxis.Y
 
 
 def read_mesh(out: Path) -> SurfaceMesh:
-    """The mesh that an earlier run left in `out`, in the user's frame. Raises MgsrError where there is none."""
+    """The mesh that an earlier run left in `out`, in the user's frame and unit. Raises MgsrError where there is
+    none."""
     import trimesh
 
     if not (out / MESH).is_file():
@@ -97,15 +122,16 @@ def read_mesh(out: Path) -> SurfaceMesh:
     mesh: Any = trimesh.load(out / MESH, process=False, force="mesh")
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
-    return SurfaceMesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64), normals, colors)
+    vertices = np.asarray(mesh.vertices, np.float64) / read_unit(out / MESH)
+    return SurfaceMesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
 
 
-def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene) -> None:
-    """renders/test with all pictures of each test view (see mgsr/export/renders.py)."""
+def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
+    """renders/test with all pictures of each test view (see mgsr/export/renders.py); depths in the output's unit."""
     with whole(out / RENDERS) as folder:
         folder.mkdir()
         for view in rendered:
-            write_view(folder, view.name, _export_form(view, scene.user_from_scene.scale))
+            write_view(folder, view.name, _export_form(view, scene.user_from_scene.scale * output.scale))
 
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
@@ -118,7 +144,7 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 
 def _export_form(view: ViewImages, unit: float) -> RenderedView:
-    """With straight colours, and depth in the user's unit, of which the scene's is `unit`."""
+    """With straight colours, and depth in the files' unit, of which the scene's is `unit`."""
     return RenderedView(
         straight_color(view.color, view.alpha),
         view.alpha,
@@ -131,8 +157,8 @@ def _export_form(view: ViewImages, unit: float) -> RenderedView:
 
 
 def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
-    """A splat file's arrays, taken from the user's frame to the scene's."""
-    arrays = load_splats(path)
-    arrays["means"] = scene.user_from_scene.to_scene(arrays["means"].astype(np.float64))
-    arrays["log_scales"] = arrays["log_scales"] - math.log(scene.user_from_scene.scale)
+    """A splat file's arrays, taken from the user's frame and the file's unit to the scene's."""
+    arrays, unit = load_splats(path), read_unit(path)
+    arrays["means"] = scene.user_from_scene.to_scene(arrays["means"].astype(np.float64) / unit)
+    arrays["log_scales"] = arrays["log_scales"] - math.log(scene.user_from_scene.scale * unit)
     return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

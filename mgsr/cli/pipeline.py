@@ -23,6 +23,7 @@ from mgsr.data.scene import Scene
 from mgsr.errors import Cancelled
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.progress import TrainResult
@@ -87,6 +88,8 @@ def run_scene(
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds what was trained).
     """
+    if config.output.texture is not None:
+        require_unfolding()
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
@@ -95,10 +98,10 @@ def run_scene(
     models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
     with step("render", f"rendering {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
-        outputs.write_renders(out, rendered, scene)
+        outputs.write_renders(out, rendered, scene, config.output)
     with step("mesh", "extracting the surface"):
         mesh = make_mesh(models, scene, config)
-        outputs.write_mesh(out, mesh, scene)
+        outputs.write_mesh(out, mesh, scene, config.output)
     with step("evaluate", "measuring"):
         truth = find_truth(scene)
         scores = image_scores(rendered, scene) | surface_scores(mesh, truth, scene)
@@ -129,8 +132,14 @@ def train_only(
 
 def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
     """The surface in the user's frame. Raises MeshError, with the reason, where none comes out."""
-    mesh = extract_mesh(surface_views(models, scene, config), config.mesh, scene_silhouettes(scene), scene.train)
-    return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
+    views = surface_views(models, scene, config)
+    mesh = extract_mesh(views, config.mesh, scene_silhouettes(scene), scene.train)
+    to_user = scene.user_from_scene.to_user
+    textured = None
+    if config.output.texture is not None:
+        textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
+        textured = replace(textured, vertices=to_user(textured.vertices))
+    return replace(mesh, vertices=to_user(mesh.vertices), textured=textured)
 
 
 def result_line(report: ReportData) -> str:
@@ -187,5 +196,5 @@ def _train(
             device=device.torch,
         )
     with step("export", "writing the splats"):
-        outputs.write_models(out, Models(trained.surfels, trained.volumes, trained.light), scene)
+        outputs.write_models(out, Models(trained.surfels, trained.volumes, trained.light), scene, config.output)
     return trained

@@ -7,12 +7,17 @@ from pathlib import Path
 from mgsr.cli.options import (
     DeviceOption,
     MethodOption,
+    ObjOption,
     OutOption,
     PresetOption,
     ResumeOption,
+    ScaleOption,
     SceneArgument,
     SeedOption,
     SetOption,
+    TextureOption,
+    UpOption,
+    output_overrides,
     refusals,
 )
 from mgsr.cli.signals import stop_on_signals
@@ -27,11 +32,16 @@ def run(
     device: DeviceOption = "auto",
     seed: SeedOption = 0,
     resume: ResumeOption = False,
+    texture: TextureOption = None,
+    obj: ObjOption = False,
+    up: UpOption = None,
+    scale: ScaleOption = None,
     settings: SetOption = None,
 ) -> None:
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     with refusals():
-        report = _run(scene, out, preset, method, device, seed, resume, settings or [])
+        overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        report = _run(scene, out, preset, method, device, seed, resume, overrides)
     print(f"mesh   {out / 'mesh.ply'}")
     print(f"report {report.with_suffix('.html')}")
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from mgsr.errors import ConfigError, MeshError
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
-from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.obj_files import write_obj
 from mgsr.export.splats import Splats, load_splats, write_splats
 from mgsr.export.spz import load_spz, write_spz

@@ -71,7 +71,11 @@ class RayCaster:
         local = np.ones((*pixels.shape[:-1], 3))
         local[..., :2] = (pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
         directions = local @ camera.cam_from_world[:3, :3]
-        rays = np.concatenate([np.broadcast_to(camera.center, directions.shape), directions], axis=-1)
+        return self.cast_rays(camera.center, directions)
+
+    def cast_rays(self, origins: np.ndarray, directions: np.ndarray) -> PixelHits:
+        """What rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their lengths."""
+        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1)
         hits = self._scene.cast_rays(load_open3d().core.Tensor(rays.astype(np.float32)))
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)

@@ -1,4 +1,4 @@
-"""Vertex colours from the views that see a vertex."""
+"""Colours of a surface from the views that see it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mgsr.parallel import map_ahead
 
 SPREAD = 0.1  # a colour this far from the others' mean counts half
 ROUNDS = 2
+TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 
 def vertex_colors(
@@ -23,19 +24,32 @@ def vertex_colors(
     tolerance: float,
     threads: int | None = None,
 ) -> np.ndarray:
-    """Colours [V,3] float32 0..1: the mean over the views that show a vertex, where head-on views count more and
-    colours far from the others' mean count less. A vertex that none shows takes its nearest neighbour's.
+    """Colours [V,3] float32 0..1 as of `seen_colors`. A vertex that no view shows takes its nearest neighbour's."""
+    colors, seen = seen_colors(vertices, normals, views, min_alpha, tolerance, threads)
+    if seen.any() and not seen.all():
+        colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
+    return colors
 
-    A view shows a vertex that faces it and lies within `tolerance` pixel footprints of its depth.
+
+def seen_colors(
+    points: np.ndarray,
+    normals: np.ndarray,
+    views: Sequence[SurfaceView],
+    min_alpha: float,
+    tolerance: float,
+    threads: int | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours [P,3] float32 0..1 of points [P,3] of a surface, normals [P,3] unit, and which of them any view shows,
+    [P] bool: the mean over the views that show a point, where head-on views count more and colours far from the others'
+    mean count less.
+
+    A view shows a point that faces it and lies within `tolerance` pixel footprints of its depth.
     """
-    looks = list(map_ahead(lambda view: _look(vertices, normals, view, min_alpha, tolerance), views, threads))
-    mean, total = _blend(looks, len(vertices), None)
+    looks = list(map_ahead(lambda view: _look(points, normals, view, min_alpha, tolerance), views, threads))
+    mean, total = _blend(looks, len(points), None)
     for _ in range(ROUNDS):
-        mean, _ = _blend(looks, len(vertices), mean)
-    known = total > 0
-    if known.any() and not known.all():
-        mean[~known] = mean[known][cKDTree(vertices[known]).query(vertices[~known])[1]]
-    return np.clip(mean, 0, 1)
+        mean, _ = _blend(looks, len(points), mean)
+    return np.clip(mean, 0, 1), total > 0
 
 
 @dataclass(frozen=True)

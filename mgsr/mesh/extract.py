@@ -14,7 +14,7 @@ from mgsr.geometry.decimate import decimate
 from mgsr.geometry.outlines import find_outline, fit_outlines
 from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.mesh import cleanup
-from mgsr.mesh.colors import vertex_colors
+from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
@@ -128,7 +128,7 @@ def _finish(
     if config.max_faces is not None:
         vertices, faces = decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
-    tolerance = config.consistency or _COLOR_TOLERANCE
+    tolerance = config.consistency or TOLERANCE
     colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
     return SurfaceMesh(vertices, faces, normals, colors, light)
 
@@ -139,7 +139,6 @@ _PASSES = {
     Light.FLASH: (Pass(edge=1.0, rounds=3),),
     Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, smoothing=8.0),),
 }
-_COLOR_TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 
 def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:

@@ -10,12 +10,26 @@ from mgsr.shading.refine import Light
 
 
 @dataclass(frozen=True)
+class TexturedMesh:
+    """vertices [V,3] float64, once for each chart of the picture that they lie on; faces [F,3] int64; normals [V,3]
+    float32 unit; uvs [V,2] float32, 0..1 from the picture's upper left corner; picture [S,S,3] uint8 sRGB."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    uvs: np.ndarray
+    picture: np.ndarray
+
+
+@dataclass(frozen=True)
 class SurfaceMesh:
     """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
-    outward, colors [V,3] float32 sRGB 0..1; light: whose shading refined it, unknown if none did."""
+    outward, colors [V,3] float32 sRGB 0..1; light: whose shading refined it, unknown if none did;
+    textured: the same surface with a picture, where one was asked for."""
 
     vertices: np.ndarray
     faces: np.ndarray
     normals: np.ndarray
     colors: np.ndarray
     light: Light = Light.UNKNOWN
+    textured: TexturedMesh | None = None

@@ -19,7 +19,12 @@ from PIL import Image
 from plyfile import PlyData
 from typer.testing import CliRunner
 
+from mgsr.cli.evaluation import find_truth, surface_scores
 from mgsr.cli.main import app
+from mgsr.cli.outputs import read_mesh, read_models, write_models
+from mgsr.config import DataConfig, OutputConfig
+from mgsr.data.readers import load_scene
+from mgsr.export.splats import load_splats
 from tests.cli.spheres import SPHERES, write_spheres
 from worker.cli import app as worker_app
 
@@ -116,6 +121,29 @@ def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method:
     assert not (tmp_path / "renders" / "test" / "r_0_transmitted.png").exists()
 
 
+def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
+    """Every file is larger by the same factor, and is still compared with the truth in the capture's own unit."""
+    out, like_the_run = tmp_path / "out", ["--preset", "draft", "--set", "poisson_depth=6"]
+    shutil.copytree(done, out)
+    loaded = load_scene(scene, DataConfig())
+    write_models(out, read_models(done, loaded), loaded, OutputConfig(scale=1000))
+    options = ["--scale", "1000", "--up", "y", "--obj", "--texture", "64"]
+    result = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), *like_the_run, *options])
+    assert result.exit_code == 0, result.output
+    before = trimesh.load(done / "mesh.ply", force="mesh").bounds
+    for name in ("mesh.ply", "mesh.glb", "mesh.obj", "mesh_textured.glb"):
+        # Not turned, as the capture was said to be y-up. The splats went through float32, the texture's mesh has fewer
+        # faces.
+        np.testing.assert_allclose(trimesh.load(out / name, force="mesh").bounds, 1000 * before, atol=30, err_msg=name)
+    for name in ("splats_2d.ply", "splats_3d.ply"):
+        small, large = (load_splats(folder / name) for folder in (done, out))
+        np.testing.assert_allclose(large["means"], 1000 * small["means"], rtol=1e-4, atol=1e-3)
+        np.testing.assert_allclose(large["log_scales"][:, :2], small["log_scales"][:, :2] + np.log(1000), atol=1e-4)
+    report = json.loads((done / "report.json").read_text())
+    scores = surface_scores(read_mesh(out), find_truth(loaded), loaded)
+    assert scores["gt"]["chamfer"] == pytest.approx(report["gt"]["chamfer"], rel=0.05)
+
+
 @pytest.mark.slow
 def test_single_steps_repeat_what_the_run_did(scene: Path, done: Path) -> None:
     report = json.loads((done / "report.json").read_text())
@@ -175,9 +203,7 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
         (["EMPTY"], "the folder is empty"),
     ],
 )
-def test_bad_input_is_one_message_and_code_2(
-    scene: Path, tmp_path: Path, arguments: list[str], message: str
-) -> None:
+def test_bad_input_is_one_message_and_code_2(scene: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
     (tmp_path / "empty").mkdir()
     named = {"SCENE": str(scene), "EMPTY": str(tmp_path / "empty")}
     out = tmp_path / "out"

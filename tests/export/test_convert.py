@@ -8,7 +8,8 @@ import trimesh
 
 from mgsr.errors import ConfigError, MeshError
 from mgsr.export.convert import convert, load_mesh
-from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.obj_files import write_obj
 from mgsr.export.splats import load_splats, write_splats
 from tests.export.test_mesh_files import ball

@@ -12,7 +12,9 @@ from plyfile import PlyData
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.ply_unit import read_unit
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -70,6 +72,35 @@ def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
     back = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(back, colors, atol=2e-4)
     assert (stored[:, 3] == 65535).all()
+
+
+def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
+    """A square whose upper left corner, seen from z, is red: trimesh's uvs begin at the lower left instead."""
+    vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
+    uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]])
+    normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[:4, :4], picture[4:, 4:] = (200, 10, 20), (1, 2, 250)
+    write_textured_glb(tmp_path / "mesh.glb", vertices, faces, normals, uvs, picture)
+    mesh = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False)
+    np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    image = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    np.testing.assert_array_equal(image, picture)
+    rows, columns = 7 - (mesh.visual.uv[:, 1] * 7).astype(int), (mesh.visual.uv[:, 0] * 7).astype(int)
+    np.testing.assert_array_equal(image[rows, columns], [(200, 10, 20), (0, 0, 0), (1, 2, 250), (0, 0, 0)])
+    with pytest.raises(MeshError, match="uvs: expected"):
+        write_textured_glb(tmp_path / "mesh.glb", vertices, faces, normals, uvs[:3], picture)
+
+
+def test_a_ply_tells_its_unit(tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", *ball(), unit=0.1)
+    write_ply(tmp_path / "b.ply", *ball())
+    assert (read_unit(tmp_path / "a.ply"), read_unit(tmp_path / "b.ply")) == (0.1, 1.0)
+    assert len(PlyData.read(str(tmp_path / "a.ply"))["vertex"].data) == len(ball()[0])
+    for text in (b"x", b"nan", b"-1", b"0"):
+        (tmp_path / "c.ply").write_bytes(b"ply\ncomment mgsr unit " + text + b"\nend_header\n")
+        assert read_unit(tmp_path / "c.ply") == 1
 
 
 def test_glb_turns_z_up_meshes(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from mgsr.export.mesh_files import UpAxis, write_glb, write_ply
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.renders import RenderedView, write_view
 from mgsr.export.splats import write_splats
 

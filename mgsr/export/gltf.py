@@ -1,0 +1,107 @@
+"""Binary glTF 2.0 of one mesh with one material."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+_COMPONENTS = {"<f4": 5126, "<u4": 5125, "<u2": 5123}
+_SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+_INDICES, _VERTICES = 34963, 34962
+
+
+class UpAxis(StrEnum):
+    """Which axis of the mesh's frame points up. glTF wants y; a z-up mesh gets a node that turns it."""
+
+    Y = "y"
+    Z = "z"
+
+
+def glb(
+    vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: UpAxis, png: bytes | None = None
+) -> bytes:
+    """The file of a mesh: vertices [V,3], faces [F,3], and attributes by glTF's names, arrays [V,n] of little-endian
+    float32, or of uint16 that stand for 0..1. png: the surface's colours, sRGB, by TEXCOORD_0.
+
+    The material is matte and two-sided. Positions are about the mesh's middle; the node puts them back (and turns
+    z-up meshes y-up), so that frames with a far origin keep their precision.
+    """
+    middle = (vertices.max(0) + vertices.min(0)) / 2
+    positions = (vertices - middle).astype("<f4")
+    body = _Body()
+    indices = body.add_array(faces.astype("<u4").ravel(), _INDICES)
+    places = {"POSITION": body.add_array(positions, _VERTICES)}
+    body.accessors[places["POSITION"]] |= {"min": positions.min(0).tolist(), "max": positions.max(0).tolist()}
+    places |= {name: body.add_array(array, _VERTICES) for name, array in attributes.items()}
+    document: dict[str, Any] = {
+        "asset": {"version": "2.0", "generator": "mgsr"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "matrix": _node_matrix(middle, up)}],
+        "meshes": [{"primitives": [{"indices": indices, "attributes": places, "material": 0}]}],
+        "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}, "doubleSided": True}],
+    }
+    if png is not None:
+        document |= _picture(body.add_bytes(png))
+        document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    document |= {"accessors": body.accessors, "bufferViews": body.views, "buffers": [{"byteLength": len(body.data)}]}
+    return _file(document, bytes(body.data))
+
+
+class _Body:
+    """The binary half of a file, and what says where its parts lie."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.views: list[dict[str, int]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def add_bytes(self, part: bytes) -> int:
+        """The number of the part's view."""
+        self.data += b"\0" * (-len(self.data) % 4)
+        self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(part)})
+        self.data += part
+        return len(self.views) - 1
+
+    def add_array(self, array: np.ndarray, target: int) -> int:
+        """The number of the array's accessor."""
+        view = self.add_bytes(array.tobytes())
+        self.views[view]["target"] = target
+        columns = 1 if array.ndim == 1 else array.shape[1]
+        accessor: dict[str, Any] = {"bufferView": view, "componentType": _COMPONENTS[array.dtype.newbyteorder("<").str]}
+        accessor |= {"count": len(array), "type": _SHAPES[columns]}
+        if array.dtype.str.endswith("u2"):
+            accessor["normalized"] = True
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def _picture(view: int) -> dict[str, Any]:
+    linear, mipmaps, clamped = 9729, 9987, 33071
+    return {
+        "textures": [{"source": 0, "sampler": 0}],
+        "images": [{"bufferView": view, "mimeType": "image/png"}],
+        "samplers": [{"magFilter": linear, "minFilter": mipmaps, "wrapS": clamped, "wrapT": clamped}],
+    }
+
+
+def _node_matrix(middle: np.ndarray, up: UpAxis) -> list[float]:
+    """Column by column, as glTF has it."""
+    matrix = np.eye(4)
+    if up is UpAxis.Z:
+        matrix[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    matrix[:3, 3] = matrix[:3, :3] @ middle
+    return [float(value) for value in matrix.T.ravel()]
+
+
+def _file(document: dict[str, Any], body: bytes) -> bytes:
+    text = json.dumps(document, separators=(",", ":")).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    body += b"\0" * (-len(body) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + body
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

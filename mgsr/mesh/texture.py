@@ -1,0 +1,164 @@
+"""A picture for the mesh in place of vertex colours: the surface unfolded by xatlas, and painted from the views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+
+import cv2
+import numpy as np
+
+from mgsr.config import MeshConfig
+from mgsr.errors import MeshError
+from mgsr.geometry.decimate import decimate
+from mgsr.geometry.raycast import RayCaster, RayHits
+from mgsr.geometry.triangles import vertex_normals
+from mgsr.mesh.colors import TOLERANCE, seen_colors
+from mgsr.mesh.surface import SurfaceMesh, TexturedMesh
+from mgsr.mesh.views import SurfaceView
+
+# Texels between two charts. What lies between is filled with the nearest chart's colours, so that neither bilinear
+# reading nor the smaller copies that viewers make mix in a background.
+_PADDING = 4
+# Views are read for so many texels at a time: each keeps its colours until all have been seen.
+_TEXELS_AT_ONCE = 1 << 19
+_ROWS_AT_ONCE = 256
+# Footprints by which the depths of a pixel and its neighbours may differ; more is an edge with something else behind.
+_EDGE = 10.0
+
+
+def require_unfolding() -> None:
+    """Raises MeshError where xatlas, which an extra brings, is not installed: a run is told so before it trains."""
+    if find_spec("xatlas") is None:
+        raise MeshError("output.texture: unfolding the surface needs the package xatlas: pip install 'mgsr[worker]'")
+
+
+def texture_mesh(
+    mesh: SurfaceMesh,
+    views: Sequence[SurfaceView],
+    side: int,
+    max_faces: int | None,
+    config: MeshConfig,
+    threads: int | None = None,
+) -> TexturedMesh:
+    """The mesh, reduced to `max_faces`, with a picture of side x side texels.
+
+    Each texel takes the mean of the views that see its place as `seen_colors` tells, with one difference: what hides
+    it is found by ray casting the mesh itself, and pixels on the edge of something nearer are left out. What no view
+    sees takes the colours of the mesh's vertices. mesh and views share a frame.
+
+    Raises MeshError where xatlas is not installed.
+    """
+    require_unfolding()
+    vertices, faces = mesh.vertices, mesh.faces
+    if max_faces is not None:
+        vertices, faces = decimate(vertices, faces, max_faces)
+    normals = vertex_normals(vertices, faces)
+    origin, corners, uvs = _unfold(vertices, faces, side)
+    unfolded = TexturedMesh(vertices[origin], corners, normals[origin], uvs, np.zeros((side, side, 3), np.uint8))
+    caster = RayCaster(vertices, faces)
+    held = [_held_to(caster, view) for view in views]
+    return replace(unfolded, picture=_paint(unfolded, mesh, held, config, threads))
+
+
+def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Charts of the surface laid side by side: for each new vertex the one that it was [W], faces [F,3] of new
+    vertices, and the new vertices' places [W,2] in 0..1."""
+    import xatlas  # late: only textures need it
+
+    middle = (vertices.max(0) + vertices.min(0)) / 2
+    atlas = xatlas.Atlas()
+    atlas.add_mesh((vertices - middle).astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.bilinear = side, _PADDING, True
+    atlas.generate(xatlas.ChartOptions(), pack)
+    origin, corners, uvs = atlas[0]
+    return origin.astype(np.int64), corners.astype(np.int64), uvs
+
+
+def _held_to(caster: RayCaster, view: SurfaceView) -> SurfaceView:
+    """The view with the mesh's own depth, and without the pixels at its edges, whose colours are two things'."""
+    hits = caster.cast(view.camera)
+    inside = _inside(hits, view)
+    return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
+
+
+def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
+    around = np.ones((3, 3), np.uint8)
+    nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
+    return (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+
+
+def _paint(
+    unfolded: TexturedMesh,
+    mesh: SurfaceMesh,
+    views: Sequence[SurfaceView],
+    config: MeshConfig,
+    threads: int | None,
+) -> np.ndarray:
+    """The picture [S,S,3] uint8: every texel whose middle lies on a chart, and around them the nearest one's colour."""
+    side = len(unfolded.picture)
+    tolerance = config.consistency or TOLERANCE
+    texels, faces, shares = _charted(unfolded, side)
+    corners = unfolded.faces[faces]
+    plain = _VertexColors(mesh)
+    painted = np.zeros((len(texels), 3), np.float32)
+    for start in range(0, len(texels), _TEXELS_AT_ONCE):
+        part = slice(start, start + _TEXELS_AT_ONCE)
+        points = _blend(unfolded.vertices, corners[part], shares[part])
+        normals = _blend(unfolded.normals, corners[part], shares[part])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        colors, seen = seen_colors(points, normals, views, config.min_alpha, tolerance, threads)
+        colors[~seen] = plain.at(points[~seen])
+        painted[part] = colors
+    picture = np.zeros((side * side, 3), np.uint8)
+    picture[texels] = np.rint(np.clip(painted, 0, 1) * 255)
+    return _spread(picture.reshape(side, side, 3), texels)
+
+
+class _VertexColors:
+    """The mesh's own colours, at the places of it that are nearest to others."""
+
+    def __init__(self, mesh: SurfaceMesh) -> None:
+        self._mesh = mesh
+        self._caster = RayCaster(mesh.vertices, mesh.faces)
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Colours [P,3] at the points [P,3]."""
+        faces, shares = self._caster.nearest(points)
+        return _blend(self._mesh.colors, self._mesh.faces[faces], shares)
+
+
+def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The texels [T], counted row by row, whose middles lie on a chart; the face [T] there and its corners' shares
+    [T,3]. Found by looking down at the unfolded surface, a texel to a unit of length."""
+    flat = np.zeros((len(unfolded.uvs), 3), np.float32)
+    flat[:, :2] = unfolded.uvs * side
+    caster = RayCaster(flat, unfolded.faces)
+    texels, faces, shares = [], [], []
+    for top in range(0, side, _ROWS_AT_ONCE):
+        rows, columns = np.mgrid[top : min(top + _ROWS_AT_ONCE, side), :side].astype(np.float32) + 0.5
+        above = np.stack([columns, rows, np.ones_like(rows)], axis=-1).reshape(-1, 3)
+        hits = caster.cast_rays(above, np.broadcast_to(np.array([0, 0, -1], np.float32), above.shape))
+        texels.append(np.flatnonzero(hits.mask) + top * side)
+        faces.append(hits.face[hits.mask])
+        shares.append(hits.barycentric[hits.mask])
+    return np.concatenate(texels), np.concatenate(faces), np.concatenate(shares)
+
+
+def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Values [V,...] at the shares [P,3] of the corners [P,3]."""
+    return np.einsum("pkc,pk->pc", values[corners], shares)
+
+
+def _spread(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
+    """The picture with every texel but the given ones in the nearest given one's colour."""
+    if len(texels) == 0:
+        return picture
+    empty = np.ones(picture.shape[:2], np.uint8)
+    empty.ravel()[texels] = 0
+    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    sources = np.zeros(labels.max() + 1, np.int64)
+    sources[labels.ravel()[texels]] = texels
+    return picture.reshape(-1, 3)[sources[labels]]

@@ -11,6 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
+# What formats call a camera that sees all around, in small letters.
+PANORAMAS = ("equirectangular", "spherical")
+PANORAMA_CURE = (
+    "a panorama is no pinhole camera's image; cut perspective photographs out of it first (COLMAP's panorama_sfm.py or "
+    "`ns-process-data images --camera-type equirectangular`) and give those with their cameras"
+)
+
 Coordinates = tuple[np.ndarray, np.ndarray]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from mgsr.data.capture import Photo, Split
 from mgsr.data.files import find_image, find_mask, inside, number, read_json
 from mgsr.data.images import image_size
-from mgsr.data.lens import Lens
+from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import from_opengl, intrinsics, matrix_from
 from mgsr.errors import SceneError
 
@@ -84,7 +84,9 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
 def _lens(frame: dict[str, Any], source: str) -> Lens | None:
     """OpenCV's fisheye has four radial terms; for other lenses nerfstudio takes k3 and k4 as factors of r^6 and r^8."""
     model = str(frame.get("camera_model", "OPENCV")).upper()
-    if model not in _PERSPECTIVE + _FISHEYE or frame.get("is_latlong") or "ftheta_p0" in frame:
+    if model.lower() in PANORAMAS or frame.get("is_latlong"):
+        raise SceneError(f"{source}: camera_model {model} is not supported: {PANORAMA_CURE}")
+    if model not in _PERSPECTIVE + _FISHEYE or "ftheta_p0" in frame:
         raise SceneError(
             f"{source}: camera_model {model} is not supported; expected one of {', '.join(_PERSPECTIVE + _FISHEYE)}: "
             "make pinhole images of it first"

@@ -101,7 +101,7 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
     [
         (
             {"kind": "spherical"},
-            "'IMG_0': camera type 'spherical' is not supported; expected one of frame",
+            "'IMG_0': camera type 'spherical' is not supported: a panorama",
         ),
         ({"terms": {"cx": 1}}, "camera 'IMG_0': f: expected 1 numbers, got ''"),
         ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
@@ -274,7 +274,10 @@ def test_opensfm_fisheye(tmp_path):
     [
         (lambda parts: parts.clear(), "expected a list of reconstructions with 'cameras' and 'shots'"),
         (lambda parts: parts[1]["cameras"].clear(), r"shot 0\.jpg: camera 'c' is not in the file"),
-        (lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"), "'spherical' is not supported"),
+        (
+            lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"),
+            "'spherical' is not supported: a pano",
+        ),
         (lambda parts: parts[1]["shots"]["1.jpg"].update(rotation=[1, 2]), r"shot 1\.jpg: rotation: expected a 1x3"),
         (
             lambda parts: parts[1]["shots"]["1.jpg"].update(rotation=[math.nan] * 3),

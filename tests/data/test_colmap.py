@@ -185,7 +185,7 @@ def test_model_in_sparse_itself(tmp_path):
 
 def test_unsupported_camera_model_names_the_cure(tmp_path):
     write(tmp_path, "EQUIRECTANGULAR")
-    with pytest.raises(SceneError, match="EQUIRECTANGULAR is not supported; run `colmap image_undistorter`"):
+    with pytest.raises(SceneError, match=r"EQUIRECTANGULAR is not supported: a panorama .* perspective photographs"):
         load_scene(tmp_path, DataConfig())
 
 

@@ -113,8 +113,10 @@ def test_instant_ngp_leaves_out_extensions_and_photographs(root):
     [
         (
             {"camera_model": "EQUIRECTANGULAR"},
-            "camera_model EQUIRECTANGULAR is not supported; expected one of",
+            "camera_model EQUIRECTANGULAR is not supported: a panorama .* perspective photographs",
         ),
+        ({"is_latlong": True}, "is not supported: a panorama"),
+        ({"camera_model": "ORTHO"}, "camera_model ORTHO is not supported; expected one of"),
         ({"k5": 0.1}, "frame 0 .*distortion k5 is not supported; undistort"),
         ({"fl_x": "80"}, "frame 0 .*fl_x: expected a number, got '80'"),
         ({"fl_x": 10**400}, "frame 0 .*fl_x: expected a number"),

@@ -16,7 +16,7 @@ import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import find_mask, images_below, inside
-from mgsr.data.lens import AnyLens, AriaLens, DivisionLens, FieldOfViewLens, Lens, UnifiedLens
+from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, AnyLens, AriaLens, DivisionLens, FieldOfViewLens, Lens, UnifiedLens
 from mgsr.data.poses import intrinsics
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
@@ -129,7 +129,9 @@ def _photo(root: Path, image: _Image, cameras: dict[int, _Camera], file: str) ->
 
 def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, AnyLens | None]:
     """The intrinsics, and the lens that the photographs must be rid of (COLMAP's sensor/models.h has the formulas)."""
-    if camera.model not in dict(_MODELS.values()) or camera.model == "EQUIRECTANGULAR":
+    if camera.model.lower() in PANORAMAS:
+        raise SceneError(f"{source}: camera model {camera.model} is not supported: {PANORAMA_CURE}")
+    if camera.model not in dict(_MODELS.values()):
         raise SceneError(
             f"{source}: camera model {camera.model} is not supported; "
             "run `colmap image_undistorter` and give its output"

@@ -13,7 +13,7 @@ import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import ImageIndex, find_mask
-from mgsr.data.lens import Lens
+from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import check_pose, intrinsics
 from mgsr.data.registration import check_share
 from mgsr.errors import SceneError
@@ -118,6 +118,8 @@ def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens |
     if sensor is None or item is None:
         raise SceneError(f"{source}: its sensor has no calibration; export the cameras again")
     kind = item.get("type") or sensor.get("type") or ""
+    if kind in PANORAMAS:
+        raise SceneError(f"{source}: camera type {kind!r} is not supported: {PANORAMA_CURE}")
     if kind not in _LENSES:
         raise SceneError(f"{source}: camera type {kind!r} is not supported; expected one of {', '.join(_LENSES)}")
     size = _size(item.find("resolution"), sensor.find("resolution"), source)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import find_mask, images_below, inside, number, read_json
-from mgsr.data.lens import Lens
+from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import intrinsics, matrix_from
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
@@ -75,6 +75,8 @@ def _photo(root: Path, name: str, shot: dict[str, Any], cameras: dict[str, Any],
 def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple[np.ndarray, Lens | None]:
     """Lengths are in units of the image's larger side, and the principal point is counted from the middle."""
     kind = str(camera.get("projection_type"))
+    if kind in PANORAMAS:
+        raise SceneError(f"{source}: projection_type {kind!r} is not supported: {PANORAMA_CURE}")
     if kind not in _PERSPECTIVE + _FISHEYE:
         known = ", ".join(_PERSPECTIVE + _FISHEYE)
         raise SceneError(f"{source}: projection_type {kind[:80]!r} is not supported; expected one of {known}")

@@ -70,7 +70,7 @@ def write_glb(
     _check(vertices, faces, normals=normals, colors=colors)
     linear = np.full((len(vertices), 4), 65535, "<u2")
     linear[:, :3] = np.rint(srgb_to_linear(np.clip(colors, 0, 1)) * 65535)
-    path.write_bytes(glb(vertices, faces, {"NORMAL": normals.astype("<f4"), "COLOR_0": linear}, up))
+    path.write_bytes(glb(vertices, faces, {"NORMAL": _unit(normals), "COLOR_0": linear}, up))
 
 
 def write_textured_glb(
@@ -90,8 +90,14 @@ def write_textured_glb(
     if uvs.shape != (len(vertices), 2):
         raise MeshError(f"mesh export: uvs: expected [V={len(vertices)}, 2], got {list(uvs.shape)}")
     _, png = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    attributes = {"NORMAL": normals.astype("<f4"), "TEXCOORD_0": uvs.astype("<f4")}
+    attributes = {"NORMAL": _unit(normals), "TEXCOORD_0": uvs.astype("<f4")}
     path.write_bytes(glb(vertices, faces, attributes, up, png.tobytes()))
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    """glTF wants unit normals. Where faces are folded onto each other there is none, and any will do."""
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")
 
 
 def _check(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:

@@ -103,6 +103,14 @@ def test_a_ply_tells_its_unit(tmp_path: Path) -> None:
         assert read_unit(tmp_path / "c.ply") == 1
 
 
+def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:
+    vertices, faces, normals, colors = ball()
+    write_glb(tmp_path / "mesh.glb", vertices, faces, np.vstack([np.zeros((1, 3)), 0.5 * normals[1:]]), colors)
+    written = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False).vertex_normals
+    np.testing.assert_allclose(written[1:], normals[1:], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(written[0]), 1, atol=1e-6)
+
+
 def test_glb_turns_z_up_meshes(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball()
     write_glb(tmp_path / "mesh.glb", vertices * [1, 1, 3], faces, normals, colors, UpAxis.Z)

@@ -42,17 +42,13 @@ def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption =
 
 def _convert_scene(source: Path, target: Path, scale: float) -> str:
     from mgsr.cli.facts import scene_line
-    from mgsr.cli.whole import whole
+    from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
     from mgsr.config import make_config
     from mgsr.data.readers import load_scene
-    from mgsr.export.scenes import write_scene
 
-    if target.exists() and (target.is_file() or any(target.iterdir())):
-        raise ConfigError(f"{target}: is not empty; name a new folder for the scene")
+    require_new_folder(target)
     if not (math.isfinite(scale) and scale > 0):
         raise ConfigError(f"--scale {scale:g}: expected a number above 0")
     scene = load_scene(source, make_config().data)
-    with whole(target) as folder:
-        folder.mkdir()
-        write_scene(folder, scene, scale)
+    write_scene_folder(target, scene, scale)
     return scene_line(scene)

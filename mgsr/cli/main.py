@@ -12,6 +12,7 @@ from mgsr.cli.bench import bench
 from mgsr.cli.convert import convert
 from mgsr.cli.demo import demo
 from mgsr.cli.options import (
+    AsSceneOption,
     DeviceOption,
     MethodOption,
     ObjOption,
@@ -109,18 +110,30 @@ def mesh(
 
 
 @app.command()
-def render(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto", settings: SetOption = None) -> None:
+def render(
+    scene: SceneArgument,
+    out: OutOption,
+    device: DeviceOption = "auto",
+    as_scene: AsSceneOption = None,
+    settings: SetOption = None,
+) -> None:
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.cli.device import pick_device
         from mgsr.cli.outputs import RENDERS, read_models, write_renders
-        from mgsr.cli.rendering import render_views
+        from mgsr.cli.rendering import render_views, rendered_scene
+        from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
         from mgsr.data.readers import load_scene
 
         chosen = pick_device(device)
+        if as_scene is not None:
+            require_new_folder(as_scene)
         loaded = load_scene(scene, config.data)
         models = read_models(out, loaded).to(chosen.torch)
+        if as_scene is not None:
+            write_scene_folder(as_scene, rendered_scene(models, loaded, config), config.output.scale)
+            print(f"{as_scene}: {len(loaded.train) + len(loaded.test)} views and their cameras")
         write_renders(out, list(render_views(models, loaded.test, config)), loaded, config.output)
         print(f"{out / RENDERS}: {len(loaded.test)} views")
 

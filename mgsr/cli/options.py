@@ -43,6 +43,14 @@ ScaleOption = Annotated[
     float | None,
     typer.Option(help="Multiply all lengths in the written files, such as by 1000 from metres to millimetres."),
 ]
+AsSceneOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--as-scene",
+        metavar="FOLDER",
+        help="Also write all views' renders and cameras, as COLMAP and nerfstudio read them.",
+    ),
+]
 
 
 def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float | None) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,6 +12,7 @@ from torch import Tensor
 from mgsr.cli.models import Models
 from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.data.camera import Camera
+from mgsr.data.images import to_uint8
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.export.renders import straight_color
@@ -60,6 +61,24 @@ def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceV
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
     with torch.no_grad():
         return [_surface_view(models, camera, config) for camera in cameras]
+
+
+def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
+    """The scene with renders in place of its photographs, and of its masks if it has any: the transmitted colour, so
+    without highlights, where there is a light split and `mesh.color` asks for it."""
+    return replace(
+        scene,
+        train=[_as_photograph(models, view, config) for view in scene.train],
+        test=[_as_photograph(models, view, config) for view in scene.test],
+    )
+
+
+def _as_photograph(models: Models, view: View, config: Config) -> View:
+    (images,) = render_views(models, [view], config)
+    plain = images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED
+    color = images.transmitted if plain else images.color
+    pixels = to_uint8(straight_color(color, images.alpha) * 255)
+    return replace(view, image=pixels, alpha=None if view.alpha is None else to_uint8(images.alpha * 255))
 
 
 def scene_silhouettes(scene: Scene) -> list[Silhouette]:

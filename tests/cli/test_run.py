@@ -24,6 +24,7 @@ from mgsr.cli.main import app
 from mgsr.cli.outputs import read_mesh, read_models, write_models
 from mgsr.config import DataConfig, OutputConfig
 from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
 from tests.cli.spheres import SPHERES, write_spheres
 from worker.cli import app as worker_app
@@ -142,6 +143,26 @@ def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
     report = json.loads((done / "report.json").read_text())
     scores = surface_scores(read_mesh(out), find_truth(loaded), loaded)
     assert scores["gt"]["chamfer"] == pytest.approx(report["gt"]["chamfer"], rel=0.05)
+
+
+def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path: Path) -> None:
+    out, folder = tmp_path / "out", tmp_path / "scene"
+    shutil.copytree(done, out)
+    arguments = ["render", str(scene), "-o", str(out), "--as-scene", str(folder)]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    given, written = load_scene(scene, DataConfig()), load_scene(folder, DataConfig())
+    assert (len(written.train), len(written.test)) == (len(given.train), len(given.test)) and written.masked
+    np.testing.assert_allclose(_centers(written), _centers(given), atol=1e-6)
+    render = np.asarray(Image.open(done / "renders/test/r_0_transmitted.png"))
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "images/test/r_0.png")), render[..., :3])
+    assert CliRunner().invoke(app, arguments).exit_code == 2, "a scene that is there is left alone"
+
+
+def _centers(scene: Scene) -> list[np.ndarray]:
+    """Where the cameras are in the user's frame, by the views' names."""
+    views = [*sorted(scene.train, key=lambda view: view.name), *sorted(scene.test, key=lambda view: view.name)]
+    return [scene.user_from_scene.camera_to_user(view.camera).center for view in views]
 
 
 @pytest.mark.slow

@@ -75,8 +75,9 @@ def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
 
 def _as_photograph(models: Models, view: View, config: Config) -> View:
     (images,) = render_views(models, [view], config)
-    plain = images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED
-    color = images.transmitted if plain else images.color
+    color = images.color
+    if images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED:
+        color = images.transmitted
     pixels = to_uint8(straight_color(color, images.alpha) * 255)
     return replace(view, image=pixels, alpha=None if view.alpha is None else to_uint8(images.alpha * 255))
 

@@ -22,6 +22,7 @@ from tests.ops.test_surfels import (
     assert_close,
     brute_force,
     edge_on_splats,
+    held_camera,
     run,
     slanted_part,
 )
@@ -90,7 +91,7 @@ def test_small_splats_and_large(machine: Machine, size: float) -> None:
 @on_each_machine
 @pytest.mark.parametrize("sine", [1e-4, 5e-4, 1.1e-3, 2e-3, 0.01, 0.1])
 def test_edge_on(machine: Machine, sine: float) -> None:
-    compare(machine, edge_on_splats(40, sine), camera(), NEARLY_EDGE_ON)
+    compare(machine, edge_on_splats(40, sine), held_camera(), NEARLY_EDGE_ON)
 
 
 @on_each_machine

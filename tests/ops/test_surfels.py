@@ -25,7 +25,7 @@ SPLATS = ("means", "quats", "scales", "opacities", "colors")
 TOLERANCE = {"images": 2e-5, "gradients": 3e-4}
 STEEP = {"images": 1e-4, "gradients": 5e-3}
 # Of a sine of 1e-3 float32 holds three digits less than of 1: so much the offset from a thin splat's middle has.
-NEARLY_EDGE_ON = {"images": 5e-4, "gradients": 2e-3}
+NEARLY_EDGE_ON = {"images": 3e-4, "gradients": 1e-3}
 OPTIONS = SurfelOptions(near=0.2, far=5.0, distortion=True)
 
 
@@ -92,6 +92,13 @@ def edge_on_splats(count: int, sine: float) -> dict[str, torch.Tensor]:
     return {name: tensor.float().double() for name, tensor in splats.items()}
 
 
+def held_camera() -> Camera:
+    """`camera` in numbers that float32 holds, for rounding them changes what is seen from the side by a thousandth."""
+    view = camera()
+    K, pose = (numbers.astype(np.float32).astype(float) for numbers in (view.K, view.cam_from_world))
+    return Camera(K, pose, view.width, view.height)
+
+
 def slanted_part(path: Path, side: int) -> tuple[dict[str, torch.Tensor], Camera]:
     """Of a raster scene, the splats that are seen nearly from the side, and a camera for the middle of its image."""
     data = np.load(path)
@@ -147,7 +154,7 @@ def test_small_splats_and_large(size):
 @pytest.mark.parametrize("sine", [1e-4, 5e-4, 1.1e-3, 2e-3, 0.01, 0.1])
 def test_edge_on(isa, sine):
     with variant(_surfels, isa):
-        compare(edge_on_splats(40, sine), camera(), NEARLY_EDGE_ON)
+        compare(edge_on_splats(40, sine), held_camera(), NEARLY_EDGE_ON)
 
 
 @pytest.mark.parametrize("isa", _surfels.isas())

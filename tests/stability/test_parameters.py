@@ -11,7 +11,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.ops.splat_scenes import camera
-from tests.ops.test_surfels import NEARLY_EDGE_ON, edge_on_splats
+from tests.ops.test_surfels import NEARLY_EDGE_ON, edge_on_splats, held_camera
 from tests.stability.branches import (
     STEEP,
     TOLERANCE,
@@ -145,7 +145,7 @@ def test_seen_from_the_edge(machine: Machine, branch: str, sine: float) -> None:
     if branch == "volumes":
         flat = torch.cat([splats["scales"], 1e-4 * splats["scales"][:, :1]], dim=1)
         splats = scene("volumes", 30) | splats | {"scales": flat}
-    compare(machine, branch, held(splats), camera(), NEARLY_EDGE_ON)
+    compare(machine, branch, held(splats), held_camera(), NEARLY_EDGE_ON)
 
 
 @on_every_kernel

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.camera import Camera
-from tests.cuda.machines import PROCESSOR, SHIM, Machine
+from tests.cuda.machines import PROCESSOR, SHIM, Machine, on_every_kernel
 from tests.ops.splat_scenes import camera
 from tests.stability import branches
 from tests.stability.branches import Result, Splats, assert_close, held, scene
@@ -144,8 +144,9 @@ def test_refinement_converges(machine: Machine, branch: str, seed: int) -> None:
     assert second < 0.7 * first + 1e-4
 
 
+@on_every_kernel
 @pytest.mark.parametrize("branch", ["surfels", "volumes"])
-def test_gradients_turn_with_the_world(branch: str) -> None:
+def test_gradients_turn_with_the_world(machine: Machine, branch: str) -> None:
     """The colour's and opacity's gradients of a moved world are the same, the centres' are turned."""
     splats, view, turn = scene(branch, 30, 2), camera(), Rotation.from_euler("xyz", [0.3, -1.0, 2.0])
     matrix = torch.tensor(turn.as_matrix())
@@ -155,8 +156,8 @@ def test_gradients_turn_with_the_world(branch: str) -> None:
     pose = view.cam_from_world.copy()
     pose[:3, :3] = pose[:3, :3] @ turn.as_matrix().T
     setting = branches.Setting(images=("color", "alpha", "depth"))
-    here = branches.render(PROCESSOR, branch, splats, view, setting)
-    there = branches.render(PROCESSOR, branch, moved, Camera(view.K, pose, view.width, view.height), setting)
+    here = branches.render(machine, branch, splats, view, setting)
+    there = branches.render(machine, branch, moved, Camera(view.K, pose, view.width, view.height), setting)
     turned = here.gradients | {"means": here.gradients["means"] @ matrix.T}
     names = ("means", "scales", "opacities", "colors")
     assert_close({n: there.gradients[n] for n in names}, {n: turned[n] for n in names}, ROUNDING["gradients"])

@@ -81,8 +81,8 @@ inline void walk_vector(const Batch& batch, int v, const PixelGradients::Fields&
   behind_them = behind;
 }
 
-// sums: [kPairFields] of the sub-tile's pixels, lane by lane.
-template <bool Plain>
+// sums: [kPairFields] of the sub-tile's pixels, lane by lane. Needle: as the record says, of a splat that is not plain.
+template <bool Plain, bool Needle>
 inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pixels, const PixelGradients::Fields& g,
                    float low_pass, vfloat sums[kPairFields]) {
   const SurfelRecord& s = *batch.splat[e];
@@ -93,26 +93,31 @@ inline void gather(const Batch& batch, int e, const Step& step, const Pixels& pi
     const vfloat dy = pixels.y[n] + (pixels.y0 - s.y), scaled = (2.0f * kLn2) * step.opacity[n], r = batch.r[e][n];
     // Of w, and of the disk's exponent times 1/w^2, whose moments give L's gradient.
     vfloat v_w = (scaled * batch.exponent[e][n] - step.depth[n]) * r, v_second = scaled * (r * r);
-    if (Plain) {
-      const vfloat y = v_second * dy;
-      second += v_second, second_y += y, yy += y * dy, w_y += v_w * dy;
-    } else {
+    if (!Plain) {
       v_second = keep(batch.on_disk[e][n], v_second), v_w = keep(batch.on_disk[e][n], v_w);
+      const vfloat v_blur = keep(~batch.on_disk[e][n], step.opacity[n] / low_pass);
+      blur += v_blur, blur_y += v_blur * dy;
+    }
+    if (Needle) {
       const vfloat a = fma(splat(s.L[1]), dy, ax), b = fma(splat(s.L[3]), dy, bx), a2 = v_second * a, b2 = v_second * b;
       second_a += a2, second_b += b2, sums[kXX] += a2 * a, sums[kXY] += a2 * b, sums[kYY] += b2 * b;
       sums[kSlopeX] += v_w * a, sums[kSlopeY] += v_w * b;
-      const vfloat v_blur = keep(~batch.on_disk[e][n], step.opacity[n] / low_pass);
-      blur += v_blur, blur_y += v_blur * dy;
+    } else {
+      const vfloat y = v_second * dy;
+      second += v_second, second_y += y, yy += y * dy, w_y += v_w * dy;
     }
     w += v_w;
     sums[kDepth] += step.depth[n], sums[kOpacity] += step.opacity[n];
     for (int k = 0; k < 3; ++k) sums[kColor + k] += step.share[n] * load(g.color[k] + n * kWidth);
     for (int k = 0; k < 3; ++k) sums[kNormal + k] += step.share[n] * load(g.normal[k] + n * kWidth);
   }
-  if (Plain) {
-    const vfloat second_x = second * dx;
+  const vfloat second_x = second * dx;
+  if (!Needle) {
     sums[kXX] = second_x * dx, sums[kXY] = second_y * dx, sums[kYY] = yy;
     sums[kSlopeX] = w * dx, sums[kSlopeY] = w_y;
+    second_a = s.L[0] * second_x + s.L[1] * second_y, second_b = s.L[2] * second_x + s.L[3] * second_y;
+  }
+  if (Plain) {
     sums[kMeanX] = second_x, sums[kMeanY] = second_y, sums[kW] = w;
   } else {
     // Moving the centre moves every d the other way.
@@ -137,10 +142,13 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
     for (int v = 0; v < kVectors; ++v) walk_vector<Distortion>(batch, v, g, unit, behind[v], steps);
     for (int i = 0; i < n; ++i) {
       vfloat sums[kPairFields];
-      if (batch.splat[i]->plain())
-        gather<true>(batch, i, steps[i], pixels, g, in.low_pass, sums);
+      const SurfelRecord& splat = *batch.splat[i];
+      if (splat.plain())
+        gather<true, false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
+      else if (splat.needle())
+        gather<false, true>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       else
-        gather<false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
+        gather<false, false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       add_sums<kPairFields>(sums, pairs + size_t(list[e + i]) * kPairFields);
     }
     if (!any_open<kVectors>(lights)) break;

@@ -92,7 +92,7 @@ struct SurfelRing {
   }
 };
 
-// What a lane adds up for its splat: moments (x, y) over the pixels' offsets where it is plain, else over L times those.
+// What a lane adds up for its splat: moments (x, y) over the pixels' offsets d, but of a needle over L d.
 // xx, xy, yy, x, y: of the exponent's gradient / w^2; w_x, w_y, w: of w's gradient; blur: where the low-pass rules.
 struct SurfelSums {
   float xx = 0, xy = 0, yy = 0, x = 0, y = 0, w_x = 0, w_y = 0, w = 0, blur_x = 0, blur_y = 0;
@@ -104,8 +104,9 @@ struct SurfelSums {
     for (int k = 0; k < 3; ++k) fields[kColor + k] = color[k], fields[kNormal + k] = normal[k];
     if (s.plain()) return;
     // Moving the centre moves every d the other way.
-    fields[kMeanX] = blur_x + s.L[0] * x + s.L[2] * y - s.g[0] * w;
-    fields[kMeanY] = blur_y + s.L[1] * x + s.L[3] * y - s.g[1] * w;
+    const float a = s.needle() ? x : s.L[0] * x + s.L[1] * y, b = s.needle() ? y : s.L[2] * x + s.L[3] * y;
+    fields[kMeanX] = blur_x + s.L[0] * a + s.L[2] * b - s.g[0] * w;
+    fields[kMeanY] = blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
   }
 };
 
@@ -137,8 +138,9 @@ __device__ inline void meet_pixel(const SurfelBackwardParams& p, const SurfelRec
     sums.normal[k] = fmaf(share, ring.v_normal[k][at], sums.normal[k]);
   }
   if (m.on_disk) {
+    const bool needle = s.needle();
     const float scaled = 2.0f * kLn2 * step.v_exponent, v_w = (scaled * m.exponent - v_log_depth) * m.r;
-    const float x = s.plain() ? m.dx : m.a, y = s.plain() ? m.dy : m.b;
+    const float x = needle ? m.a : m.dx, y = needle ? m.b : m.dy;
     const float vx = scaled * m.r * m.r * x, vy = scaled * m.r * m.r * y;
     sums.x += vx, sums.y += vy, sums.w += v_w;
     sums.xx = fmaf(vx, x, sums.xx), sums.xy = fmaf(vx, y, sums.xy), sums.yy = fmaf(vy, y, sums.yy);

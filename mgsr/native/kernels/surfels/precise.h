@@ -14,13 +14,6 @@ struct SurfelParameters {
       : mean{m[0], m[1], m[2]}, quat{q[0], q[1], q[2], q[3]}, scale{s[0], s[1]} {}
 };
 
-// Whether a splat is so much longer than wide on the image (over 30 times) that its moments over pixels lose the width.
-MGSR_HD bool is_needle(const ProjectedSurfel<float>& s) {
-  const float trace = s.L[0] * s.L[0] + s.L[1] * s.L[1] + s.L[2] * s.L[2] + s.L[3] * s.L[3];
-  const float det = s.L[0] * s.L[3] - s.L[1] * s.L[2];
-  return !(trace * trace < 1e3f * det * det);
-}
-
 // A needle's projection; edge_on as in SurfelFrame.
 MGSR_HD ProjectedSurfel<float> project_needle(const Camera<float>& camera, const float* mean, const float* quat,
                                               const float* scale, bool& edge_on) {
@@ -36,11 +29,12 @@ MGSR_HD ProjectedSurfel<float> project_needle(const Camera<float>& camera, const
   return rounded;
 }
 
-// From the sums over a splat's pairs to the gradients of its geometry; center: of its pixel coordinates.
+// center: of its pixel coordinates.
 struct SurfelGeometryGradients {
   float mean[3], quat[4], scale[2], center[2];
 };
 
+// From the sums over a splat's pairs.
 template <class T>
 MGSR_HD SurfelGeometryGradients surfel_geometry_gradients(const Camera<T>& cam, const float* mean, const float* quat,
                                                           const float* scale, const SurfelRecord& s, const float* total) {

@@ -47,14 +47,13 @@ bool project_one(const SurfelInputs& in, int64_t i, SurfelRecord& record, Surfel
   surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f);
   if (!(f.p[2] > in.near) || !(opacity >= kMinAlpha) || !(scale[0] > 0) || !(scale[1] > 0)) return false;
   ProjectedSurfel<float> s = project_surfel(in.camera, f);
-  const bool needle = is_needle(s);
-  if (needle) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
+  if (is_needle(s.L)) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
   record = surfel_record(s, f.edge_on, opacity);
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (!all_finite(&record.x, 16) || !all_finite(scale, 2)) return false;
   const SurfelImage image = {in.near, in.low_pass, float(in.width), float(in.height)};
   bounds = surfel_bounds(in.camera, image, f, s, scale, opacity);
-  if (bounds.radius > 0 || bounds.clipped || needle) record.signed_depth = -s.depth;
+  if (bounds.radius > 0 || bounds.clipped || record.needle()) record.signed_depth = -s.depth;
   const PixelBox box = Outline(bounds).box();
   return box.x1 >= 0 && box.x0 <= in.width && box.y1 >= 0 && box.y0 <= in.height;
 }

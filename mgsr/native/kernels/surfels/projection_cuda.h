@@ -44,8 +44,7 @@ __device__ inline bool project_surfel_splat(const SurfelSplats& in, int64_t i, S
   surfel_frame(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f);
   if (!(f.p[2] > in.near) || !(opacity >= kMinAlpha) || !(scale[0] > 0) || !(scale[1] > 0)) return false;
   ProjectedSurfel<float> s = project_surfel(in.camera, f);
-  const bool needle = is_needle(s);
-  if (needle) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
+  if (is_needle(s.L)) s = project_needle(in.camera, in.means + 3 * i, in.quats + 4 * i, scale, f.edge_on);
   record = surfel_record(s, f.edge_on, opacity);
   for (int k = 0; k < 3; ++k) record.color[k] = in.colors[3 * i + k];
   if (!finite(&record.x, 2) || !finite(record.L, 4) || !finite(record.g, 2) || !finite(&record.signed_depth, 2) ||
@@ -53,7 +52,7 @@ __device__ inline bool project_surfel_splat(const SurfelSplats& in, int64_t i, S
     return false;
   const SurfelImage image = {in.near, in.low_pass, float(in.width), float(in.height)};
   const SurfelBounds b = surfel_bounds(in.camera, image, f, s, scale, opacity);
-  if (b.radius > 0 || b.clipped || needle) record.signed_depth = -s.depth;
+  if (b.radius > 0 || b.clipped || record.needle()) record.signed_depth = -s.depth;
   outline.ellipse = b.disk, outline.x = b.x, outline.y = b.y, outline.radius = b.radius, outline.unused = 0.0f;
   return true;
 }

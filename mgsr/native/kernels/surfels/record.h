@@ -10,6 +10,12 @@ constexpr float kLn2 = 0.69314718056f;
 constexpr float kExponentScale = 0.72134752044f, kRootExponentScale = 0.84932180028f;
 constexpr float kNever = 1e6f;  // L of an edge-on splat: its disk counts nowhere
 
+// Whether a splat is so much longer than wide on the image (over 30 times, by its L) that moments over pixels lose its width.
+MGSR_HD bool is_needle(const float L[4]) {
+  const float trace = L[0] * L[0] + L[1] * L[1] + L[2] * L[2] + L[3] * L[3], det = L[0] * L[3] - L[1] * L[2];
+  return !(trace * trace < 1e3f * det * det);
+}
+
 // One splat as the blending loops read it: one cache line. With d = pixel - (x, y) and w = 1 + g . d the splat's plane
 // is met at depth / w, where its weight is 2^-(|L d|^2 / w^2).
 struct alignas(64) SurfelRecord {
@@ -19,14 +25,15 @@ struct alignas(64) SurfelRecord {
   float log2_opacity;
   float color[3], normal[3];
 
-  // Neither the low-pass nor the near plane decides for any pixel, and its outline is not much longer than wide.
+  // Neither the low-pass nor the near plane decides for any pixel, and it is no needle.
   MGSR_MEMBER bool plain() const { return signed_depth > 0; }
+  MGSR_MEMBER bool needle() const { return is_needle(L); }
   MGSR_MEMBER float depth() const { return signed_depth > 0 ? signed_depth : -signed_depth; }
 };
 
 // Gradient of one (splat, tile) pair, as sums over pixels. kXX, kXY, kYY: second moments of the exponent's gradient / w^2,
-// and kSlopeX, kSlopeY first ones of w's gradient: over d where the splat is plain, else over L d, whose moments keep their
-// digits however thin the splat is. kW: w's gradient. kMeanX, kMeanY: first moments where the splat is plain, else the
+// and kSlopeX, kSlopeY first ones of w's gradient: over d, but of a needle over L d, whose moments keep their digits however
+// thin it is. kW: w's gradient. kMeanX, kMeanY: first moments where the splat is plain, else the
 // centre's gradient itself. kDepth, kOpacity: times the depth, times the opacity.
 enum SurfelPairField { kXX, kXY, kYY, kSlopeX, kSlopeY, kMeanX, kMeanY, kW, kDepth, kOpacity, kColor, kNormal = kColor + 3 };
 
@@ -43,12 +50,14 @@ template <class T>
 MGSR_HD SurfelPull<T> surfel_gradients(const SurfelRecord& s, const T slope[2], const float* total) {
   T uu = total[kXX], uv = total[kXY], vv = total[kYY], u = total[kSlopeX], v = total[kSlopeY];
   SurfelPull<T> g = {total[kMeanX], total[kMeanY], total[kDepth] / T(s.depth()), {}, {}};
+  const T L[4] = {s.L[0], s.L[1], s.L[2], s.L[3]};
   if (s.plain()) {
-    const T L[4] = {s.L[0], s.L[1], s.L[2], s.L[3]};
     // Moving the centre moves every d the other way.
     const T a = L[0] * g.x + L[1] * g.y, b = L[2] * g.x + L[3] * g.y, v_w = total[kW];
     g.x = L[0] * a + L[2] * b - s.g[0] * v_w;
     g.y = L[1] * a + L[3] * b - s.g[1] * v_w;
+  }
+  if (!s.needle()) {
     const T ux = L[0] * uu + L[1] * uv, uy = L[0] * uv + L[1] * vv, vx = L[2] * uu + L[3] * uv, vy = L[2] * uv + L[3] * vv;
     const T along[2] = {L[0] * u + L[1] * v, L[2] * u + L[3] * v};
     uu = ux * L[0] + uy * L[1], uv = ux * L[2] + uy * L[3], vv = vx * L[2] + vy * L[3], u = along[0], v = along[1];

@@ -82,7 +82,8 @@ class MeshConfig:
 
 
 class Up(StrEnum):
-    """Which axis of the capture's frame points up: y, z, or auto, what most photographs have as their upper side."""
+    """Which axis of the capture's frame points up: y, z, or auto, what most photographs have as their upper side. .glb
+    files are y up, and are turned if it is z."""
 
     AUTO = "auto"
     Y = "y"
@@ -94,7 +95,7 @@ class OutputConfig:
     """Which files are written, and in which unit and pose."""
 
     scale: float = 1.0  # what all lengths in the written files are multiplied with; 1 is the capture's own unit
-    up: Up = Up.AUTO  # .glb files are y up: they are turned if this is z
+    up: Up = Up.AUTO
     obj: bool = False  # mesh.obj too
     texture: int | None = None  # texels along a side of the picture of mesh_textured.glb; none writes no such file
     texture_faces: int | None = (

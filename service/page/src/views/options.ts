@@ -12,7 +12,7 @@ const OFTEN: Record<string, { label: string; note: string; words?: Record<string
   "data.masks": {
     label: "Masks",
     note: "What lies outside of the object.",
-    words: { auto: "Use them where there are any", off: "Do not use them", require: "Every photograph must have one" },
+    words: { auto: "Where there are any", off: "Not used", require: "Every photograph must have one" },
   },
   "train.background": {
     label: "Background",

@@ -14,7 +14,12 @@ from service.contract.store import Store
 
 # Files of the results that are no results.
 _KEPT_BACK = {"checkpoint"}
-_TYPES = {".ply": "application/octet-stream", ".glb": "model/gltf-binary", ".txt": "text/plain; charset=utf-8"}
+_TYPES = {
+    ".ply": "application/octet-stream",
+    ".glb": "model/gltf-binary",
+    ".obj": "model/obj",
+    ".txt": "text/plain; charset=utf-8",
+}
 _METRICS = ("psnr_test", "ssim_test", "mesh", "gaussians", "iterations", "seconds", "peak_memory_mib", "gt")
 
 

@@ -21,6 +21,7 @@ from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
 from worker import reporting
 from worker.attempt import folder_name, joined
+from worker.publish import media_type
 from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
 
@@ -124,6 +125,12 @@ def test_curves_of_two_attempts_are_one() -> None:
     earlier = [{"seconds": float(i)} for i in range(10)]
     assert joined(earlier, [{"seconds": 4.0}, {"seconds": 8.0}]) == [*earlier[:4], {"seconds": 4.0}, {"seconds": 8.0}]
     assert joined(earlier, []) == earlier and joined([], earlier) == earlier
+
+
+@pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("mesh_textured.glb", "model/gltf-binary")])
+def test_results_have_the_type_of_their_form(name: str, kind: str) -> None:
+    """Also where the machine's own list says otherwise, as Debian's does of .obj."""
+    assert media_type(name) == kind
 
 
 HOLDER = """

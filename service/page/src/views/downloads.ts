@@ -10,6 +10,8 @@ import { explain } from "../parts/words";
 
 const ABOUT: Record<string, string> = {
   "mesh.glb": "Mesh for viewers and modelling programs, y up",
+  "mesh_textured.glb": "The same with fewer triangles, and a picture on them that shows the rest",
+  "mesh.obj": "Mesh for older programs",
   "mesh.ply": "Mesh in the frame of your cameras",
   "splats_3d.ply": "3D Gaussians, for splat viewers",
   "splats_2d.ply": "Flat Gaussians (surfels), for splat viewers",

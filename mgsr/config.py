@@ -362,6 +362,8 @@ class Config:
     preset: str = "standard"
     method: str = "mgsr"
     seed: int = 0
+    time_budget: float | None = None  # seconds near which the whole run ends; the settings that presets change, and the
+    # size of the photographs, are then planned for it; none is as long as it takes
     data: DataConfig = field(default_factory=DataConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
     mesh: MeshConfig = field(default_factory=MeshConfig)
@@ -497,6 +499,8 @@ def validate(config: Config) -> None:
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
+        if path == "time_budget" and _value(config, path) == 0:
+            raise ConfigError(f"{path}: expected more than 0 seconds, got 0")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
 

@@ -12,6 +12,7 @@ import errno
 import json
 import os
 import sys
+import time
 import traceback
 from functools import partial
 from pathlib import Path
@@ -96,6 +97,7 @@ def _reconstruct(spec: JobSpec) -> None:
     from mgsr.data.archive import ArchiveLimits, unpack
     from worker.images import check_images
 
+    begun = time.perf_counter()
     with stop_on_signals() as stop:
         emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
         unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
@@ -114,7 +116,7 @@ def _reconstruct(spec: JobSpec) -> None:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
             # By its name alone, so that the report and the log do not speak of the worker's folders.
             os.chdir(spec.scene.parent)
-            run_scene(Path(spec.scene.name), spec.out, config, options.device, spec.resume, report, stop)
+            run_scene(Path(spec.scene.name), spec.out, config, options.device, spec.resume, report, stop, begun=begun)
 
 
 def emit(kind: str, **data: Any) -> None:

@@ -10,8 +10,9 @@ from contextlib import contextmanager
 class StepClock:
     """Seconds spent in each step, by name, and since the start."""
 
-    def __init__(self) -> None:
-        self._begun = time.perf_counter()
+    def __init__(self, begun: float | None = None) -> None:
+        """begun: what time.perf_counter() said at the start; None is now."""
+        self._begun = time.perf_counter() if begun is None else begun
         self.steps: dict[str, float] = {}
 
     @property

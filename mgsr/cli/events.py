@@ -10,7 +10,7 @@ from mgsr.training.progress import Progress
 
 @dataclass(frozen=True)
 class Event:
-    """step: load, start, train, render, mesh, evaluate, export or report; text: one line for a person; training:
+    """step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for a person; training:
     where training is, in events of the training itself; done: the share of the step that is done, 0..1, in events that
     come on the way through a long step."""
 

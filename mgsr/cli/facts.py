@@ -38,6 +38,7 @@ def run_report(
     mesh: SurfaceMesh,
     scores: dict[str, Any],
     clock: StepClock,
+    time_budget: dict[str, Any] | None = None,
 ) -> ReportData:
     """Everything that report.json says; scores: psnr_test, ssim_test, gt and whatever else was measured."""
     known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
@@ -63,6 +64,7 @@ def run_report(
             "settings": asdict(config),
             "machine": _machine(),
         }
+        | ({} if time_budget is None else {"time_budget": time_budget})
         | {name: value for name, value in scores.items() if name not in known},
         **known,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mgsr.report.html import MOST_VIEWS
 from mgsr.report.mirrored import mirrored_pictures
 from mgsr.report.pictures import (
     ReportPictures,
+    SurfacePictures,
     TestViewPictures,
     color_picture,
     depth_picture,
@@ -25,30 +27,46 @@ from mgsr.report.pictures import (
 from mgsr.report.shading import MeshPainter, TriangleMesh, surface_pictures, up_direction
 
 
+@dataclass(frozen=True)
+class SurfaceDrawings:
+    """A surface for the report: from its sides, and shaded [H,W,4] uint8 as each of the first test views sees it."""
+
+    sides: SurfacePictures
+    views: list[np.ndarray]
+
+
+def draw_surface(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+    """Mesh and truth are in the user's frame."""
+    shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+    painter = MeshPainter(shown)
+    to_user = scene.user_from_scene.camera_to_user
+    views = [painter.shaded(to_user(view.camera)) for view in scene.test[:MOST_VIEWS]]
+    front = (scene.test or scene.train)[0].camera.center
+    true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
+    return SurfaceDrawings(surface_pictures(shown, _up(scene), np.asarray(front), true_mesh), views)
+
+
 def report_pictures(
     rendered: Sequence[ViewImages],
     psnr: Sequence[float],
-    mesh: SurfaceMesh,
-    truth: TrueSurface | None,
+    drawn: SurfaceDrawings,
     scene: Scene,
     light: MirroredLight | None,
 ) -> ReportPictures:
-    """The first test views, with their PSNR in dB, the surface (mesh and truth in the user's frame), and the light that
-    it mirrors."""
-    shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
-    painter = MeshPainter(shown)
+    """The first test views, with their PSNR in dB, the surface, and the light that it mirrors."""
     views = [
-        _view_pictures(images, view, value, painter, scene)
-        for images, view, value in zip(rendered[:MOST_VIEWS], scene.test, psnr, strict=False)
+        _view_pictures(images, view, value, shaded)
+        for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
     ]
-    front = (scene.test or scene.train)[0].camera.center
-    up = up_direction([view.camera for view in scene.train])
-    true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
-    mirrored = () if light is None else mirrored_pictures(light, up)
-    return ReportPictures(views, mirrored, surface_pictures(shown, up, np.asarray(front), true_mesh))
+    mirrored = () if light is None else mirrored_pictures(light, _up(scene))
+    return ReportPictures(views, mirrored, drawn.sides)
 
 
-def _view_pictures(images: ViewImages, view: View, psnr: float, painter: MeshPainter, scene: Scene) -> TestViewPictures:
+def _up(scene: Scene) -> np.ndarray:
+    return up_direction([view.camera for view in scene.train])
+
+
+def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarray) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:
         reflected = color_picture(images.reflected * images.weight[..., None])
@@ -61,6 +79,6 @@ def _view_pictures(images: ViewImages, view: View, psnr: float, painter: MeshPai
         reflected,
         normal_picture(images.normal, images.camera, images.alpha),
         depth_picture(images.depth, images.alpha),
-        painter.shaded(scene.user_from_scene.camera_to_user(images.camera)),
+        shaded,
         psnr,
     )

@@ -25,6 +25,12 @@ MethodOption = Annotated[str, typer.Option(help=f"Which branches: {', '.join(MET
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda (an NVIDIA card; docs/cuda.md).", metavar="DEVICE")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.", min=0)]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint in OUT, if there is one.")]
+TimeBudgetOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS", help="End near the best that so many seconds allow; takes the preset's place.", min=1
+    ),
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (mgsr/config.py); may be repeated."),

@@ -8,26 +8,28 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
+from mgsr.budget.budget import TimeBudget
 from mgsr.cli import outputs
+from mgsr.cli.budgeted import budget_report, fitted_scene, make_budget, most_points, plan_line, planned_config
 from mgsr.cli.clock import StepClock
 from mgsr.cli.device import Device, pick_device
 from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
 from mgsr.cli.events import Event, EventCallback, ignore
 from mgsr.cli.facts import run_report, scene_line
-from mgsr.cli.gallery import report_pictures
+from mgsr.cli.gallery import draw_surface, report_pictures
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
 from mgsr.config import Config
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.errors import Cancelled
+from mgsr.errors import Cancelled, ConfigError
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.progress import TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 
 StopCheck = Callable[[], bool]
 
@@ -38,6 +40,11 @@ SELDOM = 2.0
 def never() -> bool:
     """For callers that will not stop a run."""
     return False
+
+
+def always() -> bool:
+    """For callers that have all the time there is."""
+    return True
 
 
 class Steps:
@@ -79,11 +86,13 @@ def run_scene(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
     deadline: float | None = None,
+    begun: float | None = None,
 ) -> Path:
     """Reconstruct the scene into the folder `out`; the path of report.json, which is written last.
 
     resume: go on from the checkpoint in `out`, if there is one. should_stop: looked at between iterations and between
-    steps. deadline: seconds of training after which it ends where it is.
+    steps. deadline: seconds of training after which it ends where it is. begun: what time.perf_counter() said when the
+    caller began, from where a time budget counts (config.time_budget); None is now.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds what was trained).
@@ -91,24 +100,42 @@ def run_scene(
     if config.output.texture is not None:
         require_unfolding()
     chosen = pick_device(device)
+    since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
+    budget = make_budget(config, lambda: since.total, chosen, out / outputs.CHECKPOINT if resume else None)
     scene = _load(scene_path, out, config, step)
-    start = _start(scene, config, step)
-    trained = _train(scene, start, config, out, step, chosen, resume, deadline)
+    if budget is not None:
+        scene = fitted_scene(scene, budget, step.clock)
+    start = _start(scene, config, step, budget)
+    if budget is not None:
+        with step("plan", "timing an iteration of each stage"):
+            config = planned_config(scene, start, budget, config, chosen, step.clock)
+        progress(Event("plan", f"time budget of {plan_line(budget)}"))
+    training = _Training(scene, start, config, out, step, chosen, resume, deadline, budget)
+    trained = training.run(before_surface=True)
     models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
-    with step("render", f"rendering {len(scene.test)} test views"):
+    if budget is not None:
+        config = replace(config, mesh=budget.mesh_settings())
+    with step("mesh", "extracting the surface"):
+        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on)
+        outputs.write_mesh(out, mesh, scene, config.output)
+    with step("evaluate", "measuring the surface"):
+        truth = find_truth(scene)
+        scores = surface_scores(mesh, truth, scene)
+        drawn = draw_surface(mesh, truth, scene)
+    if budget is not None:
+        budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
+        trained = training.run(before_surface=False)
+        models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
+    with step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
         outputs.write_renders(out, rendered, scene, config.output)
-    with step("mesh", "extracting the surface"):
-        mesh = make_mesh(models, scene, config)
-        outputs.write_mesh(out, mesh, scene, config.output)
-    with step("evaluate", "measuring"):
-        truth = find_truth(scene)
-        scores = image_scores(rendered, scene) | surface_scores(mesh, truth, scene)
+        scores |= image_scores(rendered, scene)
     with step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, mesh, truth, scene, trained.light)
-    report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock)
+        pictures = report_pictures(rendered, psnr, drawn, scene, trained.light)
+    kept = None if budget is None else budget_report(budget, step.clock.steps)
+    report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock, kept)
     outputs.write_reports(out, report, pictures)
     progress(Event("report", result_line(report)))
     return out / outputs.REPORT
@@ -123,17 +150,21 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors."""
+    """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors, but a time budget is
+    refused: it is for whole runs."""
+    if config.time_budget is not None:
+        raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    return _train(scene, _start(scene, config, step), config, out, step, chosen, resume)
+    return _Training(scene, _start(scene, config, step), config, out, step, chosen, resume).run()
 
 
-def make_mesh(models: Models, scene: Scene, config: Config) -> SurfaceMesh:
-    """The surface in the user's frame. Raises MeshError, with the reason, where none comes out."""
+def make_mesh(models: Models, scene: Scene, config: Config, go_on: Callable[[], bool] = always) -> SurfaceMesh:
+    """The surface in the user's frame; go_on: whether there is time for another round of refinement. Raises MeshError,
+    with the reason, where none comes out."""
     views = surface_views(models, scene, config)
-    mesh = extract_mesh(views, config.mesh, scene_silhouettes(scene), scene.train)
+    mesh = extract_mesh(views, config.mesh, scene_silhouettes(scene), scene.train, go_on=go_on)
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:
@@ -165,36 +196,50 @@ def _loading(done: int, total: int) -> Event:
     return Event("load", f"read {done} of {total} photographs", done=done / total)
 
 
-def _start(scene: Scene, config: Config, step: Steps) -> StartingPoints:
-    settings = config.train
-    most = max(settings.surfels.max_start, settings.volumes.max_start)
+def _start(scene: Scene, config: Config, step: Steps, budget: TimeBudget | None = None) -> StartingPoints:
+    most = most_points(config, budget)
     with step("start", "choosing starting points"):
         return starting_points(scene, most, config.seed, step.share("start", "choosing starting points"))
 
 
-def _train(
-    scene: Scene,
-    start: StartingPoints,
-    config: Config,
-    out: Path,
-    step: Steps,
-    device: Device,
-    resume: bool,
-    deadline: float | None = None,
-) -> TrainResult:
-    """The trained branches, also written as splats; `out`/checkpoint holds them on the way and at the end."""
-    with step("train", f"training from {len(start.positions)} points ({start.source})"):
-        trained = train(
-            scene,
-            start,
-            config,
-            progress=lambda training: step.progress(Event("train", training.stage, training)),
-            should_stop=step.should_stop,
-            checkpoint_path=out / outputs.CHECKPOINT,
-            resume=resume,
-            deadline=deadline,
-            device=device.torch,
-        )
-    with step("export", "writing the splats"):
-        outputs.write_models(out, Models(trained.surfels, trained.volumes, trained.light), scene, config.output)
-    return trained
+class _Training:
+    """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
+    written as splats; `out`/checkpoint holds them on the way and at the end."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        start: StartingPoints,
+        config: Config,
+        out: Path,
+        step: Steps,
+        device: Device,
+        resume: bool,
+        deadline: float | None = None,
+        budget: TimeBudget | None = None,
+    ) -> None:
+        self._scene, self._out, self._step, self._output = scene, out, step, config.output
+        self._text = f"training from {len(start.positions)} points ({start.source})"
+        with step.clock.step("train"):
+            self._training = Training(
+                scene,
+                start,
+                config,
+                progress=lambda training: step.progress(Event("train", training.stage, training)),
+                should_stop=step.should_stop,
+                checkpoint_path=out / outputs.CHECKPOINT,
+                resume=resume,
+                deadline=deadline,
+                device=device.torch,
+                pace=budget,
+            )
+
+    def run(self, before_surface: bool = False) -> TrainResult:
+        """The branches after all stages, or with `before_surface` after those that the surface is made from."""
+        with self._step("train", self._text):
+            trained = self._training.run(finish=not before_surface)
+        self._text = "training goes on"
+        with self._step("export", "writing the splats"):
+            models = Models(trained.surfels, trained.volumes, trained.light)
+            outputs.write_models(self._out, models, self._scene, self._output)
+        return trained

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 from mgsr.cli.options import (
@@ -16,12 +17,13 @@ from mgsr.cli.options import (
     SeedOption,
     SetOption,
     TextureOption,
+    TimeBudgetOption,
     UpOption,
     output_overrides,
     refusals,
 )
 from mgsr.cli.signals import stop_on_signals
-from mgsr.config import make_config
+from mgsr.config import Config, make_config
 
 
 def run(
@@ -37,23 +39,23 @@ def run(
     up: UpOption = None,
     scale: ScaleOption = None,
     settings: SetOption = None,
+    time_budget: TimeBudgetOption = None,
 ) -> None:
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
+    begun = time.perf_counter()
     with refusals():
-        overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
-        report = _run(scene, out, preset, method, device, seed, resume, overrides)
+        wishes = [*(settings or []), *output_overrides(texture, obj, up, scale)]
+        wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
+        report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, begun)
     print(f"mesh   {out / 'mesh.ply'}")
     print(f"report {report.with_suffix('.html')}")
 
 
-def _run(
-    scene: Path, out: Path, preset: str, method: str, device: str, seed: int, resume: bool, settings: list[str]
-) -> Path:
-    config = make_config(preset, method, seed, settings)
+def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, begun: float) -> Path:
     # Torch and Open3D take seconds to load: a wrong option is refused before.
     from mgsr.cli.console import RunDisplay
     from mgsr.cli.outputs import LOG
     from mgsr.cli.pipeline import run_scene
 
     with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
-        return run_scene(scene, out, config, device, resume, display, stop)
+        return run_scene(scene, out, config, device, resume, display, stop, begun=begun)

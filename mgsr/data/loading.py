@@ -175,6 +175,13 @@ def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> Vi
     return _unstack(view.name, camera, pixels, premultiply)
 
 
+def reduced_view(view: View, scale: float) -> View:
+    """The view with its sides times `scale`, at most 1, and area filtering; colours count as alpha says."""
+    camera = view.camera
+    camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    return _unstack(view.name, camera, reduce_area(_stack(view, True), camera.width, camera.height), True)
+
+
 def _stack(view: View, premultiply: bool) -> np.ndarray:
     """Colours and alpha, if any, as [H,W,3 or 4] in 0..255, float32 where they are weighted and else as they came."""
     if view.alpha is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -31,6 +31,7 @@ def extract_mesh(
     silhouettes: Sequence[Silhouette] = (),
     photographs: Sequence[View] = (),
     threads: int | None = None,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> SurfaceMesh:
     """The surface that the views show, in their frame.
 
@@ -38,7 +39,7 @@ def extract_mesh(
     its outlines fall on theirs.
     photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
     their shading, it refines the mesh.
-    threads: cores to use; None is all of them.
+    threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.
     """
@@ -48,7 +49,7 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    return _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads)
+    return _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads, go_on)
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -101,6 +102,7 @@ def _finish(
     silhouettes: Sequence[Silhouette],
     photographs: Sequence[View],
     threads: int | None,
+    go_on: Callable[[], bool],
 ) -> SurfaceMesh:
     """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
     if hull is not None and len(faces):
@@ -120,7 +122,15 @@ def _finish(
     light = Light.UNKNOWN
     if photographs and config.shading_ratio is not None:
         refined = refine_by_shading(
-            vertices, faces, photographs, outlines, config.shading_ratio, config.shading_reach, _PASSES, threads
+            vertices,
+            faces,
+            photographs,
+            outlines,
+            config.shading_ratio,
+            config.shading_reach,
+            _PASSES,
+            threads,
+            go_on=go_on,
         )
         vertices, light = refined.vertices, refined.light
     if config.close_holes:

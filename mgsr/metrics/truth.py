@@ -16,6 +16,8 @@ from mgsr.geometry.raycast import RayCaster
 POINTS = 100_000
 DENSE = 1_000_000
 
+TRUTH = "mesh_gt.ply"  # in a scene's folder
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -40,7 +42,7 @@ class TrueSurface:
 def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | None:
     """The truth beside a scene: ``mesh_gt.ply``, with the labels of ``points_gt.npz`` or else by ray casting from the
     training cameras (user's frame); None without a mesh. Raises SceneError for a mesh without faces."""
-    path = folder / "mesh_gt.ply"
+    path = folder / TRUTH
     if not path.is_file():
         return None
     mesh = trimesh.load_mesh(path, process=False)

@@ -10,7 +10,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class StageRun:
-    """A training stage: its iterations and why it ended (iterations, converged or deadline)."""
+    """A training stage: its iterations and why it ended (iterations, converged, budget or deadline)."""
 
     iterations: int
     stopped: str

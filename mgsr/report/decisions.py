@@ -8,10 +8,16 @@ from typing import Any
 
 from mgsr.report.data import Decision, ReportData
 
-STAGE_NAMES = {"warmup_surfels": "2D alone", "warmup_volumes": "3D alone", "mutual": "both"}
+STAGE_NAMES = {
+    "warmup_surfels": "2D alone",
+    "warmup_volumes": "3D alone",
+    "mutual": "both",
+    "finish": "the branch that renders",
+}
 STOPS = {
     "iterations": "all planned iterations were spent",
     "converged": "the loss had stopped falling, so more of the same would have gained little",
+    "budget": "its share of the time budget was spent",
     "deadline": "the time allowed for this run was over",
 }
 STARTS = {
@@ -56,7 +62,32 @@ def tell_decisions(data: ReportData) -> list[Decision]:
     given: dict[str, Any] = data.other.get("input") or {}
     mesh: dict[str, Any] = (data.other.get("settings") or {}).get("mesh") or {}
     told = [Decision("Method", data.method, METHODS.get(data.method, "as asked for"))]
-    return [*told, *_about_input(given), *_about_stages(data), *_about_surface(data, mesh), *_about_light(data)]
+    return [
+        *told,
+        *_about_budget(data.other.get("time_budget")),
+        *_about_input(given),
+        *_about_stages(data),
+        *_about_surface(data, mesh),
+        *_about_light(data),
+    ]
+
+
+def _about_budget(budget: dict[str, Any] | None) -> Iterator[Decision]:
+    if not budget:
+        return
+    choice = f"settings {budget['settings']}"
+    if budget["image_scale"] != 1:
+        choice += f", photographs at {budget['image_scale']:g} of their size"
+    planned, spent = (
+        ", ".join(
+            f"{step} {budget[kind][step]:.0f} s" for step in ("train", "mesh", "evaluate") if step in budget[kind]
+        )
+        for kind in ("planned", "spent")
+    )
+    why = f"planned {planned}; it came to {spent}, and {budget['used']:.0f} s in all"
+    if budget["too_small"]:
+        why = f"that is less than the least plan needs, which was run; {why}"
+    yield Decision(f"Time budget of {budget['seconds']:g} s", choice, why)
 
 
 def _about_input(given: dict[str, Any]) -> Iterator[Decision]:

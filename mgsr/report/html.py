@@ -20,7 +20,7 @@ from mgsr.report.style import CSS, SCRIPT
 HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
 MOST_VIEWS = 8
 COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-STEPS = ("total", "load", "start", "train", "export", "render", "mesh", "evaluate", "report")
+STEPS = ("total", "load", "start", "plan", "train", "export", "mesh", "evaluate", "render", "report")
 
 
 def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:
@@ -133,7 +133,7 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
     return (
         '<section><h2>The light, taken apart</h2><div class="split">'
         f'<div class="tile stack">{pair}</div>'
-        '<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen '
+        "<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen "
         "(transmitted), and light that its surface mirrors (reflected), where the learnt weight lets it through. "
         "The mesh takes its colours from the first alone, so no highlight is baked into it.</p>"
         '<label for="fade">Reflected light</label>'
@@ -258,8 +258,15 @@ def _boundaries(data: ReportData) -> list[Boundary]:
 def _curve_table(data: ReportData) -> str:
     head = ("Seconds", "Stage", "Iteration", "2D, dB", "3D, dB", "2D Gaussians", "3D Gaussians")
     rows = [
-        (f"{row.seconds:.1f}", stage_name(row.stage), f"{row.iteration:,}", _decibels(row.psnr_surfels),
-         _decibels(row.psnr_volumes), f"{row.surfels:,}", f"{row.volumes:,}")
+        (
+            f"{row.seconds:.1f}",
+            stage_name(row.stage),
+            f"{row.iteration:,}",
+            _decibels(row.psnr_surfels),
+            _decibels(row.psnr_volumes),
+            f"{row.surfels:,}",
+            f"{row.volumes:,}",
+        )
         for row in data.curve
     ]
     return f"<details><summary>The same as a table</summary>{_table(head, rows)}</details>"

@@ -80,13 +80,15 @@ def refine_by_shading(
     passes: Mapping[Light, Sequence[Pass]],
     threads: int | None = None,
     progress: Callable[[float], None] = lambda done: None,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Refined:
     """The vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
 
     outlines: the masks', which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
     reach: pixels; shape larger than this is left as it is, but for what the outlines say.
-    passes: for each light, how the surface is bent.
+    passes: for each light, how the surface is bent. go_on: asked before every round; the surface stays as it is then
+    once it says no.
     progress: told after each round of the share of the rounds that are done.
     """
     photographs = linear_photographs(views)
@@ -107,6 +109,8 @@ def refine_by_shading(
         work, before = work_on(each.edge)
         after = before
         for _ in range(each.rounds):
+            if not go_on():
+                break
             readings, normals = work.read(after)
             after = work.bend(after, normals, work.explain(light, after, readings, normals), reach)
             done += 1

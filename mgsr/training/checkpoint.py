@@ -17,7 +17,7 @@ from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError
 
-FORMAT = 4
+FORMAT = 5
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
@@ -27,7 +27,7 @@ def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
     for view in scene.train:
         digest.update(_view_bytes(view))
     train = replace(config.train, watch=WatchConfig())
-    settings = repr((config.method, config.seed, config.data, train))
+    settings = repr((config.method, config.seed, config.data, train, config.time_budget is None))
     return {"scene": digest.hexdigest(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
 
 
@@ -58,6 +58,16 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
         if content["fingerprint"][part] != expected[part]:
             raise CheckpointError(f"{path}: belongs to another run (its {part} differ): {cure}, or start anew")
     return content
+
+
+def read_pace(path: Path) -> dict[str, Any] | None:
+    """What a checkpoint knows of the pace of its run (see `Pace.state`); None where there is none to be read."""
+    try:
+        content = torch.load(path, weights_only=True, map_location="cpu")
+    except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):
+        return None  # who goes on from it says what is wrong
+    pace = content.get("pace") if isinstance(content, dict) else None
+    return pace if isinstance(pace, dict) else None
 
 
 def _view_bytes(view: View) -> bytes:

@@ -14,6 +14,7 @@ from mgsr.errors import TrainingError
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
+from mgsr.training.pace import FINISH
 from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
 from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
 from mgsr.training.trained import Trained
@@ -58,8 +59,11 @@ class _Photographs:
         return _Photographs([self.views[i] for i in order], small, count)
 
 
-def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Plan:
-    """Branches on the starting points, all on `device`, and the stages that the settings ask for.
+def make_plan(
+    scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU, finish: bool = False
+) -> Plan:
+    """Branches on the starting points, all on `device`, and the stages that the settings ask for; with `finish`, one
+    more, of no iterations yet, in which the branch that renders goes on at the last learning rates.
 
     Raises TrainingError for too few training views.
     """
@@ -69,11 +73,14 @@ def make_plan(scene: Scene, start: StartingPoints, config: Config, device: torch
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
     stages: list[Stage] = []
+    last = _last_stage(parts, photographs.views, stages, config)
     if parts.surfels is not None:
-        stages.append(_surfel_warmup(parts, photographs, config))
+        stages.append(_surfel_warmup(parts, photographs, last, config))
     if parts.volumes is not None:
-        stages.append(_volume_warmup(parts, photographs, config, tried))
-    stages.append(_last_stage(parts, photographs.views, config))
+        stages.append(_volume_warmup(parts, photographs, last, config, tried))
+    stages.append(last)
+    if finish:
+        stages.append(_finish(parts, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
     return Plan(parts, stages, curve_views)
 
@@ -106,14 +113,14 @@ def _photographs(scene: Scene, config: Config, device: torch.device) -> _Photogr
     return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2))
 
 
-def _surfel_warmup(parts: Parts, photographs: _Photographs, config: Config) -> Stage:
+def _surfel_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config) -> Stage:
     assert parts.surfels is not None
     photographs = photographs.sparing(_held_back(config, len(photographs.views)))
     compute = surfels_alone(parts.surfels, config.train, warming=True)
-    return _warmup("warmup_surfels", parts, parts.surfels, compute, photographs, config)
+    return _warmup("warmup_surfels", parts, parts.surfels, compute, photographs, last, config)
 
 
-def _volume_warmup(parts: Parts, photographs: _Photographs, config: Config, tried: bool) -> Stage:
+def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config, tried: bool) -> Stage:
     assert parts.volumes is not None
     views = len(photographs.views)
     held_back = _held_back(config, views)
@@ -122,7 +129,7 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, config: Config, trie
     if parts.light is not None and parts.surfels is not None:
         mirrored = WhatIsMirrored(parts.light, parts.surfels)
     compute = volumes_alone(parts.volumes, config.train, warming=True, mirrored=mirrored)
-    stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, config)
+    stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, last, config)
     if tried:
         measure = _measure(parts, "volumes", photographs, config)
         seen_after = views - held_back
@@ -131,37 +138,49 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, config: Config, trie
 
 
 def _warmup(
-    name: str, parts: Parts, branch: Branch, compute: Callable[..., Step], photographs: _Photographs, config: Config
+    name: str,
+    parts: Parts,
+    branch: Branch,
+    compute: Callable[..., Step],
+    photographs: _Photographs,
+    last: Stage,
+    config: Config,
 ) -> Stage:
-    iterations, after = _planned(branch, config), mutual_iterations(config)
+    warmup = config.train.warmup
+    iterations = warmup.surfel_iterations if branch is parts.surfels else warmup.volume_iterations
 
+    # The stages' lengths are read anew each time, for a pace may change them on the way.
     def window(densify: DensifyConfig) -> tuple[float, float]:
-        return densify.start * iterations, densify.stop * iterations
+        return densify.start * stage.iterations, densify.stop * stage.iterations
 
     def progress(_: Trained, iteration: int) -> float:
-        return iteration / max(1, iterations + after)
+        return iteration / max(1, stage.iterations + last.iterations)
 
-    coarse_until = round(config.train.warmup.coarse * iterations)
+    coarse_until = round(warmup.coarse * iterations)
     coarse = None if photographs.small is None else Coarse(photographs.small, coarse_until)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
     measure = _measure(parts, branch.name, photographs, config)
-    convergence = make_convergence(config.train.warmup, iterations, measure)
+    convergence = make_convergence(warmup, iterations, measure)
     light = parts.light if branch is parts.volumes else None
     views = photographs.views
-    return Stage(name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse)
+    stage = Stage(
+        name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse
+    )
+    return stage
 
 
-def _last_stage(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
-    """The mutual phase, or, for one branch alone, as many more iterations of its own."""
-    iterations = mutual_iterations(config)
+def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
+    """The mutual phase, or, for one branch alone, as many more iterations of its own. stages: those of the run, which
+    may be filled in later."""
 
     def window(densify: DensifyConfig) -> tuple[float, float]:
-        return 1, densify.mutual_stop * iterations
+        return 1, densify.mutual_stop * stage.iterations
 
     def progress(part: Trained, iteration: int) -> float:
-        # A warm-up that stopped early leaves the rest of its fading to this stage.
-        begun = (part.steps - iteration) / max(1, _planned(part, config) + iterations)
-        return begun + (1 - begun) * iteration / max(1, iterations)
+        # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
+        planned = next(each.iterations for each in stages if part in (*each.branches, each.light))
+        begun = (part.steps - iteration) / max(1, planned + stage.iterations)
+        return begun + (1 - begun) * iteration / max(1, stage.iterations)
 
     name = "mutual"
     if parts.surfels is not None and parts.volumes is not None:
@@ -172,19 +191,29 @@ def _last_stage(parts: Parts, views: list[TrainingView], config: Config) -> Stag
         assert parts.volumes is not None
         name, compute = "alone", volumes_alone(parts.volumes, config.train, warming=False)
     cycle = ViewCycle(len(views), seeded(config, 5))
-    return Stage(name, parts.branches, iterations, views, cycle, compute, window, progress, light=parts.light)
+    iterations = mutual_iterations(config)
+    stage = Stage(name, parts.branches, iterations, views, cycle, compute, window, progress, light=parts.light)
+    return stage
+
+
+def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
+    """The branch that renders, alone, while the other stands still. It has no schedule, so it may end anywhere."""
+    cycle = ViewCycle(len(views), seeded(config, 6))
+    if parts.volumes is None:
+        assert parts.surfels is not None
+        compute = surfels_alone(parts.surfels, config.train, warming=False)
+        return Stage(FINISH, [parts.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
+    mirrored = None
+    if parts.light is not None and parts.surfels is not None:
+        mirrored = WhatIsMirrored(parts.light, parts.surfels)
+    compute = volumes_alone(parts.volumes, config.train, warming=False, mirrored=mirrored)
+    return Stage(FINISH, [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0, light=parts.light)
 
 
 def _measure(parts: Parts, branch: str, photographs: _Photographs, config: Config) -> Callable[[], float]:
     """A branch's PSNR on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(parts.picture(branch), held_back, plain_background(config.train.background))
-
-
-def _planned(part: Trained, config: Config) -> int:
-    """Iterations of its warm-up; the light warms up with the 3D branch."""
-    warmup = config.train.warmup
-    return warmup.surfel_iterations if part.name == "surfels" else warmup.volume_iterations
 
 
 def _silhouettes_count(config: Config) -> bool:

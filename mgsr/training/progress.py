@@ -57,7 +57,7 @@ class Progress:
 
 @dataclass(frozen=True)
 class StageReport:
-    """How a stage went: its iterations, seconds, and why it ended (iterations, converged or deadline)."""
+    """How a stage went: its iterations, seconds, and why it ended (iterations, converged, budget or deadline)."""
 
     name: str
     iterations: int

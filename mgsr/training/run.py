@@ -13,6 +13,7 @@ from mgsr.data.scene import Scene
 from mgsr.errors import GpuError
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
+from mgsr.training.pace import FINISH, Pace
 from mgsr.training.parts import StartingPoints
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult, reflection_of
@@ -30,6 +31,45 @@ def refused_without_memory() -> Iterator[None]:
             f"the card's memory does not hold this training ({error}): use smaller images (max_side=...) or fewer "
             "splats (max_count=...), or --device cpu"
         ) from error
+
+
+class Training:
+    """A scene's training, which may be left for a while before its last stage. Arguments and errors are those of
+    `train`; with a pace there is one more stage, FINISH, and the pace sets the lengths of all."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        start: StartingPoints,
+        config: Config,
+        progress: ProgressCallback | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        checkpoint_path: Path | None = None,
+        resume: bool = False,
+        deadline: float | None = None,
+        device: torch.device = CPU,
+        pace: Pace | None = None,
+    ) -> None:
+        with one_torch_thread(), refused_without_memory():
+            self._trainer = Trainer(
+                make_plan(scene, start, config, device, finish=pace is not None),
+                config.train,
+                scene.masked,
+                fingerprint(scene, config),
+                checkpoint_path,
+                progress,
+                should_stop,
+                deadline,
+                pace,
+            )
+            if resume and checkpoint_path is not None and checkpoint_path.exists():
+                self._trainer.resume()
+
+    def run(self, finish: bool = True) -> TrainResult:
+        """The branches as they are after all stages; without `finish`, before the stage FINISH."""
+        with one_torch_thread(), refused_without_memory():
+            self._trainer.run(before=None if finish else FINISH)
+        return _result(self._trainer)
 
 
 def train(
@@ -55,30 +95,20 @@ def train(
     CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be used, or without
     memory for the scene).
     """
-    with one_torch_thread(), refused_without_memory():
-        trainer = Trainer(
-            make_plan(scene, start, config, device),
-            config.train,
-            scene.masked,
-            fingerprint(scene, config),
-            checkpoint_path,
-            progress,
-            should_stop,
-            deadline,
-        )
-        if resume and checkpoint_path is not None and checkpoint_path.exists():
-            trainer.resume()
-        trainer.run()
-        surfels, volumes, light = trainer.plan.parts.models
-        trial = trainer.plan.trial
-        return TrainResult(
-            surfels=None if surfels is None else surfels.detached().to(CPU),
-            volumes=None if volumes is None else volumes.detached().to(CPU),
-            light=None if light is None else light.detached().to(CPU),
-            stages=trainer.reports,
-            curve=trainer.curve,
-            seconds=trainer.seconds,
-            incidents=trainer.incidents,
-            reflection=reflection_of(volumes, light),
-            tried={} if trial is None else trial.psnr,
-        )
+    return Training(scene, start, config, progress, should_stop, checkpoint_path, resume, deadline, device).run()
+
+
+def _result(trainer: Trainer) -> TrainResult:
+    surfels, volumes, light = trainer.plan.parts.models
+    trial = trainer.plan.trial
+    return TrainResult(
+        surfels=None if surfels is None else surfels.detached().to(CPU),
+        volumes=None if volumes is None else volumes.detached().to(CPU),
+        light=None if light is None else light.detached().to(CPU),
+        stages=list(trainer.reports),
+        curve=list(trainer.curve),
+        seconds=trainer.seconds,
+        incidents=list(trainer.incidents),
+        reflection=reflection_of(volumes, light),
+        tried={} if trial is None else trial.psnr,
+    )

@@ -72,7 +72,7 @@ class Trial(Protocol):
 
 @dataclass
 class Stage:
-    """A stretch of training and where it stands.
+    """A stretch of training and where it stands; a pace may change its iterations on the way.
 
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
@@ -109,6 +109,7 @@ class Stage:
         """Where the stage stands, for a checkpoint."""
         return {
             "iteration": self.iteration,
+            "iterations": self.iterations,
             "seconds": self.seconds,
             "order": self.cycle.order,
             "generator": self.cycle.generator.get_state(),
@@ -118,7 +119,8 @@ class Stage:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take back what `state` gave."""
-        self.iteration, self.seconds = state["iteration"], state["seconds"]
+        self.iteration, self.iterations = state["iteration"], state["iterations"]
+        self.seconds = state["seconds"]
         self.cycle.order = state["order"]
         self.cycle.generator.set_state(state["generator"])
         if self.convergence is not None:

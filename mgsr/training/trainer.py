@@ -16,6 +16,7 @@ from mgsr.losses.objective import Terms
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.guard import Guard
+from mgsr.training.pace import Pace
 from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
@@ -28,7 +29,7 @@ class Trainer:
     holds it all.
 
     progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
-    iteration; deadline: seconds of training after which the stages end where they are.
+    iteration; deadline: seconds of training after which the stages end where they are; pace: sets their lengths.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class Trainer:
         progress: ProgressCallback | None = None,
         should_stop: Callable[[], bool] | None = None,
         deadline: float | None = None,
+        pace: Pace | None = None,
     ) -> None:
         self.plan = plan
         self.config = config
@@ -50,29 +52,35 @@ class Trainer:
         self.progress = progress
         self.should_stop = should_stop
         self.deadline = deadline
+        self.pace = pace
         self.stage_index = 0
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
         self.incidents: list[str] = []
         self.guard: Guard | None = None  # of the stage that runs
-        self._clock_start = time.perf_counter()
+        self._clock_start = self._left_at = time.perf_counter()
         self._saved_at = 0.0
 
     @property
     def seconds(self) -> float:
-        """Spent on this run, also before it was resumed."""
+        """Spent on this run, also before it was resumed, but not between two calls of `run`."""
         return time.perf_counter() - self._clock_start
 
-    def run(self) -> None:
-        """Every stage that is left. Raises Cancelled when should_stop says so, TrainingError when numbers go bad."""
+    def run(self, before: str | None = None) -> None:
+        """Every stage that is left, or those before the stage of that name. Raises Cancelled when should_stop says so,
+        TrainingError when numbers go bad."""
+        self._clock_start += time.perf_counter() - self._left_at
         while self.stage_index < len(self.plan.stages):
             stage = self.plan.stages[self.stage_index]
+            if stage.name == before:
+                break
             begun = self.seconds - stage.seconds
             reason = self._run_stage(stage, begun)
             self.guard = None
             self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason))
             self.stage_index += 1
             self.save()
+        self._left_at = time.perf_counter()
 
     def save(self) -> None:
         """Write a checkpoint, if there is a path for it."""
@@ -92,6 +100,7 @@ class Trainer:
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
             "guard": None if self.guard is None else self.guard.state(),
+            "pace": None if self.pace is None else self.pace.state(),
         }
 
     def resume(self) -> None:
@@ -99,7 +108,8 @@ class Trainer:
         assert self.checkpoint_path is not None
         state = load_checkpoint(self.checkpoint_path, self.fingerprint)
         self.stage_index = state["stage_index"]
-        self._clock_start = time.perf_counter() - state["seconds"]
+        self._left_at = time.perf_counter()
+        self._clock_start = self._left_at - state["seconds"]
         self._saved_at = state["seconds"]
         for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
             stage.restore(saved)
@@ -117,8 +127,9 @@ class Trainer:
 
     def _run_stage(self, stage: Stage, begun: float) -> str:
         """Iterate to the stage's end; returns why it ended."""
-        reason = "iterations"
+        reason = "iterations" if self.pace is None else "budget"
         guard = self.guard = self.guard or self._new_guard(stage)
+        self._heed_pace(stage)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - begun
             self._heed_caller(stage)
@@ -134,7 +145,13 @@ class Trainer:
             if converged:
                 reason = "converged"
                 break
+            if not last:
+                self._heed_pace(stage)
         return reason
+
+    def _heed_pace(self, stage: Stage) -> None:
+        if self.pace is not None:
+            stage.iterations = self.pace.length(self.plan.stages, self.stage_index, self._counts())
 
     def _hold_trial(self, stage: Stage, trial: Trial) -> None:
         """Let the stage's trial decide. A run that stops inside it goes on before it."""

@@ -46,3 +46,21 @@ def test_a_runs_own_decisions_stay() -> None:
 def test_few_facts_are_enough() -> None:
     data = replace(sample_report(), iterations={}, mesh=None, other={})
     assert [each.what for each in tell_decisions(data)] == ["Method"]
+
+
+def test_a_time_budget_is_told() -> None:
+    budget = {
+        "seconds": 120.0,
+        "used": 117.2,
+        "place": 0.4,
+        "settings": "between draft and standard (0.40)",
+        "image_scale": 0.5,
+        "too_small": False,
+        "planned": {"before": 20.0, "train": 60.0, "mesh": 12.0, "evaluate": 5.0, "report": 2.0},
+        "spent": {"load": 1.0, "train": 64.0, "mesh": 10.0, "evaluate": 6.0},
+    }
+    told = tell_decisions(replace(sample_report(), other={"time_budget": budget}))[1]
+    assert told.what == "Time budget of 120 s" and told.choice.endswith("photographs at 0.5 of their size")
+    assert "planned train 60 s" in told.why and "came to train 64 s" in told.why and "117 s in all" in told.why
+    short = replace(sample_report(), other={"time_budget": budget | {"too_small": True}})
+    assert "less than the least plan needs" in tell_decisions(short)[1].why

@@ -1,0 +1,287 @@
+"""Plans a run so that it ends near the best that can be reached in the time that a person gives it.
+
+Once the photographs are read, their size is chosen; once an iteration of each stage has been timed, the place on the
+line of settings (`mgsr.budget.line`). From then on the settings stay and the lengths of the stages follow the clock.
+What comes after training can't be made longer or shorter at will, and nobody knows well how long it takes: so the
+surface is made before the branch that renders has learnt all it can, which then learns on until just the report is
+left. That last stage can end at any iteration.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mgsr.budget import costs
+from mgsr.budget.costs import Facts
+from mgsr.budget.line import HIGHEST, LOWEST, Line
+from mgsr.config import Branches, Config, MeshConfig, Reflection, SurfelConfig, VolumeConfig
+from mgsr.training.pace import FINISH, StageLength
+
+AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
+UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
+SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
+LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
+PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
+RECENT = 5  # looks by which the present speed is told
+
+
+class TimeBudget:
+    """The budget of `config`, from the time when `clock`, which tells seconds, was 0. on_card: whether training's speed
+    says nothing of the processor's.
+
+    place: on the line of settings; scale: of the training photographs' sides. Both are None until they are chosen.
+    """
+
+    def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
+        assert config.time_budget is not None
+        self.seconds = config.time_budget
+        self.line = Line(config)
+        self.on_card = on_card
+        self.place: float | None = None
+        self.scale: float | None = None
+        self.planned: dict[str, float] = {}
+        self.least = 0.0
+        self._mesh = MeshConfig()
+        self._clock, self._earlier = clock, 0.0
+        self._slowness: float | None = None
+        self._drift = self._latest = 1.0
+        self._costs: dict[str, float] = {}
+        self._probed: dict[str, int] = {}
+        self._weights: dict[str, float] = {}
+        self._floors: dict[str, int] = {}
+        self._open = ""
+        self._opened = 0.0
+        self._recent: deque[tuple[float, int]] = deque(maxlen=RECENT)
+
+    @property
+    def spent(self) -> float:
+        """Seconds of the run so far, those before a resume included."""
+        return self._earlier + self._clock()
+
+    @property
+    def slowness(self) -> float:
+        """How many times longer than the reference machine this one takes at present."""
+        return (self._slowness or 1.0) * self._drift
+
+    @property
+    def too_small(self) -> bool:
+        """Whether not even the least plan was expected to end in time."""
+        return self.least > 1.05 * self.seconds
+
+    def learn(self, reference: float, seconds: float) -> None:
+        """Take in how long a step took that the reference machine does in `reference` seconds."""
+        ratio = min(max(seconds / reference, 0.05), 50.0)
+        self._slowness = ratio if self._slowness is None else (self.slowness * ratio) ** 0.5
+        self._drift = self._latest = 1.0
+
+    def choose_scale(self, facts: Facts) -> float:
+        """The largest size of the photographs at which the settings of the preset draft fit; the smallest if none."""
+        draft = self.line.at(0.0)
+        for scale in SCALES:
+            smaller = _scaled(facts, scale)
+            if smaller.pixels < LEAST_PIXELS and self.scale is not None:
+                break
+            self.scale = scale
+            before = costs.start_cost(smaller) + _reference_training(smaller, draft)
+            if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
+                break
+        assert self.scale is not None
+        return self.scale
+
+    def choose_place(self, facts: Facts, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
+        """The place on the line whose plan fills the time that is left.
+
+        measured: seconds of one iteration, by stage in their order; splats: by branch, as they were then.
+        """
+        self._facts, self._costs, self._probed = facts, dict(measured), dict(splats)
+        if not self.on_card:
+            reference = {name: costs.iteration_cost(name, facts, splats) for name in measured}
+            self.learn(sum(reference.values()), sum(measured.values()))
+        low, high = LOWEST, HIGHEST
+        self.least = self.spent + self._total(self.line.at(LOWEST), unsure=0.0)
+        for _ in range(12):
+            middle = (low + high) / 2
+            fits = self.spent + self._total(self.line.at(middle)) <= self._aim
+            low, high = (middle, high) if fits else (low, middle)
+        self.place = low
+        self._settle()
+        return self.place
+
+    def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
+        """How many iterations the stage shall have in all; at least one more than it has done. splats: by branch."""
+        stage, now = stages[index], self.spent
+        if stage.name != self._open:
+            self._open, self._opened = stage.name, now
+            self._recent.clear()
+        if stage.iterations - stage.iteration > PERIOD and stage.iteration % PERIOD:
+            return stage.iterations
+        if self._recent and stage.iteration > self._recent[-1][1] + PERIOD:
+            self._recent.clear()  # a trial lay between, whose iterations were done several times
+        self._recent.append((now, stage.iteration))
+        each = self._present(stage.name, splats)
+        left = self._end(stages, index) - now
+        return max(stage.iteration + max(1, round(left / each)), self._floors.get(stage.name, 0))
+
+    def mesh_settings(self) -> MeshConfig:
+        """The best settings of the surface, up to those of the plan, that still fit."""
+        assert self.place is not None
+        place = self.place
+        self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
+        while place > LOWEST and self.spent + self._after(self._facts, self._mesh, unsure=0.15) > self._aim:
+            place = max(LOWEST, place - 0.25)
+            self._mesh = self.line.at(place).mesh
+        return self._mesh
+
+    def learn_surface(self, surface: float, judging: float) -> None:
+        """Take in how many seconds the surface, and its scores and pictures, took."""
+        self.learn(costs.mesh_cost(self._facts, self._mesh), surface)
+        self.learn(costs.judging_cost(self._facts), judging)
+
+    def go_on(self) -> bool:
+        """Whether there is time to refine the surface further."""
+        rest = costs.judging_cost(self._facts) + costs.closing_cost(self._facts)
+        return self.spent + self.slowness * rest < self._aim
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps of it."""
+        return {
+            "spent": self.spent,
+            "place": self.place,
+            "scale": self.scale,
+            "planned": self.planned,
+            "least": self.least,
+            "slowness": self.slowness,
+            "costs": self._costs,
+            "probed": self._probed,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave: with its seconds, and the settings that were chosen then."""
+        self._earlier = state["spent"]
+        self.place, self.scale = state["place"], state["scale"]
+        self.planned, self.least = dict(state["planned"]), state["least"]
+        self._slowness = state["slowness"]
+        self._costs, self._probed = dict(state["costs"]), dict(state["probed"])
+
+    def take_up(self, facts: Facts) -> None:
+        """After `restore`, what `choose_place` would have set."""
+        self._facts = facts
+        self._settle()
+
+    @property
+    def settings(self) -> Config:
+        """Those of the place that was chosen."""
+        assert self.place is not None
+        return self.line.at(self.place)
+
+    @property
+    def _aim(self) -> float:
+        return AIM * self.seconds
+
+    def _settle(self) -> None:
+        """Note what follows from the place: what each stage should take, and its least length."""
+        chosen, least = self.settings, self.line.at(LOWEST)
+        self._mesh = chosen.mesh
+        self._weights = {name: self._stage(name, chosen) for name in self._costs}
+        self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
+        if not self.planned:
+            surface = self.slowness * costs.mesh_cost(self._facts, chosen.mesh)
+            closing = self.slowness * costs.closing_cost(self._facts)
+            judging = self.slowness * costs.judging_cost(self._facts)
+            training = max(self._aim - self.spent - surface - judging - closing, sum(self._weights.values()))
+            self.planned = {
+                "before": self.spent,
+                "train": training,
+                "mesh": surface,
+                "evaluate": judging,
+                "report": closing,
+            }
+
+    def _total(self, config: Config, unsure: float = UNSURE) -> float:
+        """Seconds that these settings take from the first iteration on."""
+        return sum(self._stage(name, config) for name in self._costs) + self._after(self._facts, config.mesh, unsure)
+
+    def _stage(self, name: str, config: Config) -> float:
+        splats = _splats(name, config)
+        return _work(config, name) * self._expected(name, splats)
+
+    def _expected(self, name: str, splats: Mapping[str, int]) -> float:
+        """Seconds of one iteration: as measured, but with so many splats."""
+        like = name if name in self._costs else list(self._costs)[-1]
+        reference = costs.iteration_cost(like, self._facts, self._probed)
+        return self._costs[like] * costs.iteration_cost(like, self._facts, splats) / reference
+
+    def _present(self, name: str, splats: Mapping[str, int]) -> float:
+        """Seconds of one iteration at present; how they differ from what was expected tells how the machine does."""
+        expected = self._expected(name, splats)
+        (first, begun), (last, done) = self._recent[0], self._recent[-1]
+        if len(self._recent) < 3:
+            return expected * self._drift
+        each = max((last - first) / (done - begun), 1e-6)
+        if not self.on_card and name in self._costs:
+            self._latest = min(max(each / expected, 0.1), 10.0)
+            self._drift = 0.7 * self._drift + 0.3 * self._latest
+        return each
+
+    def _end(self, stages: Sequence[StageLength], index: int) -> float:
+        """When the stage should end: its share of the time until the surface must begin."""
+        if stages[index].name == FINISH:
+            return self._aim - self.slowness * costs.closing_cost(self._facts)
+        assert self.place is not None
+        weights = [self._weights[stage.name] for stage in stages[index:] if stage.name != FINISH]
+        surface_begins = self._aim - self._after(self._facts, self._mesh)
+        return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
+
+    def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE) -> float:
+        """Seconds that are kept for what comes after training."""
+        surface = (1 + unsure) * (costs.mesh_cost(facts, mesh) + costs.judging_cost(facts))
+        return self.slowness * (surface + costs.closing_cost(facts))
+
+
+def _scaled(facts: Facts, scale: float) -> Facts:
+    return Facts(facts.views, facts.tests, facts.pixels * scale**2, facts.truth, facts.shiny)
+
+
+def _iterations(config: Config, stage: str) -> int:
+    """That the settings plan for a stage."""
+    train = config.train
+    if stage == "warmup_surfels":
+        return train.warmup.surfel_iterations
+    if stage == "warmup_volumes":
+        return train.warmup.volume_iterations
+    return round(train.mutual.iterations * train.mutual.iterations_factor)
+
+
+def _work(config: Config, stage: str) -> int:
+    """Iterations of a stage, with those of a trial's candidates that are thrown away."""
+    iterations, train = _iterations(config, stage), config.train
+    if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
+        return iterations
+    return iterations + 2 * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
+
+
+def _splats(stage: str, config: Config) -> dict[str, int]:
+    """By branch, in the middle of a stage."""
+    branches: dict[str, SurfelConfig | VolumeConfig]
+    branches = {"surfels": config.train.surfels, "volumes": config.train.volumes}
+    if config.train.branches is not Branches.BOTH:
+        branches = {config.train.branches.value: branches[config.train.branches.value]}
+    if not stage.startswith("warmup"):
+        return {name: branch.densify.max_count for name, branch in branches.items()}
+    return {name: (branch.max_start + branch.densify.max_count) // 2 for name, branch in branches.items()}
+
+
+def _reference_training(facts: Facts, config: Config) -> float:
+    """Seconds of training on the reference machine."""
+    return sum(
+        _work(config, name) * costs.iteration_cost(name, facts, _splats(name, config)) for name in _stages(config)
+    )
+
+
+def _stages(config: Config) -> tuple[str, ...]:
+    """The stages that a run with these settings has."""
+    if config.train.branches is Branches.BOTH:
+        return ("warmup_surfels", "warmup_volumes", "mutual")
+    return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_volumes", "alone")

@@ -1,0 +1,58 @@
+"""The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
+
+Between two presets a number lies between theirs, in equal ratios; beyond the outer ones it goes on in the same way.
+What is no number, or 0 for none, is that of the nearest preset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import reduce
+from typing import Any
+
+from mgsr.config import PRESETS, Config, field_types, make_config
+
+LOWEST, HIGHEST = -0.75, 3.0  # below, too little is trained to be of use; above, only longer training is of use
+
+
+class Line:
+    """The line for one run's settings: what the caller has set otherwise than the preset and the method have it stays
+    at all places."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        asked = make_config(config.preset, config.method)
+        presets = [make_config(name, config.method) for name in PRESETS]
+        self._values = {
+            path: [_value(preset, path) for preset in presets]
+            for path in field_types(config)
+            if len({_value(preset, path) for preset in presets}) > 1 and _value(config, path) == _value(asked, path)
+        }
+        # The presets' own names are among them.
+        self._values.pop("preset", None)
+
+    def at(self, place: float) -> Config:
+        """The settings at a place."""
+        config = self._config
+        for path, values in self._values.items():
+            config = _with(config, path.split("."), value_at(values, place))
+        return config
+
+
+def value_at(values: list[Any], place: float) -> Any:
+    """The value at a place on a line whose points 0, 1, ... have these values."""
+    if not all(isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0 for value in values):
+        return values[min(max(round(place), 0), len(values) - 1)]
+    first = min(max(int(place // 1), 0), len(values) - 2)
+    low, high = values[first], values[first + 1]
+    between = low * (high / low) ** (place - first)
+    return max(1, round(between)) if isinstance(low, int) else between
+
+
+def _value(config: Config, path: str) -> Any:
+    return reduce(getattr, path.split("."), config)
+
+
+def _with(node: Any, path: list[str], value: Any) -> Any:
+    head, *rest = path
+    return replace(node, **{head: _with(getattr(node, head), rest, value) if rest else value})

@@ -1,0 +1,111 @@
+"""How a run keeps to a time budget: what it asks of `TimeBudget`, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mgsr.budget.budget import TimeBudget
+from mgsr.budget.costs import Facts, load_cost, start_cost
+from mgsr.budget.line import HIGHEST
+from mgsr.cli.clock import StepClock
+from mgsr.cli.device import Device
+from mgsr.config import PRESETS, Config
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Scene
+from mgsr.metrics.truth import TRUTH
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.checkpoint import read_pace
+from mgsr.training.probe import probe
+
+
+def make_budget(
+    config: Config, clock: Callable[[], float], device: Device, checkpoint: Path | None
+) -> TimeBudget | None:
+    """The budget that the settings ask for; it goes on from that of a checkpoint, if there is one."""
+    if config.time_budget is None:
+        return None
+    budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
+    state = None if checkpoint is None else read_pace(checkpoint)
+    if state is not None:
+        budget.restore(state)
+    return budget
+
+
+def facts_of(scene: Scene, start: StartingPoints | None = None) -> Facts:
+    """What the costs of a scene depend on."""
+    cameras = [view.camera for view in scene.train]
+    pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
+    shiny = start is None or start.shiny is not False
+    return Facts(len(cameras), len(scene.test), pixels, (scene.root / TRUTH).is_file(), shiny)
+
+
+def fitted_scene(scene: Scene, budget: TimeBudget, clock: StepClock) -> Scene:
+    """The scene with its training views as small as the budget wants them; the test views stay as they are. clock:
+    says how long they took to read."""
+    facts = facts_of(scene)
+    budget.learn(load_cost(facts), clock.steps["load"])
+    scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
+    if scale == 1:
+        return scene
+    return replace(scene, train=[reduced_view(view, scale) for view in scene.train])
+
+
+def most_points(config: Config, budget: TimeBudget | None) -> int:
+    """How many starting points may be of use."""
+    settings = config if budget is None else budget.line.at(HIGHEST)
+    return max(settings.train.surfels.max_start, settings.train.volumes.max_start)
+
+
+def planned_config(
+    scene: Scene, start: StartingPoints, budget: TimeBudget, config: Config, device: Device, clock: StepClock
+) -> Config:
+    """The settings that fit the time that is left. clock: says how long the starting points took. Raises what training
+    does."""
+    facts = facts_of(scene, start)
+    budget.learn(start_cost(facts), clock.steps["start"])
+    if budget.place is None:
+        probed = probe(scene, start, config, device.torch)
+        budget.choose_place(facts, probed.seconds, probed.splats)
+    else:
+        budget.take_up(facts)
+    return budget.settings
+
+
+def plan_line(budget: TimeBudget) -> str:
+    """What was planned, in one line."""
+    assert budget.place is not None
+    words = f"{budget.seconds:g} s: settings {place_words(budget.place)}"
+    if budget.scale != 1:
+        words += f", photographs at {budget.scale:g} of their size"
+    words += f", {budget.planned['train']:.0f} s of training, {budget.planned['mesh']:.0f} s for the surface"
+    if budget.too_small:
+        words += f"; that is too little: the least plan may end after {budget.least:.0f} s"
+    return words
+
+
+def place_words(place: float) -> str:
+    """A place on the line of settings, told by the presets."""
+    names = list(PRESETS)
+    below = int(place // 1)
+    if below < 0:
+        return f"below {names[0]} ({place:.2f})"
+    if below >= len(names) - 1:
+        return f"of {names[-1]} and more ({place:.2f})"
+    return f"between {names[below]} and {names[below + 1]} ({place:.2f})"
+
+
+def budget_report(budget: TimeBudget, steps: dict[str, float]) -> dict[str, Any]:
+    """What report.json says of it: seconds given, planned and spent, whole and by step."""
+    return {
+        "seconds": budget.seconds,
+        "used": budget.spent,
+        "place": budget.place,
+        "settings": place_words(budget.place or 0.0),
+        "image_scale": budget.scale,
+        "too_small": budget.too_small,
+        "planned": budget.planned,
+        "spent": dict(steps),
+    }

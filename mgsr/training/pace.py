@@ -1,0 +1,32 @@
+"""What may change the lengths of stages while they run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+FINISH = "finish"  # the stage after the surface was made
+
+
+class StageLength(Protocol):
+    """What a pace sees of a stage: its name, the iterations that it has done, and those that it shall do."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def iteration(self) -> int: ...
+
+    @property
+    def iterations(self) -> int: ...
+
+
+class Pace(Protocol):
+    """Is asked before every iteration."""
+
+    def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
+        """How many iterations the stage with this index shall have in all: at least one more than it has done.
+        splats: how many each branch has."""
+
+    def state(self) -> dict[str, Any]:
+        """What it needs to go on, for a checkpoint: plain values."""

@@ -1,0 +1,63 @@
+"""Times a few iterations of each stage on a plan that is thrown away."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+
+from mgsr.config import Config
+from mgsr.data.scene import Scene
+from mgsr.parallel import one_torch_thread
+from mgsr.training.pace import StageLength
+from mgsr.training.plan import StartingPoints, make_plan
+from mgsr.training.trainer import Trainer
+from mgsr.training.views import CPU
+
+UNTIMED, TIMED = 2, 4  # iterations; the first ones load kernels and fill memory
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Seconds of one iteration by stage, in their order, and how many splats each branch had."""
+
+    seconds: dict[str, float]
+    splats: dict[str, int]
+
+
+def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Probe:
+    """How long an iteration of each stage takes at the beginning. Raises what `train` does."""
+    timer = _Timer(device)
+    with one_torch_thread():
+        whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing
+        plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
+        splats = {branch.name: len(branch.model) for branch in plan.parts.branches}
+        Trainer(plan, config.train, scene.masked, {}, pace=timer).run()
+    return Probe({name: timer.median(name) for name in timer.times}, splats)
+
+
+@dataclass
+class _Timer:
+    """A pace that notes when it is asked, and ends each stage soon."""
+
+    device: torch.device
+    times: dict[str, list[float]] = field(default_factory=dict)
+
+    def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
+        if self.device.type == "cuda":
+            torch.cuda.synchronize(self.device)
+        self.times.setdefault(stages[index].name, []).append(time.perf_counter())
+        return UNTIMED + TIMED + 1
+
+    def state(self) -> dict[str, Any]:
+        return {}
+
+    def median(self, stage: str) -> float:
+        noted = self.times[stage]
+        return statistics.median(
+            after - before for before, after in zip(noted[UNTIMED:], noted[UNTIMED + 1 :], strict=False)
+        )

@@ -1,0 +1,116 @@
+"""A run on a machine that does nothing but let a clock go on, as fast as it likes at the time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from mgsr.budget import costs
+from mgsr.budget.budget import PERIOD, TimeBudget
+from mgsr.budget.costs import Facts
+from mgsr.config import Config, MeshConfig
+from mgsr.training.pace import FINISH
+
+Speed = Callable[[float], float]  # how many times slower than the reference machine, at a time
+
+
+def steady(slowness: float) -> Speed:
+    """Always the same."""
+    return lambda _: slowness
+
+
+def wavy(slowness: float, period: float, depth: float) -> Speed:
+    """Slower and faster by a factor of at most 1 + depth, again and again."""
+    return lambda at: slowness * (1 + depth) ** math.sin(2 * math.pi * at / period)
+
+
+def stepped(slowness: float, at: float, factor: float) -> Speed:
+    """Suddenly slower by a factor, and so to the end."""
+    return lambda now: slowness * (factor if now >= at else 1.0)
+
+
+@dataclass
+class Machine:
+    """Work takes `speed` times its reference seconds. odd: by how much the steps of this scene cost more or less than
+    is usual."""
+
+    speed: Speed
+    odd: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+    now: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.random = np.random.default_rng(self.seed)
+
+    def work(self, step: str, reference: float) -> float:
+        """Do it; the seconds that it took."""
+        begun, left = self.now, reference * self.odd.get(step, 1.0)
+        piece = max(left / 20, 0.05)
+        while left > 1e-9:
+            done = min(piece, left)
+            self.now += done * self.speed(self.now) * self.random.lognormal(0.0, 0.15)
+            left -= done
+        return self.now - begun
+
+
+@dataclass
+class Stage:
+    """A stage as the trainer has it."""
+
+    name: str
+    iterations: int
+    iteration: int = 0
+
+
+@dataclass(frozen=True)
+class Ran:
+    """How a run went: its seconds, its budget, its stages, and the settings of its surface."""
+
+    seconds: float
+    budget: TimeBudget
+    stages: list[Stage]
+    mesh: MeshConfig
+
+
+def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ran:
+    """The steps of `mgsr.cli.pipeline.run_scene`, in its order, as far as the budget sees them."""
+    budget = TimeBudget(replace(config, time_budget=seconds), lambda: machine.now)
+    machine.now += 0.5 * machine.speed(0.0)  # imports
+    budget.learn(costs.load_cost(facts), machine.work("load", costs.load_cost(facts)))
+    scale = budget.choose_scale(facts)
+    facts = Facts(facts.views, facts.tests, facts.pixels * scale**2, facts.truth, facts.shiny)
+    budget.learn(costs.start_cost(facts), machine.work("start", costs.start_cost(facts)))
+    splats = {"surfels": config.train.surfels.max_start, "volumes": config.train.volumes.max_start}
+    names = ("warmup_surfels", "warmup_volumes", "mutual")
+    once = {name: machine.work(name, costs.iteration_cost(name, facts, splats)) for name in names}
+    budget.choose_place(facts, once, splats)
+    train = budget.settings.train
+    lengths = (train.warmup.surfel_iterations, train.warmup.volume_iterations, train.mutual.iterations)
+    stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
+    full = {"surfels": train.surfels.densify.max_count, "volumes": train.volumes.densify.max_count}
+    for index in range(3):
+        _run_stage(machine, budget, stages, index, facts, full)
+    mesh = budget.mesh_settings()
+    surface = machine.work("mesh", costs.mesh_cost(facts, mesh))
+    judging = machine.work("evaluate", costs.judging_cost(facts))
+    budget.learn_surface(surface, judging)
+    _run_stage(machine, budget, stages, 3, facts, full)
+    machine.work("report", costs.closing_cost(facts))
+    return Ran(machine.now, budget, stages, mesh)
+
+
+def _run_stage(
+    machine: Machine, budget: TimeBudget, stages: list[Stage], index: int, facts: Facts, splats: dict[str, int]
+) -> None:
+    stage = stages[index]
+    stage.iterations = budget.length(stages, index, splats)
+    while stage.iteration < stage.iterations:
+        # The budget looks at the clock after as many only, unless the stage is about to end.
+        at_once = PERIOD if stage.iterations - stage.iteration > 2 * PERIOD else 1
+        machine.work(stage.name, at_once * costs.iteration_cost(stage.name, facts, splats))
+        stage.iteration += at_once
+        if stage.iteration < stage.iterations:
+            stage.iterations = budget.length(stages, index, splats)

@@ -1,0 +1,74 @@
+"""Whole runs under a budget, on a small capture. Their clock is the time that the processor spent on this process, so
+that what else a machine does at the time changes nothing; `tests/budget/test_budget.py` changes machines' speeds."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mgsr.cli.pipeline import run_scene
+from mgsr.config import make_config
+from mgsr.errors import Cancelled
+from tests.cli.spheres import write_spheres
+
+SMALL = ["surfels.max_start=1500", "volumes.max_start=1500"]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Without the truth, whose comparison takes longer than all the rest."""
+    folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres")
+    (folder / "mesh_gt.ply").unlink()
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "perf_counter", time.process_time)
+
+
+def run(scene: Path, out: Path, seconds: float, **options: Any) -> dict[str, Any]:
+    """The report of a run with a budget."""
+    config = make_config(overrides=[*SMALL, f"time_budget={seconds}"])
+    report = run_scene(scene, out, config, "cpu", begun=time.perf_counter(), **options)
+    found: dict[str, Any] = json.loads(report.read_text())
+    return found
+
+
+@pytest.mark.slow
+def test_runs_end_near_their_budgets(scene: Path, tmp_path: Path) -> None:
+    run(scene, tmp_path / "first", 1.0)  # loads what a process loads once
+    least = run(scene, tmp_path / "least", 1.0)["time_budget"]
+    assert least["too_small"]
+    iterations = []
+    for times in (1.5, 4.0):
+        seconds = times * least["used"]
+        report = run(scene, tmp_path / str(times), seconds)
+        budget = report["time_budget"]
+        assert 0.9 <= budget["used"] / seconds <= 1.05
+        assert not budget["too_small"] and budget["image_scale"] == 1
+        assert {"warmup_surfels", "warmup_volumes", "mutual", "finish"} == set(report["iterations"])
+        assert set(budget["planned"]) == {"before", "train", "mesh", "evaluate", "report"}
+        iterations.append(report["iterations"]["mutual"]["iterations"])
+    assert iterations[0] < iterations[1]
+
+
+@pytest.mark.slow
+def test_a_resumed_run_goes_on_with_its_seconds(scene: Path, tmp_path: Path) -> None:
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 300
+
+    with pytest.raises(Cancelled):
+        run(scene, tmp_path / "out", 12.0, should_stop=stop)
+    begun = time.perf_counter()
+    report = run(scene, tmp_path / "out", 12.0, resume=True)
+    here = time.perf_counter() - begun
+    assert report["time_budget"]["used"] > here + 0.5
+    assert report["iterations"]["warmup_surfels"]["iterations"] > 0

@@ -130,6 +130,7 @@ def test_options_tell_everything_that_can_be_set(stack: Stack) -> None:
     found = stack.http.get("/options").json()
     assert set(found["presets"]) == {"draft", "standard", "high"} and set(found["methods"]) == {"mgsr", "2dgs", "3dgs"}
     assert found["settings"]["mesh.max_faces"] == {
+        "description": "decimate to this many; none is off",
         "anyOf": [{"type": "integer", "minimum": 0}, {"type": "null"}],
         "default": None,
     }

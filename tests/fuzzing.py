@@ -6,6 +6,7 @@ seconds as MGSR_FUZZ_SECONDS says: `python -m pytest -m slow -k for_long tests/d
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import time
@@ -93,6 +94,6 @@ def _put(node: Any, path: list[int], value: Any) -> None:
             if value == "REMOVE":
                 del node[key]
             else:
-                node[key] = value
+                node[key] = copy.deepcopy(value)  # a list put into itself has no end
             return
         node = node[key]

@@ -58,7 +58,6 @@ PAPER_CHOICES = (
     AblationRow(
         "paper-light", "each splat has its own reflection (ours what a trial finds)", "mgsr", ("reflection=own",)
     ),
-    AblationRow("both-lights", "its own and the shared light, without a trial", "mgsr", ("reflection=both",)),
     AblationRow(
         "paper-rates",
         "rates do not fade (ours do in the second half)",

@@ -122,11 +122,14 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
 
 
 def _about_light(data: ReportData) -> Iterator[Decision]:
-    if data.other.get("light") in LIGHTS:
+    asked: dict[str, Any] = data.other.get("settings") or {}
+    if asked.get("mesh", {}).get("shading_ratio", 0) is None:
+        yield Decision("Shading that refined the surface", "not tried", f"so the preset {data.preset}, or the caller")
+    elif data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
-        settings: dict[str, Any] = (data.other.get("settings") or {}).get("train", {}).get("volumes", {})
+        settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
         why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
         yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
 

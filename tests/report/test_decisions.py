@@ -21,6 +21,9 @@ def test_the_light_is_told() -> None:
     sample = sample_report()
     told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
     assert [each.choice for each in told if each.what.startswith("Shading")] == ["a flash on the camera"]
+    without = {"light": "unknown", "settings": {"mesh": {"shading_ratio": None}}}
+    told = tell_decisions(replace(sample, other={**sample.other, **without}))
+    assert [each.choice for each in told if each.what.startswith("Shading")] == ["not tried"]
 
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:

@@ -54,6 +54,7 @@ def test_colors_are_the_photographs(found: PointCloud, matte: list[View]) -> Non
     assert facing.sum() > 200 and np.median(off) < 15
 
 
+@pytest.mark.slow
 def test_a_background_has_its_place_behind_the_ball(matte: list[View]) -> None:
     wall = 6.0
     found = sweep_planes([in_front_of_a_wall(view, wall) for view in matte]).positions

@@ -51,7 +51,9 @@ def _each_branch(override: str) -> list[str]:
 def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
     models = {"surfels": result.surfels, "volumes": result.volumes, "light": result.light}
     return {
-        f"{name}.{key}": tensor for name, model in models.items() if model is not None
+        f"{name}.{key}": tensor
+        for name, model in models.items()
+        if model is not None
         for key, tensor in model.parameters().items()
     }
 
@@ -114,9 +116,18 @@ def test_same_seed_same_bytes() -> None:
     assert_same(*(train(ball_scene(32), ball_points(), short()) for _ in range(2)))
 
 
-@pytest.mark.parametrize("rule", ["none", "epoch", "held_back", "paper"])
 @pytest.mark.parametrize("stop_at", [5, 30, 55])
-@pytest.mark.parametrize("reflection", ["both", "auto"])
+@pytest.mark.parametrize(
+    ("rule", "reflection"),
+    [
+        ("none", "both"),
+        ("epoch", "both"),
+        ("held_back", "both"),
+        ("paper", "both"),
+        ("none", "auto"),
+        ("held_back", "auto"),
+    ],
+)
 def test_a_resumed_run_equals_one_that_was_not_stopped(
     tmp_path: Path, rule: str, stop_at: int, reflection: str
 ) -> None:

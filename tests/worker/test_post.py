@@ -66,6 +66,7 @@ def calling(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
         yield running
 
 
+@pytest.mark.slow
 def test_the_end_of_a_job_is_told_and_signed(calling: Stack, receiver: Receiver) -> None:
     """The receiver fails at first. The signature is checked by Standard Webhooks' own library."""
     receiver.answers = [500, 302]

@@ -4,10 +4,10 @@
     python benchmarks/cuda_training.py run scene.npz OUT --preset high [--device cuda] [--profile 100]
 
 `pack` reads the scene and chooses its starting points, which needs OpenImageIO; `pack ball` takes the tests' textured
-ball instead. `run` needs torch, numpy, SciPy and plyfile alone. It leaves splats_2d.ply and splats_3d.ply in OUT, from
-which `mgsr mesh SCENE -o OUT` makes the mesh anywhere, and training.json: seconds, iterations, splats, PSNR of the test
-views, and, with --profile, the part of an iteration's wall time in which the card's kernels ran, over that many
-iterations of a last stage begun anew.
+ball instead. `run` needs torch, numpy, SciPy and plyfile alone. It leaves splats_2d.ply, splats_3d.ply and, where one
+was learnt, mirrored_light.npz in OUT, from which `mgsr mesh SCENE -o OUT` makes the mesh anywhere, and training.json:
+seconds, iterations, splats, the reflection that was chosen, PSNR of the test views, and, with --profile, the part of an
+iteration's wall time in which the card's kernels ran, over that many iterations of a last stage begun anew.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,25 +27,25 @@ from torch.profiler import profile as record
 from mgsr.config import Config, make_config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
+from mgsr.export.mirrored_light import write_mirrored_light
 from mgsr.export.splats import write_splats
-from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
-from mgsr.training.evaluate import mean_psnr
+from mgsr.training.evaluate import mean_psnr, surfel_picture, volume_picture
 from mgsr.training.parts import StartingPoints
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from mgsr.training.views import plain_background, prepare_views
 
 BALL = "ball"
 
 
 class PackedPoints:
-    """Starting points as `train` takes them."""
+    """Starting points as `Training` takes them."""
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
         self.positions, self.colors = arrays["positions"], arrays["colors"]
         self.normals = arrays.get("normals")
+        self.shiny = bool(arrays["shiny"]) if "shiny" in arrays else None
 
 
 def pack(path: Path, packed: Path, preset: str) -> None:
@@ -53,6 +54,8 @@ def pack(path: Path, packed: Path, preset: str) -> None:
     arrays: dict[str, Any] = {"positions": start.positions, "colors": start.colors}
     if start.normals is not None:
         arrays["normals"] = start.normals
+    if start.shiny is not None:
+        arrays["shiny"] = start.shiny
     arrays |= {"scale": scene.user_from_scene.scale, "offset": scene.user_from_scene.offset, "name": scene.name}
     for part, views in (("train", scene.train), ("test", scene.test)):
         arrays[f"{part}_names"] = np.array([view.name for view in views])
@@ -108,15 +111,17 @@ def _views(arrays: dict[str, np.ndarray], part: str) -> list[View]:
 def run(packed: Path, out: Path, config: Config, device: torch.device, profile: int) -> dict[str, Any]:
     """Train, measure, and write the splats and training.json."""
     scene, start = unpack(packed)
-    result = train(scene, start, config, progress=report, device=device)
+    result = Training(scene, start, config, progress=report, device=device).run()
     out.mkdir(parents=True, exist_ok=True)
     for name, model in (("splats_2d.ply", result.surfels), ("splats_3d.ply", result.volumes)):
         if model is not None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, scene.user_from_scene)
+    if result.light is not None:
+        write_mirrored_light(out / "mirrored_light.npz", result.light.maps().numpy())
     facts = measured(scene, result, config, device)
     if profile and device.type == "cuda":
-        facts["kernel_share"] = kernel_share(scene, start, config, device, profile)
+        facts["kernel_share"] = kernel_share(scene, start, as_chosen(config, result), device, profile)
     (out / "training.json").write_text(json.dumps(facts, indent=1))
     return facts
 
@@ -131,33 +136,49 @@ def report(progress: Progress) -> None:
 
 
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
-    """Seconds, iterations, splats and the test views' PSNR of each branch."""
+    """Seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
     background = plain_background(config.train.background)
-    models: dict[str, SurfelModel | VolumeModel | None] = {"surfels": result.surfels, "volumes": result.volumes}
-    present = {name: model.to(device) for name, model in models.items() if model is not None}
+    surfels = None if result.surfels is None else result.surfels.to(device)
+    volumes = None if result.volumes is None else result.volumes.to(device)
+    light = None if result.light is None else result.light.to(device)
+    splats, psnr = {}, {}
+    if surfels is not None:
+        splats["surfels"] = len(surfels)
+        psnr["surfels"] = mean_psnr(surfel_picture(surfels), views, background)
+    if volumes is not None:
+        splats["volumes"] = len(volumes)
+        psnr["volumes"] = mean_psnr(volume_picture(volumes, surfels, light), views, background)
     return {
         "scene": scene.name,
         "preset": config.preset,
         "device": torch.cuda.get_device_name() if device.type == "cuda" else "cpu",
         "seconds": result.seconds,
         "stages": {stage.name: [stage.iterations, stage.seconds] for stage in result.stages},
-        "splats": {name: len(model) for name, model in present.items()},
-        "psnr": {name: mean_psnr(model, views, background) for name, model in present.items()},
+        "splats": splats,
+        "reflection": {"chosen": result.reflection, "tried": result.tried},
+        "psnr": psnr,
     }
+
+
+def as_chosen(config: Config, result: TrainResult) -> Config:
+    """The settings with what the training chose in place of a choice."""
+    if result.reflection is None:
+        return config
+    volumes = replace(config.train.volumes, reflection=result.reflection)
+    return replace(config, train=replace(config.train, volumes=volumes))
 
 
 def kernel_share(scene: Scene, start: PackedPoints, config: Config, device: torch.device, count: int) -> float:
     """The part of the wall time of `count` iterations of the last stage, from its start, in which kernels ran."""
-    plan = make_plan(scene, start, config, device)
-    stage = plan.stages[-1]
+    stage = make_plan(scene, start, config, device).stages[-1]
+    background = plain_background(config.train.background)
 
     def iterate(i: int) -> None:
-        view = stage.views[i % len(stage.views)]
-        step = stage.compute(view, (0.0, 0.0, 0.0), i)
+        step = stage.compute(stage.views[i % len(stage.views)], background, i)
         torch.stack(list(step.terms.values())).sum().backward()
-        for branch in stage.branches:
-            branch.step(0.5)
+        for part in stage.trained:
+            part.step(0.5)
 
     for i in range(20):
         iterate(i)

@@ -27,7 +27,7 @@ from mgsr.gaussians.surfels import SurfelModel
 from mgsr.native import runtime
 from mgsr.render.surfels import render_surfels
 from mgsr.training.progress import TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 
 HEADER = ("scene", "3D dB", "worst", "2D dB", "worst", "surface", "worst", "failed", "undone", "CPU s")
 
@@ -54,7 +54,7 @@ def settings(seed: int) -> Config:
 def run(name: str, seed: int) -> Outcome:
     scene, begun = make_scene(name, seed), time.process_time()
     try:
-        result = train(scene, make_start(name, seed), settings(seed))
+        result = Training(scene, make_start(name, seed), settings(seed)).run()
     except TrainingError as error:
         print(f"{name}, seed {seed}: {error}")
         return Outcome(np.nan, np.nan, np.nan, True, 0, time.process_time() - begun)

@@ -496,6 +496,11 @@ def validate(config: Config) -> None:
             f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
             f"whole photographs; got {train.warmup.coarse}"
         )
+    if train.trial.start > train.warmup.stop_after:
+        raise ConfigError(
+            f"train.trial.start: expected at most train.warmup.stop_after ({train.warmup.stop_after}), before which no "
+            f"warm-up ends; got {train.trial.start}"
+        )
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")

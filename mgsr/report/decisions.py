@@ -124,7 +124,7 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
 def _about_light(data: ReportData) -> Iterator[Decision]:
     asked: dict[str, Any] = data.other.get("settings") or {}
     if asked.get("mesh", {}).get("shading_ratio", 0) is None:
-        yield Decision("Shading that refined the surface", "not tried", f"so the preset {data.preset}, or the caller")
+        yield Decision("Shading that refined the surface", "not tried", "as the settings have it (shading_ratio)")
     elif data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
     reflection: dict[str, Any] = data.other.get("reflection") or {}

@@ -133,7 +133,7 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
     if tried:
         measure = _measure(parts, "volumes", photographs, config)
         seen_after = views - held_back
-        stage.trial = ReflectionTrial(config.train, stage.iterations, parts.volumes, parts.light, measure, seen_after)
+        stage.trial = ReflectionTrial(config.train, parts.volumes, parts.light, measure, seen_after)
     return stage
 
 
@@ -156,8 +156,7 @@ def _warmup(
     def progress(_: Trained, iteration: int) -> float:
         return iteration / max(1, stage.iterations + last.iterations)
 
-    coarse_until = round(warmup.coarse * iterations)
-    coarse = None if photographs.small is None else Coarse(photographs.small, coarse_until)
+    coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
     measure = _measure(parts, branch.name, photographs, config)
     convergence = make_convergence(warmup, iterations, measure)

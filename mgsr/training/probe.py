@@ -30,7 +30,7 @@ class Probe:
 
 
 def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Probe:
-    """How long an iteration of each stage takes at the beginning. Raises what `train` does."""
+    """How long an iteration of each stage takes at the beginning. Raises what `Training` does."""
     timer = _Timer(device)
     with one_torch_thread():
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing

@@ -70,9 +70,8 @@ class TrainResult:
     """The trained branches (None for one that the method lacks) and the light that the surface mirrors (None where it
     has no use) without gradients, and how they came about.
 
-    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. reflection: what the
-    3D branch adds to the transmitted light, None without that branch; tried: PSNR, dB, that each candidate for it
-    reached in the trial, on photographs kept from training; empty without a trial.
+    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB,
+    that each candidate for the reflection reached in the trial, on photographs kept from training; empty without one.
     """
 
     surfels: SurfelModel | None
@@ -82,17 +81,16 @@ class TrainResult:
     curve: list[CurveRow]
     seconds: float
     incidents: list[str] = field(default_factory=list)
-    reflection: Reflection | None = None
     tried: dict[str, float] = field(default_factory=dict)
 
-
-def reflection_of(volumes: VolumeModel | None, light: MirroredLight | None) -> Reflection | None:
-    """What these models add to the transmitted light."""
-    if volumes is None:
-        return None
-    if volumes.split:
-        return Reflection.OWN if light is None else Reflection.BOTH
-    return Reflection.OFF if light is None else Reflection.SHARED
+    @property
+    def reflection(self) -> Reflection | None:
+        """What the 3D branch adds to the transmitted light, None without that branch."""
+        if self.volumes is None:
+            return None
+        if self.volumes.split:
+            return Reflection.OWN if self.light is None else Reflection.BOTH
+        return Reflection.OFF if self.light is None else Reflection.SHARED
 
 
 ProgressCallback = Callable[[Progress], None]

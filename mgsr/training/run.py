@@ -16,7 +16,7 @@ from mgsr.training.checkpoint import fingerprint
 from mgsr.training.pace import FINISH, Pace
 from mgsr.training.parts import StartingPoints
 from mgsr.training.plan import make_plan
-from mgsr.training.progress import ProgressCallback, TrainResult, reflection_of
+from mgsr.training.progress import ProgressCallback, TrainResult
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
@@ -34,8 +34,19 @@ def refused_without_memory() -> Iterator[None]:
 
 
 class Training:
-    """A scene's training, which may be left for a while before its last stage. Arguments and errors are those of
-    `train`; with a pace there is one more stage, FINISH, and the pace sets the lengths of all."""
+    """A scene's training, from starting points in the scene's frame.
+
+    progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
+    a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
+    resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
+    deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
+    much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
+    pace: sets the lengths of all stages, of which there then is one more, FINISH.
+
+    Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
+    branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be
+    used, or without memory for the scene).
+    """
 
     def __init__(
         self,
@@ -72,32 +83,6 @@ class Training:
         return _result(self._trainer)
 
 
-def train(
-    scene: Scene,
-    start: StartingPoints,
-    config: Config,
-    progress: ProgressCallback | None = None,
-    should_stop: Callable[[], bool] | None = None,
-    checkpoint_path: Path | None = None,
-    resume: bool = False,
-    deadline: float | None = None,
-    device: torch.device = CPU,
-) -> TrainResult:
-    """The trained branches of a scene, from starting points in the scene's frame.
-
-    progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
-    a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
-    resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
-    deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
-    much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-
-    Raises TrainingError (too few views or points, numbers that are not finite, nothing left of a branch), Cancelled,
-    CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be used, or without
-    memory for the scene).
-    """
-    return Training(scene, start, config, progress, should_stop, checkpoint_path, resume, deadline, device).run()
-
-
 def _result(trainer: Trainer) -> TrainResult:
     surfels, volumes, light = trainer.plan.parts.models
     trial = trainer.plan.trial
@@ -109,6 +94,5 @@ def _result(trainer: Trainer) -> TrainResult:
         curve=list(trainer.curve),
         seconds=trainer.seconds,
         incidents=list(trainer.incidents),
-        reflection=reflection_of(volumes, light),
         tried={} if trial is None else trial.psnr,
     )

@@ -49,11 +49,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Coarse:
-    """A stage's views made smaller, for its iterations before `until`: while splats find their places, small images
-    say as much, in less time."""
+    """A stage's views made smaller, for the first `share` of its iterations: while splats find their places, small
+    images say as much, in less time."""
 
     views: list[TrainingView]
-    until: int
+    share: float
 
 
 class Trial(Protocol):
@@ -102,8 +102,10 @@ class Stage:
 
     def next_view(self) -> TrainingView:
         """The view whose turn it is."""
-        small = self.coarse is not None and self.iteration < self.coarse.until
-        return (self.coarse.views if small and self.coarse is not None else self.views)[self.cycle.next()]
+        index = self.cycle.next()
+        if self.coarse is not None and self.iteration < round(self.coarse.share * self.iterations):
+            return self.coarse.views[index]
+        return self.views[index]
 
     def state(self) -> dict[str, Any]:
         """Where the stage stands, for a checkpoint."""
@@ -137,16 +139,17 @@ class WhatIsMirrored:
 
     light: LightInTraining
     surfels: SurfelBranch
-    kept: dict[str, Tensor] = field(default_factory=dict)
+    kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
     def shown(self, view: TrainingView) -> Tensor:
         """What each pixel of a view mirrors, [H,W,3]."""
-        normal = self.kept.get(view.name)
-        if normal is None or normal.shape[0] != view.camera.height:
+        key = (view.name, view.camera.height)
+        normal = self.kept.get(key)
+        if normal is None:
             with torch.no_grad():
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
-                self.kept[view.name] = normal
+                self.kept[key] = normal
         return mirrored_light(self.light.model, normal.float(), view.camera, view.covered)
 
 

@@ -40,34 +40,33 @@ class ReflectionTrial:
     def __init__(
         self,
         config: TrainConfig,
-        stage_iterations: int,
         branch: Branch[VolumeModel],
         light: LightInTraining | None,
         measure: Callable[[], float],
         all_views: int,
     ) -> None:
-        self.at = round(config.trial.start * stage_iterations)
-        self.iterations, self.gain = min(config.trial.iterations, stage_iterations - self.at), config.trial.gain
-        self.branch, self.settings, self.light = branch, config.volumes, light
+        self.settings, self.volumes = config.trial, config.volumes
+        self.branch, self.light = branch, light
         self.measure = measure
         self.all_views = all_views
         self.chosen: Reflection | None = None
         self.psnr: dict[str, float] = {}
 
     def due(self, stage: Stage) -> bool:
-        """Whether it is the trial's turn."""
-        return self.chosen is None and stage.iteration == self.at
+        """Whether it is the trial's turn; a pace may change the stage's length until then."""
+        return self.chosen is None and stage.iteration >= round(self.settings.start * stage.iterations)
 
     def hold(self, stage: Stage, run: Callable[[Reflection, int], None]) -> None:
         """Try all; run(candidate, iterations) trains the stage on. Whatever `run` raises leaves the trial undecided."""
         before = copied(self._state(stage))
+        iterations = min(self.settings.iterations, stage.iterations - stage.iteration)
         tried = []
         for reflection in CANDIDATES_ALONE if self.light is None else CANDIDATES:
             self._restore(stage, before)
             self._add(reflection)
-            run(reflection, self.iterations)
+            run(reflection, iterations)
             tried.append(Candidate(reflection, self.measure(), copied(self._state(stage))))
-        best = simplest(tried, self.gain)
+        best = simplest(tried, self.settings.gain)
         self._restore(stage, best.state)
         self.psnr = {str(each.reflection): each.psnr for each in tried}
         self._decide(stage, best.reflection)
@@ -91,7 +90,7 @@ class ReflectionTrial:
         if self.light is not None:
             self.light.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):
-            self.branch.widen(reflected_half(self.branch.model, self.settings))
+            self.branch.widen(reflected_half(self.branch.model, self.volumes))
 
     def _state(self, stage: Stage) -> dict[str, Any]:
         return {"stage": stage.state(), "parts": {part.name: part.state() for part in self._parts()}}

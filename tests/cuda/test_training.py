@@ -8,7 +8,7 @@ import torch
 from mgsr.errors import GpuError
 from mgsr.gaussians.order import morton_order
 from mgsr.training.branch import Branch
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
 from tests.training.ball import ball_points, ball_scene
 from tests.training.test_train import short, tensors
@@ -20,8 +20,8 @@ QUICK = ("warmup.surfel_iterations=3", "warmup.volume_iterations=3", "mutual.ite
 def test_a_few_iterations_change_every_parameter(machine: Machine) -> None:
     scene, points = ball_scene(24, train=3, test=1), ball_points(80)
     with machine.running():
-        result = train(scene, points, short("mgsr", *QUICK), device=machine.device)
-    reference = train(scene, points, short("mgsr", *QUICK))
+        result = Training(scene, points, short("mgsr", *QUICK), device=machine.device).run()
+    reference = Training(scene, points, short("mgsr", *QUICK)).run()
     ours, theirs = tensors(result), tensors(reference)
     assert ours.keys() == theirs.keys()
     for name, tensor in ours.items():
@@ -37,8 +37,8 @@ def test_a_few_iterations_change_every_parameter(machine: Machine) -> None:
 def test_training_ends_where_the_processor_does(machine: Machine) -> None:
     scene, points = ball_scene(32), ball_points(150)
     with machine.running():
-        ours = train(scene, points, short(), device=machine.device)
-    theirs = train(scene, points, short())
+        ours = Training(scene, points, short(), device=machine.device).run()
+    theirs = Training(scene, points, short()).run()
     assert abs(ours.curve[-1].psnr - theirs.curve[-1].psnr) < 0.5  # dB; densification tips over on single splats
     assert abs(len(ours.surfels) - len(theirs.surfels)) < 0.05 * len(theirs.surfels)
 
@@ -60,7 +60,7 @@ def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
         reordered.append(len(order))
 
     monkeypatch.setattr(Branch, "adapt", adapt_and_reorder)
-    train(ball_scene(24, train=3, test=1), ball_points(80), short("mgsr"))
+    Training(ball_scene(24, train=3, test=1), ball_points(80), short("mgsr")).run()
     assert len(reordered) > 3
 
 
@@ -68,9 +68,11 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
     """Restoring puts everything where the branch is; with a card, what the processor saved goes on there."""
     machine = CARD if torch.cuda.is_available() else SHIM
     scene, points, path = ball_scene(24, train=3, test=1), ball_points(80), tmp_path / "checkpoint.pt"
-    train(scene, points, short("2dgs", *QUICK), checkpoint_path=path)
+    Training(scene, points, short("2dgs", *QUICK), checkpoint_path=path).run()
     with machine.running():
-        result = train(scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device)
+        result = Training(
+            scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device
+        ).run()
     assert result.surfels is not None
 
 
@@ -80,4 +82,4 @@ def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(Branch, "step", full)
     with pytest.raises(GpuError, match=r"80\.00 GiB.*max_side"):
-        train(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK))
+        Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()

@@ -15,7 +15,7 @@ from mgsr.data.images import read_image
 from mgsr.data.normalise import normalisation
 from mgsr.data.scene import Scene, View
 from mgsr.training.progress import TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from tests.training.ball import DISTANCE, RADIUS, ball_points, ball_scene
 from tests.training.test_train import short, tensors
 
@@ -24,7 +24,7 @@ QUICK = ("warmup.surfel_iterations=8", "warmup.volume_iterations=8", "mutual.ite
 
 def trained(scene: Scene, *overrides: str) -> TrainResult:
     """Finite throughout, and nothing had to be undone."""
-    result = train(scene, ball_points(60), short("mgsr", *QUICK, *overrides))
+    result = Training(scene, ball_points(60), short("mgsr", *QUICK, *overrides)).run()
     assert result.incidents == []
     assert all(torch.isfinite(tensor).all() for tensor in tensors(result).values())
     return result

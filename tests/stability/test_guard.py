@@ -14,7 +14,7 @@ from mgsr.errors import Cancelled, TrainingError
 from mgsr.training.branch import Branch
 from mgsr.training.guard import Guard
 from mgsr.training.plan import make_plan
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from mgsr.training.stages import Stage, Step
 from mgsr.training.views import TrainingView
 from tests.training.ball import ball_points, ball_scene
@@ -141,7 +141,7 @@ def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch)
         return made
 
     monkeypatch.setattr(TrainingView, "target", target)
-    result = train(scene(), ball_points(60), short("mgsr", *QUICK, "curve_every=100"))
+    result = Training(scene(), ball_points(60), short("mgsr", *QUICK, "curve_every=100")).run()
     assert {text.split("view ")[1].split(" ")[0] for text in result.incidents} == {"r_1"}
     assert len(result.incidents) >= 5
     assert all(torch.isfinite(tensor).all() for tensor in tensors(result).values())
@@ -165,9 +165,9 @@ def bursting() -> Config:
 
 def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the middle; the training ends near one that had no such step."""
-    calm = train(scene(), ball_points(100), bursting())
+    calm = Training(scene(), ball_points(100), bursting()).run()
     burst_at_step_30(monkeypatch)
-    result = train(scene(), ball_points(100), bursting())
+    result = Training(scene(), ball_points(100), bursting()).run()
     assert any("were undone: the loss rose" in text for text in result.incidents)
     assert result.curve[-1].psnr > calm.curve[-1].psnr - 2
 
@@ -178,14 +178,14 @@ def test_a_resumed_run_goes_back_to_the_same_look(
 ) -> None:
     """Stopped before the burst, or between it and the look that notices it, it is undone as if nothing had stopped."""
     burst_at_step_30(monkeypatch)
-    straight = train(scene(), ball_points(100), bursting())
+    straight = Training(scene(), ball_points(100), bursting()).run()
     path, calls = tmp_path / "checkpoint", iter(range(1000))
     with pytest.raises(Cancelled):
-        train(scene(), ball_points(100), bursting(), None, lambda: next(calls) >= stop_at, path)
-    resumed = train(scene(), ball_points(100), bursting(), checkpoint_path=path, resume=True)
+        Training(scene(), ball_points(100), bursting(), None, lambda: next(calls) >= stop_at, path).run()
+    resumed = Training(scene(), ball_points(100), bursting(), checkpoint_path=path, resume=True).run()
     assert len(straight.incidents) == 1 and resumed.incidents == straight.incidents
     assert_same(resumed, straight)
 
 
 def test_a_training_without_trouble_has_no_incident() -> None:
-    assert train(scene(), ball_points(60), short("mgsr", *QUICK)).incidents == []
+    assert Training(scene(), ball_points(60), short("mgsr", *QUICK)).run().incidents == []

@@ -13,7 +13,7 @@ from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.render.surfels import render_surfels
 from mgsr.training.progress import Progress, TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from tests.training.ball import RADIUS, Points, ball_points, ball_scene
 
 SHORT = [
@@ -75,7 +75,9 @@ def assert_same(first: TrainResult, second: TrainResult) -> None:
 )
 def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
     reports: list[Progress] = []
-    result = train(ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append)
+    result = Training(
+        ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append
+    ).run()
     assert [stage.name for stage in result.stages] == names
     assert (result.surfels is None, result.volumes is None) == (method == "3dgs", method == "2dgs")
     assert all(np.isfinite(row.psnr) for row in result.curve)
@@ -93,7 +95,7 @@ def test_training_finds_the_ball(masked: bool) -> None:
     overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "volumes")]
     overrides += ["edge_band=0", "surfels.rates.scale=1e-2", "surfels.start_scale=1", "surfels.start_opacity=0.1"]
     scene = ball_scene(48, train=16, masked=masked)
-    result = train(scene, ball_points(600, 1.2 * RADIUS), make_config("draft", overrides=overrides))
+    result = Training(scene, ball_points(600, 1.2 * RADIUS), make_config("draft", overrides=overrides)).run()
     row = result.curve[-1]
     assert row.psnr_volumes > 27
     assert row.psnr_surfels > 25
@@ -113,7 +115,7 @@ def surface_error(result: TrainResult, camera: Camera) -> float:
 
 
 def test_same_seed_same_bytes() -> None:
-    assert_same(*(train(ball_scene(32), ball_points(), short()) for _ in range(2)))
+    assert_same(*(Training(ball_scene(32), ball_points(), short()).run() for _ in range(2)))
 
 
 @pytest.mark.parametrize("stop_at", [5, 30, 55])
@@ -138,9 +140,9 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
     scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
     calls = iter(range(1000))
     with pytest.raises(Cancelled, match="checkpoint"):
-        train(scene, points, config, should_stop=lambda: next(calls) >= stop_at, checkpoint_path=path)
-    resumed = train(scene, points, config, checkpoint_path=path, resume=True)
-    straight = train(scene, points, config)
+        Training(scene, points, config, should_stop=lambda: next(calls) >= stop_at, checkpoint_path=path).run()
+    resumed = Training(scene, points, config, checkpoint_path=path, resume=True).run()
+    straight = Training(scene, points, config).run()
     assert_same(resumed, straight)
     assert resumed.tried == straight.tried
     assert [s.iterations for s in resumed.stages] == [s.iterations for s in straight.stages]
@@ -151,56 +153,60 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
 
 def test_resuming_a_finished_run_gives_its_result(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint"
-    finished = train(ball_scene(32), ball_points(), short(), checkpoint_path=path)
-    assert_same(finished, train(ball_scene(32), ball_points(), short(), checkpoint_path=path, resume=True))
+    finished = Training(ball_scene(32), ball_points(), short(), checkpoint_path=path).run()
+    assert_same(finished, Training(ball_scene(32), ball_points(), short(), checkpoint_path=path, resume=True).run())
 
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path: Path) -> None:
     path, scene, points = tmp_path / "checkpoint", ball_scene(32), ball_points()
-    train(scene, points, short("3dgs"), checkpoint_path=path)
+    Training(scene, points, short("3dgs"), checkpoint_path=path).run()
     with pytest.raises(CheckpointError, match="settings differ"):
-        train(scene, points, short("3dgs", "l1_weight=0.5"), checkpoint_path=path, resume=True)
+        Training(scene, points, short("3dgs", "l1_weight=0.5"), checkpoint_path=path, resume=True).run()
     with pytest.raises(CheckpointError, match="scene differ"):
-        train(ball_scene(32, train=11), points, short("3dgs"), checkpoint_path=path, resume=True)
-    train(scene, points, short("3dgs", "curve_every=7"), checkpoint_path=path, resume=True)  # only looked at
+        Training(ball_scene(32, train=11), points, short("3dgs"), checkpoint_path=path, resume=True).run()
+    Training(scene, points, short("3dgs", "curve_every=7"), checkpoint_path=path, resume=True).run()  # only looked at
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(CheckpointError, match="not a readable checkpoint"):
-        train(scene, points, short("3dgs"), checkpoint_path=path, resume=True)
+        Training(scene, points, short("3dgs"), checkpoint_path=path, resume=True).run()
 
 
 def test_a_deadline_ends_the_run_and_says_so() -> None:
-    result = train(ball_scene(32), ball_points(), short("3dgs"), deadline=0.0)
+    result = Training(ball_scene(32), ball_points(), short("3dgs"), deadline=0.0).run()
     assert [stage.stop_reason for stage in result.stages] == ["deadline", "deadline"]
 
 
 def test_torch_threads_are_put_back() -> None:
     before = torch.get_num_threads()
-    train(ball_scene(32), ball_points(), short("3dgs"))
+    Training(ball_scene(32), ball_points(), short("3dgs")).run()
     assert torch.get_num_threads() == before
 
 
 def test_numbers_that_go_bad_are_named() -> None:
     with pytest.raises(TrainingError, match=r"warmup_volumes, iteration \d+: volumes\."):
-        train(ball_scene(32), ball_points(), short("3dgs", "volumes.rates.sh=1e38", "volumes.rates.sh_rest=1e38"))
+        Training(
+            ball_scene(32), ball_points(), short("3dgs", "volumes.rates.sh=1e38", "volumes.rates.sh_rest=1e38")
+        ).run()
 
 
 def test_a_branch_with_nothing_left_is_an_error() -> None:
     with pytest.raises(TrainingError, match="every splat was pruned"):
-        train(ball_scene(32), ball_points(), short("3dgs", "volumes.densify.prune_opacity=0.9999"))
+        Training(ball_scene(32), ball_points(), short("3dgs", "volumes.densify.prune_opacity=0.9999")).run()
 
 
 def test_too_little_to_start_from() -> None:
     with pytest.raises(TrainingError, match="at least 2 training views"):
-        train(ball_scene(32, train=1), ball_points(), short())
+        Training(ball_scene(32, train=1), ball_points(), short()).run()
     points = ball_points(3)
     with pytest.raises(TrainingError, match="at least 4"):
-        train(ball_scene(32), Points(points.positions, None, points.colors), short())
+        Training(ball_scene(32), Points(points.positions, None, points.colors), short()).run()
 
 
 def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
     path, seen = tmp_path / "checkpoint", []
     config = short("2dgs", "report_every=5", "checkpoint_seconds=0")
-    train(ball_scene(32), ball_points(), config, lambda report: seen.append(path.exists()), checkpoint_path=path)
+    Training(
+        ball_scene(32), ball_points(), config, lambda report: seen.append(path.exists()), checkpoint_path=path
+    ).run()
     assert seen[1]  # in the first stage, long before the first 1000 iterations
 
 
@@ -210,7 +216,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 
     def trained(reflection: str) -> TrainResult:
         config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"reflection={reflection}"])
-        return train(scene, ball_points(600, RADIUS), config)
+        return Training(scene, ball_points(600, RADIUS), config).run()
 
     plain, lit = trained("own"), trained("both")
     assert plain.light is None and lit.light is not None
@@ -223,5 +229,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 
 def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     points = ball_points()
-    result = train(ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short())
+    result = Training(
+        ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short()
+    ).run()
     assert result.light is None and result.reflection is Reflection.OFF

@@ -11,7 +11,7 @@ from mgsr.config import Reflection, make_config
 from mgsr.errors import Cancelled
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
-from mgsr.training.run import train
+from mgsr.training.run import Training
 from mgsr.training.trial import Candidate, simplest
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
@@ -21,9 +21,9 @@ TRIED = ["trial.iterations=100", "trial.views=3", "mirror.side=16", "trial.start
 
 def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: Any) -> TrainResult:
     scene = ball_scene(32, train=14, test=3, gloss=gloss)
-    return train(
+    return Training(
         scene, ball_points(600, RADIUS), make_config("draft", method, 0, [*LENGTHS, *TRIED, *overrides]), **callbacks
-    )
+    ).run()
 
 
 def test_a_matte_ball_ends_without_reflection() -> None:
@@ -54,7 +54,7 @@ def test_what_was_asked_for_is_not_tried() -> None:
 def test_too_few_photographs_are_not_held_back() -> None:
     """Three of them are too few to spare one: then the start's word counts, and it had none."""
     scene = ball_scene(32, train=3, test=1)
-    result = train(scene, ball_points(600, RADIUS), make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED]))
+    result = Training(scene, ball_points(600, RADIUS), make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])).run()
     assert result.reflection is Reflection.BOTH and not result.tried
 
 

@@ -17,6 +17,7 @@ from mgsr.native.cuda.tiles import (
     SPLAT_THREADS,
     TILE_PIXELS,
     Band,
+    Blended,
     Projected,
     TileLists,
     Tiles,
@@ -89,15 +90,6 @@ class GradientParams(ctypes.Structure):
         *pointers("records", "sums", "tile_counts"),
         *pointers(*(f"v_{name}" for name in SPLAT_TENSORS), "v_means2d"),
     )
-
-
-@dataclass(frozen=True)
-class Blended:
-    """A band after blending. states: of its pixels at each bucket, only where a backward pass follows."""
-
-    lists: TileLists
-    states: Tensor | None
-    reached: Tensor
 
 
 @dataclass(frozen=True)

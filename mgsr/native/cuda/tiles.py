@@ -147,6 +147,15 @@ class TileLists:
         return Tiles(width, height, _across(width), self.tiles, self.band.struct(), *arrays)
 
 
+@dataclass(frozen=True)
+class Blended:
+    """A band after blending. states: of its pixels at each bucket, only where a backward pass follows."""
+
+    lists: TileLists
+    states: Tensor | None
+    reached: Tensor
+
+
 # What every projection writes: the end of its params struct, after the splats.
 PROJECTED = pointers("records", "outlines", "depths", "tile_counts", "radii")
 

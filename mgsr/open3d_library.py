@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import sys
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +19,7 @@ def load_open3d() -> ModuleType:
     Raises MgsrError where a library that it links against is missing on this machine.
     """
     _load_libusb()
+    _leave_out_plots()
     try:
         import open3d
     except ImportError as error:
@@ -26,6 +28,17 @@ def load_open3d() -> ModuleType:
         ) from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
+
+
+def _leave_out_plots() -> None:
+    """Open3D brings a web server and a plotting library along for notebooks, which take longer to load than itself: an
+    empty module in the place of the one that loads them."""
+    name = "open3d.visualization.draw_plotly"
+    if name not in sys.modules:
+        plots = ModuleType(name, "Left out: see mgsr/open3d_library.py.")
+        for unused in ("get_plotly_fig", "draw_plotly", "draw_plotly_server"):
+            setattr(plots, unused, None)
+        sys.modules[name] = plots
 
 
 def _load_libusb() -> None:

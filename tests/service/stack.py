@@ -174,8 +174,10 @@ class Stack:
         found: dict[str, Any] = answer.json()
         return found
 
-    def wait_for(self, job: str, *statuses: str, step: str | None = None, seconds: float = 120.0) -> dict[str, Any]:
-        """The job once it has one of the statuses (and is at a step)."""
+    def wait_for(
+        self, job: str, *statuses: str, step: str | None = None, seconds: float = 120.0, every: float = 0.1
+    ) -> dict[str, Any]:
+        """The job once it has one of the statuses (and is at a step). every: seconds between two looks."""
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
             found = self.job(job)
@@ -183,7 +185,7 @@ class Stack:
                 return found
             if found["status"] in FINAL and found["status"] not in statuses:
                 raise AssertionError(f"job {job} has {found['status']}: {found['error']}\n{self.logs()}")
-            time.sleep(0.1)
+            time.sleep(every)
         raise AssertionError(f"job {job} is not {statuses} after {seconds} s but {self.job(job)}\n{self.logs()}")
 
     def finished(self, job: str, seconds: float = 180.0) -> dict[str, Any]:

@@ -122,7 +122,7 @@ def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: byte
         print(f"sent in {time.monotonic() - begun:.1f} s")
         assert len(set(jobs)) == 200
         for job in jobs:
-            assert stack.wait_for(job, "succeeded", seconds=7000)["metrics"]["mesh"]["faces"] > 500
+            assert stack.wait_for(job, "succeeded", seconds=7000, every=1.0)["metrics"]["mesh"]["faces"] > 500
             assert stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"}).content == b"ply"
         print(f"all done in {time.monotonic() - begun:.1f} s")
         assert sorted(successes(stack)) == sorted(jobs)

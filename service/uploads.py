@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from python_multipart.exceptions import MultipartParseError
 from python_multipart.multipart import MultipartParser, parse_options_header
@@ -17,6 +17,9 @@ from starlette.requests import Request
 from service.contract.settings import Settings
 from service.contract.store import Store
 from service.problems import Problem
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
 
 OPTIONS_BYTES = 256 << 10
 RAW_TYPES = {
@@ -137,7 +140,7 @@ async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink:
         raise Problem(400, "multipart_malformed", "the header Content-Type names no boundary")
     fields = _Fields(sink)
     try:
-        parser = MultipartParser(boundary, fields.callbacks())  # type: ignore[arg-type]
+        parser = MultipartParser(boundary, fields.callbacks())
         async for chunk in chunks:
             parser.write(chunk)
             await sink.flush(writer)
@@ -162,7 +165,7 @@ class _Fields:
         self.options: bytes | None = None
         self.archive_seen = self.ended = False
 
-    def callbacks(self) -> dict[str, Callable[..., None]]:
+    def callbacks(self) -> MultipartCallbacks:
         """As the parser wants them."""
         return {
             "on_part_begin": self._begin,

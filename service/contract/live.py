@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from redis import Redis
+from redis.typing import EncodableT, FieldT
 
 EVENTS_KEPT = 2000
 LIVE_SECONDS = 7 * 86400
@@ -84,6 +85,6 @@ class Live:
 
     def publish(self, job: str, kind: str, data: dict[str, Any]) -> None:
         """Tell whoever listens."""
-        entry = {"event": kind, "data": json.dumps(data)}
-        self.redis.xadd(events_key(job), entry, maxlen=EVENTS_KEPT, approximate=True)  # type: ignore[arg-type]
+        entry: dict[FieldT, EncodableT] = {"event": kind, "data": json.dumps(data)}
+        self.redis.xadd(events_key(job), entry, maxlen=EVENTS_KEPT, approximate=True)
         self.redis.expire(events_key(job), LIVE_SECONDS)

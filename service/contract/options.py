@@ -150,7 +150,7 @@ def _fits(value: SettingValue, schema: dict[str, Any]) -> bool:
         return False
     if not isinstance(value, _KINDS[schema["type"]]) or ("enum" in schema and value not in schema["enum"]):
         return False
-    return "minimum" not in schema or schema["minimum"] <= value < float("inf")  # type: ignore[operator]
+    return isinstance(value, str) or schema.get("minimum", float("-inf")) <= value < float("inf")
 
 
 def _say(schema: dict[str, Any]) -> str:

@@ -21,20 +21,22 @@ COMPOSE = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8
 MANIFESTS = sorted(
     path for path in (ROOT / "deploy/kubernetes").glob("*.yaml") if path.name not in ("kustomization.yaml",)
 )
-DOCUMENTS = [
-    pytest.param(document, id=f"{path.name}:{document['kind']}/{document['metadata']['name']}")
+DOCUMENTS: dict[str, dict[str, Any]] = {
+    f"{path.name}:{document['kind']}/{document['metadata']['name']}": document
     for path in MANIFESTS
     for document in yaml.safe_load_all(path.read_text(encoding="utf-8"))
-]
+}
+WORKLOADS = ("Deployment", "StatefulSet")
 KUBERNETES = "1.33"
 
 
 def _pods() -> dict[str, dict[str, Any]]:
-    found = [document.values[0] for document in DOCUMENTS]
-    return {d["metadata"]["name"]: d["spec"]["template"]["spec"] for d in found if d["kind"] in WORKLOADS}  # type: ignore[index]
+    found = _of_kind(*WORKLOADS)
+    return {document["metadata"]["name"]: document["spec"]["template"]["spec"] for document in found}
 
 
-WORKLOADS = ("Deployment", "StatefulSet")
+def _of_kind(*kinds: str) -> list[dict[str, Any]]:
+    return [document for document in DOCUMENTS.values() if document["kind"] in kinds]
 
 
 def _schema(name: str, *files: Path) -> None:
@@ -51,7 +53,7 @@ def test_the_workflows_have_the_form_of_workflows() -> None:
     _schema("vendor.github-workflows", *sorted((ROOT / ".github/workflows").glob("*.yml")))
 
 
-@pytest.mark.parametrize("document", DOCUMENTS)
+@pytest.mark.parametrize("document", DOCUMENTS.values(), ids=DOCUMENTS)
 def test_each_manifest_has_the_form_of_its_kind(document: dict[str, Any]) -> None:
     models = {"ScaledObject": ScaledObject, "TriggerAuthentication": TriggerAuthentication}
     if document["kind"] in models:
@@ -130,7 +132,7 @@ def test_a_pod_has_limits_probes_and_no_more_rights_than_it_needs(name: str) -> 
 
 
 def test_the_network_is_closed_but_for_what_is_named() -> None:
-    policies = {d.values[0]["metadata"]["name"]: d.values[0]["spec"] for d in DOCUMENTS if "NetworkPolicy" in str(d.id)}  # type: ignore[index]
+    policies = {document["metadata"]["name"]: document["spec"] for document in _of_kind("NetworkPolicy")}
     assert policies["nothing"] == {"podSelector": {}, "policyTypes": ["Ingress", "Egress"]}
 
 
@@ -146,8 +148,9 @@ def test_the_scalers_look_at_the_keys_of_rq() -> None:
     from rq import Queue
     from rq.registry import StartedJobRegistry
 
-    scaled = [d.values[0] for d in DOCUMENTS if "ScaledObject" in str(d.id)]
+    scaled = _of_kind("ScaledObject")
+    assert scaled
     for document in scaled:
-        queue = document["metadata"]["name"].removeprefix("worker-")  # type: ignore[index]
-        lists = [trigger["metadata"]["listName"] for trigger in document["spec"]["triggers"]]  # type: ignore[index]
+        queue = document["metadata"]["name"].removeprefix("worker-")
+        lists = [trigger["metadata"]["listName"] for trigger in document["spec"]["triggers"]]
         assert lists == [f"{Queue.redis_queue_namespace_prefix}{queue}", StartedJobRegistry.key_template.format(queue)]

@@ -22,12 +22,12 @@ from tests.service.stack import zip_folder
 from worker.cli import app as worker_app
 
 PROGRAMS = {"mgsr": "program", "mgsr-worker": "worker.cli", "mgsr-service": "service.cli"}
-ALL = [pytest.param(block, id=f"{block.page.name}:{i}") for page in PAGES for i, block in enumerate(blocks(page))]
+ALL = {f"{block.page.name}:{i}": block for page in PAGES for i, block in enumerate(blocks(page))}
 WITH_COMMANDS = [page for page in PAGES if script(page).strip() != "set -euo pipefail"]
 KINDS = ("not run", "background", "run in", "run", "uses", "curl", "")
 
 
-@pytest.mark.parametrize("block", ALL)
+@pytest.mark.parametrize("block", ALL.values(), ids=ALL)
 def test_each_block_says_what_it_is(block: Block) -> None:
     assert block.language in ("sh", "json", "python", "text", "") and block.how.split(":")[0] in KINDS, block.how
     assert block.language or "$ " not in block.text, "commands stand in blocks `sh`, so that they are run"
@@ -36,8 +36,8 @@ def test_each_block_says_what_it_is(block: Block) -> None:
 
 
 def test_few_blocks_are_left_out() -> None:
-    shell = [block.values[0] for block in ALL if block.values[0].language == "sh"]  # type: ignore[union-attr]
-    left_out = [f"{block.page.name}: {block.how}" for block in shell if block.argument("not run")]  # type: ignore[union-attr]
+    shell = [block for block in ALL.values() if block.language == "sh"]
+    left_out = [f"{block.page.name}: {block.how}" for block in shell if block.argument("not run")]
     assert len(left_out) <= 10, left_out
 
 

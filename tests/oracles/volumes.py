@@ -29,8 +29,19 @@ def rotation(quats: Tensor) -> Tensor:
     return torch.eye(3, dtype=q.dtype) + 2 * w * cross + 2 * cross @ cross
 
 
-def render(means, quats, scales, opacities, colors, camera, background, reflected=None, low_pass=0.3, near=0.01,
-           compensate=False) -> Images:
+def render(
+    means,
+    quats,
+    scales,
+    opacities,
+    colors,
+    camera,
+    background,
+    reflected=None,
+    low_pass=0.3,
+    near=0.01,
+    compensate=False,
+) -> Images:
     """All tensors float64 as in mgsr.ops.volumes; differentiable by autograd."""
     K, pose = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world)
     H, W = camera.height, camera.width

@@ -72,9 +72,9 @@ def keep_picture(page: Page, name: str) -> None:
 
 
 @contextmanager
-def watched_page(browser: Browser, url: str, **context: object) -> Iterator[Page]:
+def watched_page(browser: Browser, url: str, **context: Any) -> Iterator[Page]:
     """A page in a profile of its own, at `url`; in the end nothing may have happened that must not."""
-    held = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **context})  # type: ignore[arg-type]
+    held = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **context})
     page = held.new_page()
     page.set_default_timeout(20_000)
     watch = Watch(urlsplit(url).netloc)

@@ -74,7 +74,7 @@ def test_nothing_is_wider_than_a_small_phone(visit: Opener, addresses: dict[str,
 def test_from_files_to_a_running_job_by_keyboard_alone(visit: Opener, service: Stack) -> None:
     with visit() as page:
         # From the beginning: asked for just before the key, it may come too late.
-        page.on("filechooser", lambda chooser: chooser.set_files([zip_file("by keyboard.zip")]))  # type: ignore[list-item]
+        page.on("filechooser", lambda chooser: chooser.set_files([zip_file("by keyboard.zip")]))
         expect(page.get_by_role("heading", name="New reconstruction")).to_be_visible()
         page.keyboard.press("Tab")
         expect(page.get_by_role("link", name="Skip to the content")).to_be_focused()

@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import FilePayload, Page, Route, expect
 
 from service.contract.settings import Settings
 from service.contract.store import Store
@@ -25,7 +25,7 @@ ARCHIVE = "input[type=file]:not([webkitdirectory])"
 FOLDER = "input[webkitdirectory]"
 
 
-def zip_file(name: str = "kettle.zip", size: int = 2000) -> dict[str, object]:
+def zip_file(name: str = "kettle.zip", size: int = 2000) -> FilePayload:
     return {"name": name, "mimeType": "application/zip", "buffer": zip_of(("image.png", bytes(size)))}
 
 
@@ -49,7 +49,8 @@ def sent(service: Stack, job: str) -> bytes:
 
 def members(archive: bytes) -> dict[str, bytes]:
     with tarfile.open(fileobj=io.BytesIO(archive)) as held:
-        return {item.name: held.extractfile(item).read() for item in held}  # type: ignore[union-attr]
+        opened = {item.name: held.extractfile(item) for item in held}
+        return {name: file.read() for name, file in opened.items() if file is not None}
 
 
 def files_of(folder: Path) -> dict[str, bytes]:

@@ -8,6 +8,7 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable
+from typing import Literal
 
 import zstandard
 
@@ -21,10 +22,10 @@ def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -
     return held.getvalue()
 
 
-def tar_of(*members: tuple[tarfile.TarInfo, bytes], mode: str = "w") -> bytes:
+def tar_of(*members: tuple[tarfile.TarInfo, bytes], mode: Literal["w", "w:gz"] = "w") -> bytes:
     """A tar of members and contents."""
     held = io.BytesIO()
-    with tarfile.open(fileobj=held, mode=mode) as target:  # type: ignore[call-overload]
+    with tarfile.open(fileobj=held, mode=mode) as target:
         for member, data in members:
             target.addfile(member, io.BytesIO(data))
     return held.getvalue()

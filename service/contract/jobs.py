@@ -161,6 +161,9 @@ class Jobs:
         """
         self.store.delete(record.archive)
         self.store.delete_all(_path(record.id, "attempts"))
+        for job, number in self.untold_rounds():
+            if job == record.id:
+                self.told(job, number)
         self.store.delete(_index_path(record))
         self.store.delete(_path(record.id, "job.json"))
         self.store.delete_all(f"jobs/{record.id}")

@@ -119,6 +119,14 @@ def test_a_receiver_that_is_gone_is_left_alone(calling: Stack, receiver: Receive
     assert jobs.untold_rounds() == [] and len(receiver.came) == 1
 
 
+def test_a_job_that_is_removed_has_no_more_to_tell(tmp_path: Path) -> None:
+    jobs = ended(Store(str(tmp_path), 1.0), "http://receiver.example/")
+    record = jobs.record("0" * 32)
+    assert record is not None and jobs.untold_rounds() == [(record.id, 0)]
+    jobs.remove(record)
+    assert jobs.untold_rounds() == [] and not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
 def test_a_private_address_is_not_called(calling: Stack, receiver: Receiver, tmp_path: Path) -> None:
     """Whatever the name looked like at the submit, the address that it has now decides."""
     calling.redis.flushall()

@@ -3,73 +3,21 @@
 from __future__ import annotations
 
 import fcntl
-import os
-import signal
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 
 from redis import Redis, RedisError
 
+from service.contract.children import Child, Stop, keep_alive, stop_on_signals
 from service.contract.errors import SetupError
 from service.contract.settings import Settings
 from service.contract.valkey import prepare_server
 
 READY_SECONDS = 30.0
-RESTART_PAUSE = 0.5
-# So many deaths of one child within a minute mean that it can't live.
-MOST_DEATHS = 10
-LOOK = 0.2
-
-
-@dataclass
-class Child:
-    """One program. patience: seconds that it has to end when asked to."""
-
-    name: str
-    command: list[str]
-    environment: dict[str, str]
-    patience: float
-    process: subprocess.Popen[bytes] | None = None
-    deaths: list[float] = field(default_factory=list)
-
-    def start(self) -> None:
-        """Start it, tied to this process, in a session of its own: a terminal's Ctrl-C reaches this process alone."""
-        tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
-        self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
-
-    def revive(self) -> None:
-        """Start it again if it has died. Raises SetupError where it keeps dying."""
-        if self.process is None or self.process.poll() is None:
-            return
-        now = time.monotonic()
-        self.deaths = [death for death in self.deaths if now - death < 60] + [now]
-        if len(self.deaths) >= MOST_DEATHS:
-            raise SetupError(f"the {self.name} ends again and again, with {self.process.returncode}; see above for why")
-        print(f"the {self.name} ended with {self.process.returncode}; starting it again", file=sys.stderr)
-        time.sleep(RESTART_PAUSE)
-        self.start()
-
-    def stop(self, at_once: bool) -> None:
-        """Ask it to end, and see to it."""
-        if self.process is None or self.process.poll() is not None:
-            return
-        if not at_once:
-            self.process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self.process.wait(self.patience)
-        self.process.kill()
-        self.process.wait()
-
-
-class _Stop(Exception):
-    """A signal asks for the end."""
 
 
 def serve(settings: Settings, host: str, port: int) -> None:
@@ -77,18 +25,17 @@ def serve(settings: Settings, host: str, port: int) -> None:
     _check_port(host, port)
     with _alone(settings.home):
         children = _children(settings, host, port)
-        signal.signal(signal.SIGTERM, _ask_to_stop)
-        signal.signal(signal.SIGINT, _ask_to_stop)
+        stop_on_signals()
         at_once = False
         try:
             _run(children, f"http://{host}:{port}")
-        except _Stop:
+        except Stop:
             print("stopping; a job that runs writes a checkpoint and goes on at the next start", file=sys.stderr)
         finally:
             for child in reversed(children):
                 try:
                     child.stop(at_once)
-                except _Stop:
+                except Stop:
                     at_once = True
                     child.stop(at_once)
 
@@ -116,10 +63,7 @@ def _run(children: list[Child], address: str) -> None:
             _wait_for_queue(children)
     _wait_for_api(children, address)
     print(f"MGSR listens at {address} (documentation: {address}/docs); Ctrl-C stops everything", flush=True)
-    while True:
-        for child in children:
-            child.revive()
-        time.sleep(LOOK)
+    keep_alive(children)
 
 
 def _wait_for_queue(children: list[Child]) -> None:
@@ -169,7 +113,3 @@ def _alone(home: Path) -> Iterator[None]:
         except OSError as error:
             raise SetupError(f"`mgsr serve` runs on {home} already; stop it, or set MGSR_HOME") from error
         yield
-
-
-def _ask_to_stop(number: int, frame: FrameType | None) -> None:
-    raise _Stop

@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import os
 import signal
-import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 
+from service.contract.children import Child, Stop, keep_alive, stop_on_signals
 from service.contract.errors import SetupError
 from service.contract.queue import CPU, GPU
 from service.contract.settings import Settings
@@ -39,20 +40,30 @@ def _work(on_card: bool) -> None:
 
 
 def _one_for_each(cards: list[str]) -> None:
-    """A child for each card; a signal to this process goes to all of them."""
-    command = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), sys.executable, "-m", "worker.cli"]
+    """A worker for each card, which starts again if it dies; a signal to this process ends all of them."""
+    settings = Settings()
+    settings.need_redis()
     children = [
-        subprocess.Popen(command, env=os.environ | {_CARD: card, "CUDA_VISIBLE_DEVICES": card}) for card in cards
+        Child(
+            f"worker of card {card}",
+            [sys.executable, "-m", "worker.cli"],
+            {_CARD: card, "CUDA_VISIBLE_DEVICES": card},
+            settings.stop_grace + 10.0,
+        )
+        for card in cards
     ]
-
-    def pass_on(number: int, frame: FrameType | None) -> None:
-        for child in children:
-            child.send_signal(number)
-
-    signal.signal(signal.SIGTERM, pass_on)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to the children too
-    if any([child.wait() for child in children]):
-        raise SetupError("a worker ended by an error; see above")
+    stop_on_signals()
+    try:
+        with suppress(Stop):
+            for child in children:
+                child.start()
+            keep_alive(children)
+    finally:
+        for number in (signal.SIGTERM, signal.SIGINT):  # from here on they end anyway
+            signal.signal(number, signal.SIG_IGN)
+        # At the same time: each may have a checkpoint to write.
+        with ThreadPoolExecutor(len(children)) as pool:
+            list(pool.map(lambda child: child.stop(at_once=False), children))
 
 
 def _cards(gpus: str) -> list[str]:

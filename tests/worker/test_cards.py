@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from service.contract.errors import SetupError
-from tests.service.stack import ROOT, TINY_OPTIONS, Stack
+from tests.service.stack import ROOT, TINY_OPTIONS, Stack, kill_process
 from worker import start
+
+
+def cards_of(parent: int) -> dict[int, str]:
+    """The card that each child of a process may use, by the child's process id."""
+    found: dict[int, str] = {}
+    for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+        with suppress(OSError):  # it has just ended
+            variables = Path(f"/proc/{pid}/environ").read_bytes().decode().split("\0")
+            found |= {int(pid): value[21:] for value in variables if value.startswith("CUDA_VISIBLE_DEVICES=")}
+    return found
 
 
 @pytest.mark.slow
@@ -30,11 +42,25 @@ def test_a_worker_for_each_card(tmp_path: Path, tiny_archive: bytes) -> None:
         assert stack.http.get("/readyz").json()["workers"] == 1
 
 
+def test_a_cards_worker_that_dies_starts_again(tmp_path: Path) -> None:
+    with Stack(tmp_path, workers=0) as stack:
+        command = [sys.executable, "-m", "worker.cli", "--gpus", "0,1"]
+        with subprocess.Popen(command, env=stack.environment, cwd=ROOT) as workers:
+            stack.wait_until_ready(2)
+            before = cards_of(workers.pid)
+            assert sorted(before.values()) == ["0", "1"]
+            kill_process(max(before))
+            while max(before) in (now := cards_of(workers.pid)) or len(now) < 2:
+                time.sleep(0.1)
+            assert sorted(now.values()) == ["0", "1"] and min(before) in now
+            workers.terminate()
+            assert workers.wait(30) == 0
+
+
 @pytest.mark.parametrize(("visible", "cards"), [(None, ["0", "1", "2"]), ("2,1", ["2", "1"]), ("GPU-5a", ["GPU-5a"])])
 def test_all_cards_are_those_that_this_process_may_use(
     visible: str | None, cards: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A child gets each, and sees no other."""
     for name in ("0000:01:00.0", "0000:02:00.0", "0000:a1:00.0"):
         (tmp_path / name).mkdir()
     monkeypatch.setattr(start, "_DRIVERS_LIST", tmp_path)
@@ -42,16 +68,7 @@ def test_all_cards_are_those_that_this_process_may_use(
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     seen: list[str] = []
-
-    class Child:
-        def __init__(self, command: list[str], env: dict[str, str]) -> None:
-            seen.append(env["CUDA_VISIBLE_DEVICES"])
-
-        def wait(self) -> int:
-            return 0
-
-    monkeypatch.setattr(start.subprocess, "Popen", Child)
-    monkeypatch.setattr(start.signal, "signal", lambda number, handler: None)
+    monkeypatch.setattr(start, "_one_for_each", seen.extend)
     start.start_workers("all")
     assert seen == cards
 

@@ -1,0 +1,81 @@
+"""Programs that a process starts, keeps running and ends: the parts of `mgsr serve`, the workers of several cards."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from types import FrameType
+
+from service.contract.errors import SetupError
+
+RESTART_PAUSE = 0.5
+# So many deaths of one child within a minute mean that it can't live.
+MOST_DEATHS = 10
+LOOK = 0.2
+
+
+class Stop(Exception):
+    """A signal asks for the end."""
+
+
+@dataclass
+class Child:
+    """One program. patience: seconds that it has to end when asked to."""
+
+    name: str
+    command: list[str]
+    environment: dict[str, str]
+    patience: float
+    process: subprocess.Popen[bytes] | None = None
+    deaths: list[float] = field(default_factory=list)
+
+    def start(self) -> None:
+        """Start it, tied to this process, in a session of its own: a terminal's Ctrl-C reaches this process alone."""
+        tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
+        self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
+
+    def revive(self) -> None:
+        """Start it again if it has died. Raises SetupError where it keeps dying."""
+        if self.process is None or self.process.poll() is None:
+            return
+        now = time.monotonic()
+        self.deaths = [death for death in self.deaths if now - death < 60] + [now]
+        if len(self.deaths) >= MOST_DEATHS:
+            raise SetupError(f"the {self.name} ends again and again, with {self.process.returncode}; see above for why")
+        print(f"the {self.name} ended with {self.process.returncode}; starting it again", file=sys.stderr)
+        time.sleep(RESTART_PAUSE)
+        self.start()
+
+    def stop(self, at_once: bool) -> None:
+        """Ask it to end, and see to it."""
+        if self.process is None or self.process.poll() is not None:
+            return
+        if not at_once:
+            self.process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(self.patience)
+        self.process.kill()
+        self.process.wait()
+
+
+def stop_on_signals() -> None:
+    """From now on SIGTERM and SIGINT raise Stop in the main thread."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _ask_to_stop)
+
+
+def keep_alive(children: list[Child]) -> None:
+    """Start again whichever dies, until Stop. Raises SetupError where one keeps dying."""
+    while True:
+        for child in children:
+            child.revive()
+        time.sleep(LOOK)
+
+
+def _ask_to_stop(number: int, frame: FrameType | None) -> None:
+    raise Stop

@@ -4,9 +4,11 @@
 
 Without FOLDER, photographs of that size are made in a temporary folder: smooth with some noise, as cameras' files are.
 Each row is a way to read: `decode` is OpenImageIO alone, which may use the same memory again and again; `kept` holds
-all images, as a reader must; `views` is the reader's, as they are; `reduced` to 1,000
-pixels; `lens` with a distortion undone; `reduced, lens` both. `cpu` is processor time, which other programs on the
-machine disturb less; the ratios are to `decode`, of the medians of runs that alternate.
+all images, as a reader must; `remapped` is decoding and OpenCV's remapping of bytes and nothing else, on maps that are
+made already, by `linear` interpolation or `cubic`; `views` is the reader's, as they are; `reduced` to 1,000 pixels;
+`lens` with a distortion undone, and `lenses` with one of its own for each photograph, as COLMAP finds them unless it is
+told that one camera took all; `reduced, lens` both. `cpu` is processor time, which other programs on the machine
+disturb less; the ratios are to `decode`, of the medians of runs that alternate.
 """
 
 from __future__ import annotations
@@ -18,8 +20,10 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import OpenImageIO
 
@@ -29,6 +33,7 @@ from mgsr.data.files import images_below
 from mgsr.data.images import image_size
 from mgsr.data.lens import Lens
 from mgsr.data.loading import load_views
+from mgsr.data.undistortion import Undistortion, undistortion
 from mgsr.parallel import core_count
 
 LENS = Lens(-0.12, 0.05, 0.001, -0.001)
@@ -67,13 +72,19 @@ def make_photographs(folder: Path, count: int, width: int, height: int, suffix: 
 
 def report(images: Sequence[Path], runs: int) -> None:
     size = image_size(images[0], "the benchmark")
+    one = [LENS] * len(images)
+    each = [replace(LENS, k1=LENS.k1 + 1e-4 * i) for i in range(len(images))]
+    how = undistortion(LENS, calibration(size), *size, "the benchmark")
     ways: dict[str, Callable[[], None]] = {
-        "decode": lambda: decode(images),
-        "decode, kept": lambda: decode(images, keep=True),
-        "views": lambda: read(images, size, None, 1 << 20),
+        "decode": lambda: in_parallel(decode, images),
+        "decode, kept": lambda: in_parallel(decode, images, keep=True),
+        "remapped, linear": lambda: in_parallel(lambda image: remap(image, how, cv2.INTER_LINEAR), images, keep=True),
+        "remapped, cubic": lambda: in_parallel(lambda image: remap(image, how, cv2.INTER_CUBIC), images, keep=True),
+        "views": lambda: read(images, size, None, max(size)),
         "reduced": lambda: read(images, size, None, 1000),
-        "lens": lambda: read(images, size, LENS, 1 << 14),
-        "reduced, lens": lambda: read(images, size, LENS, 1000),
+        "lens": lambda: read(images, size, one, max(size)),
+        "lenses": lambda: read(images, size, each, max(size)),
+        "reduced, lens": lambda: read(images, size, one, 1000),
     }
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     for _ in range(runs):
@@ -82,38 +93,48 @@ def report(images: Sequence[Path], runs: int) -> None:
             way()
             seconds[name].append((time.perf_counter() - begun, time.process_time() - used))
     print(f"{len(images)} images of {size[0]}x{size[1]}, {core_count(None)} cores, {runs} runs")
-    print(f"{'':16}{'ms an image':>12}{'ratio':>8}{'cpu ms':>10}{'ratio':>8}")
+    print(f"{'':18}{'ms an image':>12}{'ratio':>8}{'cpu ms':>10}{'ratio':>8}")
     medians = {
         name: [statistics.median(column) for column in zip(*rows, strict=True)] for name, rows in seconds.items()
     }
     bare = medians["decode"]
     for name, (wall, cpu) in medians.items():
         unit = 1e3 / len(images)
-        print(f"{name:16}{wall * unit:12.1f}{wall / bare[0]:8.2f}{cpu * unit:10.1f}{cpu / bare[1]:8.2f}")
+        print(f"{name:18}{wall * unit:12.1f}{wall / bare[0]:8.2f}{cpu * unit:10.1f}{cpu / bare[1]:8.2f}")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     pixels = len(images) * size[0] * size[1] * 3 / 2**20
     print(f"memory at most {peak:.0f} MiB, of which {pixels:.0f} MiB are the images of one reading")
 
 
-def decode(images: Sequence[Path], keep: bool = False) -> None:
+def in_parallel(work: Callable[[Path], np.ndarray], images: Sequence[Path], keep: bool = False) -> None:
     kept = []
     with ThreadPoolExecutor(core_count(None)) as pool:
-        for pixels in pool.map(decode_one, images):
+        for pixels in pool.map(work, images):
             if keep:
                 kept.append(pixels)
 
 
-def decode_one(image: Path) -> np.ndarray:
+def decode(image: Path) -> np.ndarray:
     handle = OpenImageIO.ImageInput.open(str(image))
     pixels: np.ndarray = handle.read_image(0, 0, 0, handle.spec().nchannels, "uint8")
     handle.close()
     return pixels
 
 
-def read(images: Sequence[Path], size: tuple[int, int], lens: Lens | None, max_side: int) -> None:
-    K = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1.0]])
-    photos = [Photo(image, K, size, np.eye(4), image.name, lens=lens) for image in images]
+def remap(image: Path, how: Undistortion, interpolation: int) -> np.ndarray:
+    return cv2.remap(decode(image), how.map_x, how.map_y, interpolation, borderMode=cv2.BORDER_REPLICATE)
+
+
+def read(images: Sequence[Path], size: tuple[int, int], lenses: Sequence[Lens] | None, max_side: int) -> None:
+    photos = [
+        Photo(image, calibration(size), size, np.eye(4), image.name, lens=lens)
+        for image, lens in zip(images, lenses or [None] * len(images), strict=True)
+    ]
     load_views(photos, [image.stem for image in images], DataConfig(max_side=max_side))
+
+
+def calibration(size: tuple[int, int]) -> np.ndarray:
+    return np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1.0]])
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +18,7 @@ from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
 from mgsr.data.undistortion import Undistorter, resample
 from mgsr.errors import SceneError
+from mgsr.parallel import core_count
 
 # Called with the number of photographs that are loaded and of all.
 LoadProgress = Callable[[int, int], None]
@@ -53,8 +53,8 @@ def load_views(
     tools = _Tools(config, Undistorter(), PixelStore())
     loaded: list[LoadedView] = []
     reported = time.monotonic()
-    # Decoding and resampling let go of the interpreter lock; more threads than that only cost memory.
-    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
+    # Decoding and resampling let go of the interpreter lock.
+    with ThreadPoolExecutor(core_count(None)) as pool:
         try:
             for item in pool.map(lambda photo, name: _load(photo, name, tools), photos, names):
                 loaded.append(item)
@@ -170,7 +170,7 @@ def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> Vi
         pixels = reduce_area(pixels, camera.width, camera.height)
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
-        pixels = resample(np.ascontiguousarray(pixels), how)
+        pixels = resample(pixels, how)
         camera = replace(camera, K=how.K, width=pixels.shape[1], height=pixels.shape[0])
     return _unstack(view.name, camera, pixels, premultiply)
 

@@ -120,7 +120,7 @@ def test_resampling_agrees_with_scipys_spline(tmp_path):
     for _ in range(3):  # smooth: the kernels of the two differ on noise
         image = sum(np.roll(image, shift, axis) for shift in (-1, 0, 1) for axis in (0, 1)) / 6
     how = undistortion(Lens(k1=0.05), K, WIDTH, HEIGHT, "test")
-    expected = map_coordinates(image[..., 0], [how.source_y - 0.5, how.source_x - 0.5], order=3, mode="nearest")
+    expected = map_coordinates(image[..., 0], [how.map_y, how.map_x], order=3, mode="nearest")
     np.testing.assert_allclose(resample(image, how)[3:-3, 3:-3, 0], expected[3:-3, 3:-3], atol=0.02)
 
 
@@ -130,7 +130,7 @@ def test_a_lens_that_folds_is_cut_before_the_fold():
 
     K = np.array([[30.0, 0, 48], [0, 30, 32], [0, 0, 1]])
     how = undistortion(Lens(k1=-0.3), K, WIDTH, HEIGHT, "test")
-    assert (np.diff(how.source_x, axis=1) > 0).all() and (np.diff(how.source_y, axis=0) > 0).all()
+    assert (np.diff(how.map_x, axis=1) > 0).all() and (np.diff(how.map_y, axis=0) > 0).all()
 
 
 def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):

@@ -81,24 +81,78 @@ def test_the_whole_undistorted_image_agrees_with_opencv():
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     terms = np.array([-0.2, 0.05, 0.01, -0.01])
     maps = cv2.initUndistortRectifyMap(K - half, terms, None, how.K - half, (width, height), cv2.CV_32FC1)
-    np.testing.assert_allclose(how.source_x - 0.5, maps[0], atol=1e-3)
+    np.testing.assert_allclose(how.map_x, maps[0], atol=1e-3)
     np.testing.assert_allclose(
         ours, cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), atol=2e-3
     )
 
 
-def test_no_pixel_is_kept_that_the_photograph_does_not_show():
-    """Each kept pixel's ray lies in the photograph, and one step further out on every cut side, one doesn't."""
-    how = undistortion(Lens(0.3), K, 96, 64, "test")
-    assert how.source_x.min() >= 0 and how.source_x.max() <= 96
-    assert how.source_y.min() >= 0 and how.source_y.max() <= 64
-    height, width = how.source_x.shape
-    left, top = K[:2, 2] - how.K[:2, 2]
-    assert (left, top) != (0, 0) and (width, height) != (96, 64)
-    y = (np.arange(top, top + height) + 0.5 - K[1, 2]) / K[1, 1]
-    x = (left - 0.5 - K[0, 2]) / K[0, 0]
-    bent = np.stack(Lens(0.3).distort(np.full(height, x), y)).T * K[[0, 1], [0, 1]] + K[:2, 2]
-    assert ((bent < 0) | (bent > [96, 64])).any()
+# What a phone, an action camera and a circular fisheye do, and lenses whose polynomial folds back inside the picture.
+STRONG = [
+    Lens(0.3),
+    Lens(-0.35, 0.1, 0.004, -0.006),
+    Lens(-0.4),
+    Lens(0.05, 0.02, fisheye=True),
+    Lens(-0.1, fisheye=True),
+    Lens(0.0, skew=0.1),
+]
+
+
+@pytest.mark.parametrize("lens", STRONG)
+@pytest.mark.parametrize("focal", [25.0, 60.0])
+def test_what_is_kept_is_what_the_photograph_shows(lens, focal):
+    """All kept pixels are shown, and lie where they should; and beside each side that was cut there is a pixel that
+    isn't."""
+    K = np.array([[focal, 0, 47], [0, 1.1 * focal, 31], [0, 0, 1]])
+    how = undistortion(lens, K, 96, 64, "test")
+    height, width = how.map_x.shape
+    left, top = np.round(K[:2, 2] - how.K[:2, 2]).astype(int)
+    rows, cols = np.mgrid[top - 1 : top + height + 1, left - 1 : left + width + 1]
+    shown, places = followed(lens, K, (cols.ravel() + 0.5, rows.ravel() + 0.5))
+    shown = shown.reshape(rows.shape)
+    inner = (slice(1, -1), slice(1, -1))
+    assert shown[inner].all()
+    expected = places.reshape(*rows.shape, 2)[inner]
+    np.testing.assert_allclose(np.dstack([how.map_x, how.map_y]), expected - 0.5, atol=1e-3)
+    cut = [top > 0, top + height < 64, left > 0, left + width < 96]
+    beyond = [shown[0, 1:-1], shown[-1, 1:-1], shown[1:-1, 0], shown[1:-1, -1]]
+    assert not any(side.all() for side, is_cut in zip(beyond, cut, strict=True) if is_cut)
+
+
+def followed(lens, K, pixels):
+    """Whether the photograph shows what pinhole pixels show, and where: OpenCV projects a ray that turns from the axis
+    to the pixel in 400 steps, and must go outwards all the way without leaving the photograph."""
+    x, y = ((place - K[i, 2]) / K[i, i] for i, place in enumerate(pixels))
+    shown = np.ones(len(x), bool)
+    before = np.zeros(len(x))
+    for step in np.linspace(0, 1, 401)[1:]:
+        places = projected(lens, K, np.c_[x * step, y * step, np.ones(len(x))])
+        away = np.linalg.norm(places - K[:2, 2], axis=1)
+        shown &= (away > before) & (places >= 0).all(axis=1) & (places <= [96, 64]).all(axis=1)
+        before = away
+    return shown, places
+
+
+def projected(lens, K, rays):
+    terms = np.array([lens.k1, lens.k2, *(lens.higher or (0.0, 0.0))])
+    if lens.fisheye:
+        skewed = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), K, terms, alpha=lens.skew)
+    else:
+        skewed = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, np.array([lens.k1, lens.k2, lens.p1, lens.p2]))
+    places = skewed[0].reshape(-1, 2)
+    if lens.skew and not lens.fisheye:
+        places[:, 0] += lens.skew * K[0, 0] / K[1, 1] * (places[:, 1] - K[1, 2])
+    return places
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_bytes_are_resampled_as_floats_are(channels):
+    """Sharp noise, so that bicubic interpolation overshoots both ends of a byte."""
+    image = RNG.choice(np.array([0, 255], np.uint8), (64, 96, channels))
+    how = undistortion(Lens(-0.2), K, 96, 64, "test")
+    exact = resample(image.astype(np.float32), how)
+    assert exact.min() < -10 and exact.max() > 265 and exact.shape == (*how.map_x.shape, channels)
+    np.testing.assert_array_equal(resample(image, how), np.clip(np.rint(exact), 0, 255).astype(np.uint8))
 
 
 def test_a_lens_without_usable_image_is_refused():

@@ -31,7 +31,8 @@ def test_a_packed_scene_trains_to_files(tmp_path: Path, monkeypatch: pytest.Monk
         np.testing.assert_array_equal(view.camera.cam_from_world, original.camera.cam_from_world)
 
     out = tmp_path / "out"
-    facts = cuda_training.run(packed, out, make_config("draft", overrides=list(SETTINGS)), torch.device("cpu"), profile=0)
+    config = make_config("draft", overrides=list(SETTINGS))
+    facts = cuda_training.run(packed, out, config, torch.device("cpu"), profile=0)
     assert json.loads((out / "training.json").read_text()) == facts
     assert facts["reflection"] == {"chosen": "both", "tried": {}}
     for name, branch in (("splats_2d.ply", "surfels"), ("splats_3d.ply", "volumes")):

@@ -25,6 +25,7 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
 RECENT = 5  # looks by which the present speed is told
+THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a lower degree of colour is as good
 
 
 class TimeBudget:
@@ -259,7 +260,7 @@ def _work(config: Config, stage: str) -> int:
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
         return iterations
-    return iterations + 2 * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
+    return iterations + THROWN_AWAY * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
 
 
 def _splats(stage: str, config: Config) -> dict[str, int]:

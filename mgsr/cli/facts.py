@@ -61,6 +61,10 @@ def run_report(
             "input": _input(scene, start, path, config.output.scale),
             "light": str(mesh.light),
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
+            "sh_degree": {
+                "chosen": None if trained.volumes is None else trained.volumes.sh_degree,
+                "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
+            },
             "settings": asdict(config),
             "machine": _machine(),
         }

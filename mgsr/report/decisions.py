@@ -132,6 +132,16 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
         why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
         yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
+        yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
+
+
+def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:
+    if not degree.get("tried"):
+        return
+    kept = reflection["tried"][reflection["chosen"]]
+    reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
+    why = f"the lowest that renders photographs kept from a trial as well: {reached}; all of them {kept:.2f} dB"
+    yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
 
 
 def _why_reflected(chosen: str, tried: dict[str, float]) -> str:

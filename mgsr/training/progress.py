@@ -71,7 +71,8 @@ class TrainResult:
     has no use) without gradients, and how they came about.
 
     incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB,
-    that each candidate for the reflection reached in the trial, on photographs kept from training; empty without one.
+    that each candidate for the reflection reached in the trial, on photographs kept from training, and degrees: what
+    lower degrees of the transmitted colour reached there; empty without one.
     """
 
     surfels: SurfelModel | None
@@ -82,6 +83,7 @@ class TrainResult:
     seconds: float
     incidents: list[str] = field(default_factory=list)
     tried: dict[str, float] = field(default_factory=dict)
+    degrees: dict[int, float] = field(default_factory=dict)
 
     @property
     def reflection(self) -> Reflection | None:

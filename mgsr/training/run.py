@@ -95,4 +95,5 @@ def _result(trainer: Trainer) -> TrainResult:
         seconds=trainer.seconds,
         incidents=list(trainer.incidents),
         tried={} if trial is None else trial.psnr,
+        degrees={} if trial is None else trial.degrees,
     )

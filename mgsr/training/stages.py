@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from mgsr.config import DensifyConfig, Reflection, Teaching, TrainConfig
+from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.mirrored import light_terms
@@ -57,13 +57,14 @@ class Coarse:
 
 
 class Trial(Protocol):
-    """Something that is decided in a stage by trying (see `mgsr.training.trial`); psnr: what each candidate reached."""
+    """Something that is decided in a stage by trying (see `mgsr.training.trial`, also for psnr and degrees)."""
 
     psnr: dict[str, float]
+    degrees: dict[int, float]
 
     def due(self, stage: Stage) -> bool: ...
 
-    def hold(self, stage: Stage, run: Callable[[Reflection, int], None]) -> None: ...
+    def hold(self, stage: Stage, run: Callable[[str, int], None]) -> None: ...
 
     def state(self) -> dict[str, Any]: ...
 
@@ -159,7 +160,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned = config.warmup.surfel_iterations
-        degree = _degree(iteration, planned, config.surfels.sh_degree, config, warming)
+        degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         regularised = not warming or iteration >= config.surfels.regularise_from * planned
         outputs = _see_surfels(branch, view, background, degree, config)
         terms = surfel_terms(outputs, view.target(background), config, regularised)
@@ -175,10 +176,10 @@ def volumes_alone(
     mirrors, as the 2D branch stands."""
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
-        planned, settings = config.warmup.volume_iterations, config.volumes
-        degree = _degree(iteration, planned, settings.sh_degree, config, warming)
-        refl_degree = _degree(iteration, planned, settings.reflected_sh_degree, config, warming)
-        needs_depth = config.tv and settings.depth_tv_weight > 0
+        planned = config.warmup.volume_iterations
+        degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
+        refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
+        needs_depth = config.tv and config.volumes.depth_tv_weight > 0
         shown, held = None, {}
         if mirrored is not None and mirrored.light.used:
             shown, held = mirrored.shown(view), light_terms(mirrored.light.model, branch.model, config)
@@ -196,14 +197,14 @@ def both_teach(
     both = config.mutual.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
-        settings = config.volumes
-        flat = _see_surfels(surfels, view, background, config.surfels.sh_degree, config)
+        flat = _see_surfels(surfels, view, background, surfels.model.sh_degree, config)
         shown, held = None, {}
         if light is not None and light.used:
             normal = flat.normal if both else flat.normal.detach()
             shown = mirrored_light(light.model, normal, view.camera, view.covered)
             held = light_terms(light.model, volumes.model, config)
-        full = _see_volumes(volumes, view, background, settings.sh_degree, settings.reflected_sh_degree, True, shown)
+        degrees = volumes.model.sh_degree, volumes.model.refl_sh_degree
+        full = _see_volumes(volumes, view, background, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(background), config) | held
         seen = [
             Seen(surfels, flat.stats, config.mutual.surfel_weight),

@@ -93,6 +93,13 @@ class Trained(ABC, Generic[Model]):
         moments["lrs"] |= {name: self.rates(0.0)[name] for name in added}
         self.restore(state)
 
+    def narrow(self, name: str, columns: int) -> None:
+        """Keep the first columns [N,columns,...] of a parameter, with their moments."""
+        state = copied(self.state())
+        for tensors in (state["parameters"], state["optimizer"]["first"], state["optimizer"]["second"]):
+            tensors[name] = tensors[name][:, :columns].contiguous()
+        self.restore(state)
+
     def adopt(self) -> None:
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
         for item in fields(self.model):

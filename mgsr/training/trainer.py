@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from mgsr.config import Reflection, TrainConfig
+from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
 from mgsr.losses.objective import Terms
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
@@ -158,7 +158,7 @@ class Trainer:
         self.save()
         begun = self._done(stage)
 
-        def run(candidate: Reflection, iterations: int) -> None:
+        def run(candidate: str, iterations: int) -> None:
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():

@@ -1,5 +1,5 @@
-"""The trial that decides what the 3D branch adds to the transmitted light: a part must earn its place on photographs
-that training did not see."""
+"""The trial that decides what the 3D branch adds to the transmitted light, and how far that light's colour may change
+with the direction: a part must earn its place on photographs that training did not see."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ from mgsr.training.trained import copied
 CANDIDATES = (Reflection.OFF, Reflection.SHARED, Reflection.BOTH)
 CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that mirrors
 
+Run = Callable[[str, int], None]  # trains the stage on, under a candidate's name, for so many iterations
+
 
 @dataclass(frozen=True)
 class Candidate:
-    """One of those that were tried, and where it had come to."""
+    """One of those that were tried, its PSNR, dB, and where it had come to."""
 
     reflection: Reflection
+    sh_degree: int
     psnr: float
     state: dict[str, Any]
 
@@ -32,9 +35,12 @@ class Candidate:
 class ReflectionTrial:
     """Lets each candidate go on from one state, on the same views, and leaves the best in place.
 
-    light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB, on the photographs that the
-    stage is not trained on. all_views: how many of the stage's views, which begin with those it is trained on, it may
-    see once the trial is over.
+    First the reflections, with all the directions that the transmitted colour has; then fewer of these, degree by
+    degree, while that is as good. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR,
+    dB, on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
+    those it is trained on, it may see once the trial is over.
+
+    psnr and degrees: what each reflection, and each lower degree, reached; empty before.
     """
 
     def __init__(
@@ -51,35 +57,47 @@ class ReflectionTrial:
         self.all_views = all_views
         self.chosen: Reflection | None = None
         self.psnr: dict[str, float] = {}
+        self.degrees: dict[int, float] = {}
 
     def due(self, stage: Stage) -> bool:
         """Whether it is the trial's turn; a pace may change the stage's length until then."""
         return self.chosen is None and stage.iteration >= round(self.settings.start * stage.iterations)
 
-    def hold(self, stage: Stage, run: Callable[[Reflection, int], None]) -> None:
-        """Try all; run(candidate, iterations) trains the stage on. Whatever `run` raises leaves the trial undecided."""
-        before = copied(self._state(stage))
-        iterations = min(self.settings.iterations, stage.iterations - stage.iteration)
-        tried = []
-        for reflection in CANDIDATES_ALONE if self.light is None else CANDIDATES:
-            self._restore(stage, before)
-            self._add(reflection)
-            run(reflection, iterations)
-            tried.append(Candidate(reflection, self.measure(), copied(self._state(stage))))
+    def hold(self, stage: Stage, run: Run) -> None:
+        """Try all. Whatever `run` raises leaves the trial undecided."""
+        before, highest = copied(self._state(stage)), self.branch.model.sh_degree
+        kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
+        tried = [self._try(stage, run, before, kind, highest) for kind in kinds]
         best = simplest(tried, self.settings.gain)
+        lower: list[Candidate] = []
+        while best.sh_degree > 0 and (not lower or best is lower[-1]):
+            lower.append(self._try(stage, run, before, best.reflection, best.sh_degree - 1))
+            best = simplest([lower[-1], best], self.settings.gain)
         self._restore(stage, best.state)
         self.psnr = {str(each.reflection): each.psnr for each in tried}
+        self.degrees = {each.sh_degree: each.psnr for each in lower}
         self._decide(stage, best.reflection)
 
     def state(self) -> dict[str, Any]:
         """What was decided, for a checkpoint."""
-        return {"chosen": None if self.chosen is None else str(self.chosen), "psnr": self.psnr}
+        chosen = None if self.chosen is None else str(self.chosen)
+        return {"chosen": chosen, "psnr": self.psnr, "degrees": self.degrees}
 
     def restore(self, state: dict[str, Any], stage: Stage) -> None:
         """Take back what `state` gave."""
-        self.psnr = state["psnr"]
+        self.psnr, self.degrees = state["psnr"], state["degrees"]
         if state["chosen"] is not None:
             self._decide(stage, Reflection(state["chosen"]))
+
+    def _try(self, stage: Stage, run: Run, before: dict[str, Any], reflection: Reflection, sh_degree: int) -> Candidate:
+        lowered = sh_degree < self.volumes.sh_degree
+        self._restore(stage, before)
+        self._add(reflection)
+        if lowered:
+            self.branch.narrow("sh", (sh_degree + 1) ** 2)
+        iterations = min(self.settings.iterations, stage.iterations - stage.iteration)
+        run(f"degree_{sh_degree}" if lowered else str(reflection), iterations)
+        return Candidate(reflection, sh_degree, self.measure(), copied(self._state(stage)))
 
     def _decide(self, stage: Stage, reflection: Reflection) -> None:
         self.chosen = reflection

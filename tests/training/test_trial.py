@@ -33,6 +33,30 @@ def test_a_matte_ball_ends_without_reflection() -> None:
     assert list(result.tried) == ["off", "shared", "both"]
 
 
+def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> None:
+    result = trained(0.0)
+    assert list(result.degrees) == [1, 0]
+    assert all(psnr > result.tried["off"] - 0.1 for psnr in result.degrees.values())
+    assert result.volumes.sh_degree == 0 and result.surfels.sh_degree == 2
+
+
+@pytest.mark.parametrize(
+    ("reached", "kept", "degrees"),
+    [
+        ([30.0, 30.0, 30.0, 29.8], 2, {1: 29.8}),
+        ([30.0, 30.0, 30.0, 29.95, 29.8], 1, {1: 29.95, 0: 29.8}),
+        ([29.0, 30.0, 30.0, 30.05, 30.0], 0, {1: 30.05, 0: 30.0}),
+    ],
+)
+def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int, degrees: dict[int, float]) -> None:
+    plan = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft", "mgsr", 0, TRIED))
+    stage, names, values = plan.stages[1], [], iter(reached)
+    stage.trial.measure = lambda: next(values)
+    stage.trial.hold(stage, lambda name, iterations: names.append(name))
+    assert names == ["off", "shared", "both", *(f"degree_{degree}" for degree in degrees)]
+    assert plan.parts.volumes.model.sh_degree == kept and stage.trial.degrees == degrees
+
+
 def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> None:
     result = trained(0.6)
     assert result.tried["shared"] > result.tried["off"] + 0.1
@@ -62,7 +86,8 @@ def test_the_trial_reports_itself() -> None:
     reports: list[Progress] = []
     trained(0.0, progress=reports.append)
     names = list(dict.fromkeys(report.stage for report in reports))
-    assert names == ["warmup_surfels", "warmup_volumes", "trial_off", "trial_shared", "trial_both", "mutual"]
+    trials = ["trial_off", "trial_shared", "trial_both", "trial_degree_1", "trial_degree_0"]
+    assert names == ["warmup_surfels", "warmup_volumes", *trials, "mutual"]
     assert [report.done for report in reports] == sorted(report.done for report in reports)
 
 
@@ -80,6 +105,23 @@ def test_views_held_back_are_trained_on_afterwards() -> None:
     stage.iteration = 120
     stage.trial.hold(stage, lambda reflection, iterations: None)
     assert stage.cycle.count == 14 and not stage.trial.due(stage)
+
+
+def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
+    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.volumes
+    for tensor in branch.optimizer.params.values():
+        tensor.grad = torch.rand_like(tensor)
+    branch.step(0.0)
+    values, before = branch.model.sh.detach().clone(), branch.optimizer.state_dict()
+    branch.narrow("sh", 4)
+    after = branch.optimizer.state_dict()
+    assert branch.model.sh_degree == 1 and torch.equal(branch.model.sh, values[:, :4])
+    for kind in ("first", "second"):
+        assert torch.equal(after[kind]["sh"], before[kind]["sh"][:, :4])
+        assert torch.equal(after[kind]["means"], before[kind]["means"])
+    branch.optimizer.params["sh"].grad = torch.ones_like(branch.model.sh)
+    branch.step(0.0)
+    assert not torch.equal(branch.model.sh, values[:, :4])
 
 
 def test_widening_keeps_what_the_optimiser_knows() -> None:
@@ -105,5 +147,5 @@ def test_widening_keeps_what_the_optimiser_knows() -> None:
 )
 def test_the_simplest_of_those_as_good_as_the_best(psnr: tuple[float, ...], chosen: int) -> None:
     kinds = (Reflection.OFF, Reflection.SHARED, Reflection.BOTH)
-    tried = [Candidate(kind, value, {}) for kind, value in zip(kinds, psnr, strict=True)]
+    tried = [Candidate(kind, 2, value, {}) for kind, value in zip(kinds, psnr, strict=True)]
     assert simplest(tried, gain=0.1) is tried[chosen]

@@ -35,6 +35,8 @@ const STAGES: Record<string, string> = {
   trial_shared: "trial: one mirrored light",
   trial_both: "trial: mirrored light and reflections",
   trial_own: "trial: reflections",
+  trial_degree_1: "trial: simpler colours",
+  trial_degree_0: "trial: plain colours",
 };
 
 export const PRESETS: Record<string, string> = {

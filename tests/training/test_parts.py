@@ -46,13 +46,21 @@ def test_each_view_comes_once_an_epoch() -> None:
     assert len({tuple(epoch) for epoch in epochs}) > 1
 
 
-def test_targets_are_composited() -> None:
+@pytest.mark.parametrize("margin", [None, 1])
+def test_targets_are_composited(margin: int | None) -> None:
     view = ball_scene().train[0]
-    (prepared,) = prepare_views([view], masked=True)
+    (prepared,) = prepare_views([view], masked=True, margin=margin)
     target = prepared.target((0.2, 0.4, 0.6))
     alpha = view.alpha[..., None] / 255.0
     expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
     assert np.allclose(target.color.numpy(), expected, atol=1e-6)
+
+
+def test_photographs_are_not_copied() -> None:
+    view = ball_scene().train[0]
+    (prepared,) = prepare_views([view], masked=True, margin=2, edge_band=1)
+    assert np.shares_memory(prepared.image.numpy(), view.image)
+    assert np.shares_memory(prepared.mask.numpy(), view.alpha)
 
 
 def test_small_views_average_light_and_alpha() -> None:
@@ -60,16 +68,17 @@ def test_small_views_average_light_and_alpha() -> None:
     (small,) = prepare_views([view], masked=True, reduce=2)
     alpha = view.alpha[..., None] / 255.0
     blocks = np.concatenate([view.image / 255.0 * alpha, alpha], axis=-1).reshape(24, 2, 24, 2, 4).mean(axis=(1, 3))
-    assert np.allclose(small.color.numpy(), blocks[..., :3], atol=1e-6)
-    assert np.allclose(small.alpha.numpy(), blocks[..., 3], atol=1e-6)
-    assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3]))
+    target, half = small.target((0.0, 0.0, 0.0)), 0.51 / 255  # they are bytes again
+    assert np.allclose(target.color.numpy(), blocks[..., :3], atol=2 * half)
+    assert np.allclose(target.alpha.numpy(), blocks[..., 3], atol=half)
+    assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3] > 0.5 / 255))
     corner = np.array([0.3, 0.2, 0.1])
     assert np.allclose(small.camera.project(corner[None])[0], view.camera.project(corner[None])[0] / 2)
 
 
 def test_small_views_of_odd_sides() -> None:
     (small,) = prepare_views([ball_scene(47).train[0]], masked=True, reduce=2)
-    assert small.color.shape == (24, 24, 3) and (small.camera.width, small.camera.height) == (24, 24)
+    assert small.image.shape == (24, 24, 3) and (small.camera.width, small.camera.height) == (24, 24)
 
 
 def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:

@@ -11,22 +11,17 @@ import json
 import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+
+from mgsr.errors import MgsrError
 
 QUICK = settings(max_examples=25, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 LONG = settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
 SECONDS = float(os.environ.get("MGSR_FUZZ_SECONDS", "600"))
-
-
-def repeat(run: Callable[[], None], how: settings) -> None:
-    """Once in the short run; in the slow one with ever new examples until the time is up."""
-    end = time.monotonic() + SECONDS
-    run()
-    while how is LONG and time.monotonic() < end:
-        run()
 
 
 # What is changed: bytes of any file, and values of JSON files.
@@ -34,7 +29,46 @@ def repeat(run: Callable[[], None], how: settings) -> None:
 Change = Callable[[bytes], bytes]
 
 _TOKENS = [b"nan", b"-inf", b"1e999", b"-1", b"0", b"", b"\x00", b"\xff\xff\xff\xff\xff\xff\xff\x7f", b",", b" ", b"\n"]
-_VALUES = [None, True, -1, 0, 1e308, 10**30, float("nan"), float("inf"), "", "../x", "a\x00b", [], {}, [[]], [None] * 4]
+_VALUES = [
+    None,
+    True,
+    -1,
+    0,
+    1e308,
+    10**30,
+    float("nan"),
+    float("inf"),
+    "",
+    "../x",
+    "a\x00b",
+    "\ud800",
+    [],
+    {},
+    [[]],
+    [None] * 4,
+]
+
+
+def fuzz(
+    path: Path, read: Callable[[], object], refusal: type[MgsrError], changes: st.SearchStrategy[Change], how: settings
+) -> None:
+    """Reads a file with changes in it: that must work or raise `refusal` with a short message. Once in the short run;
+    in the slow one with ever new examples until the time is up."""
+    whole = path.read_bytes()
+
+    @how
+    @given(changes)
+    def run(change: Change) -> None:
+        path.write_bytes(change(whole))
+        try:
+            read()
+        except refusal as error:
+            assert len(str(error)) < 1000
+
+    end = time.monotonic() + SECONDS
+    run()
+    while how is LONG and time.monotonic() < end:
+        run()
 
 
 @st.composite

@@ -24,7 +24,11 @@ _LONGEST_PATH = 4000
 def read_json(path: Path) -> Any:
     """The file's content. Raises SceneError that names the line of a mistake."""
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        text = path.read_text(encoding="utf-8-sig")
+        content = json.loads(text)
+        if "\\ud" in text.lower():  # JSON can name halves of characters, which no file name or message can hold
+            json.dumps(content, ensure_ascii=False).encode()
+        return content
     except json.JSONDecodeError as error:
         raise SceneError(f"{path.name}: not valid JSON at line {error.lineno}: {error.msg}; mend the file") from error
     except RecursionError as error:

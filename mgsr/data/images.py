@@ -106,10 +106,15 @@ def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
+def linear_to_srgb(light: np.ndarray) -> np.ndarray:
+    """Linear light 0..1 as sRGB values (IEC 61966-2-1)."""
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)
+
+
 def _encode_srgb(linear: np.ndarray) -> np.ndarray:
-    """8-bit sRGB from linear light, by IEC 61966-2-1; alpha (the last of 2 or 4 channels) is left linear."""
+    """8-bit sRGB from linear light; alpha (the last of 2 or 4 channels) is left linear."""
     light = np.clip(np.nan_to_num(linear), 0, 1)
-    curve = np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)
+    curve = linear_to_srgb(light)
     if linear.shape[2] in (2, 4):
         curve[..., -1] = light[..., -1]
     return to_uint8(curve * 255)

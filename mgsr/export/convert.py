@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.data.images import linear_to_srgb
 from mgsr.errors import ConfigError, MeshError
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
 from mgsr.export.gltf import UpAxis
@@ -55,7 +56,7 @@ def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis = UpAxis.
 
 
 def load_mesh(path: Path) -> Mesh:
-    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no vertex colours.
+    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no colours.
 
     Raises MeshError naming the file.
     """
@@ -90,19 +91,20 @@ def _part(node: tuple[np.ndarray, str], geometry: Any, path: Path) -> Mesh | Non
 
 
 def _colors(mesh: Any, is_linear: bool) -> np.ndarray:
-    """sRGB 0..1 [V,3]. trimesh keeps glTF's colours beside its material, as they were stored: linear light."""
+    """sRGB 0..1 [V,3], of vertices or of the picture at them. trimesh keeps glTF's vertex colours beside its material,
+    as they were stored: linear light."""
     kept = getattr(mesh.visual, "vertex_attributes", {})
     if mesh.visual.kind == "vertex":
         stored = mesh.visual.vertex_colors
     elif "color" in kept:
         stored = kept["color"]
+    elif mesh.visual.kind == "texture" and mesh.visual.uv is not None:
+        stored, is_linear = mesh.visual.to_color().vertex_colors, False
     else:
         return np.full((len(mesh.vertices), 3), 0.5)
     stored = np.asarray(stored)[:, :3]
     colors = stored / np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else np.clip(stored, 0, 1)
-    if not is_linear:
-        return colors
-    return np.where(colors <= 0.0031308, 12.92 * colors, 1.055 * colors ** (1 / 2.4) - 0.055)
+    return linear_to_srgb(colors) if is_linear else colors
 
 
 def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:

@@ -12,6 +12,17 @@ from mgsr.export.gltf import UpAxis, glb
 from mgsr.export.ply_unit import unit_comments
 
 
+def check_mesh(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:
+    """Raises MeshError for a mesh without faces, and for arrays that don't fit together."""
+    if len(faces) == 0:
+        raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
+    for name, array in {"vertices": vertices, **attributes}.items():
+        if array.shape != (len(vertices), 3):
+            raise MeshError(f"mesh export: {name}: expected [V={len(vertices)}, 3], got {list(array.shape)}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise MeshError(f"mesh export: faces: expected [F, 3] indices under V={len(vertices)}, got {list(faces.shape)}")
+
+
 def write_ply(
     path: Path,
     vertices: np.ndarray,
@@ -26,7 +37,7 @@ def write_ply(
     frames whose origin lies far away. unit: what the lengths were multiplied with,
     for the header. Raises MeshError for arrays that don't fit together.
     """
-    _check(vertices, faces, normals=normals, colors=colors)
+    check_mesh(vertices, faces, normals=normals, colors=colors)
     real = "double" if _needs_double(vertices) else "float"
     columns = [(axis, "<f8" if real == "double" else "<f4") for axis in "xyz"]
     columns += [(name, "<f4") for name in ("nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
@@ -67,7 +78,7 @@ def write_glb(
     """Binary glTF 2.0 with vertex colours, which glTF wants linear: they are converted from sRGB, and stored in 16
     bits, because 8 linear bits would band in dark scenes. See `glb`; arguments and errors as of `write_ply`.
     """
-    _check(vertices, faces, normals=normals, colors=colors)
+    check_mesh(vertices, faces, normals=normals, colors=colors)
     linear = np.full((len(vertices), 4), 65535, "<u2")
     linear[:, :3] = np.rint(srgb_to_linear(np.clip(colors, 0, 1)) * 65535)
     path.write_bytes(glb(vertices, faces, {"NORMAL": _unit(normals), "COLOR_0": linear}, up))
@@ -86,7 +97,7 @@ def write_textured_glb(
     glTF wants it, stored without loss. See `glb`; the other arguments and errors as of `write_ply`."""
     import cv2  # late: training needs no OpenCV
 
-    _check(vertices, faces, normals=normals)
+    check_mesh(vertices, faces, normals=normals)
     if uvs.shape != (len(vertices), 2):
         raise MeshError(f"mesh export: uvs: expected [V={len(vertices)}, 2], got {list(uvs.shape)}")
     _, png = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
@@ -98,13 +109,3 @@ def _unit(normals: np.ndarray) -> np.ndarray:
     """glTF wants unit normals. Where faces are folded onto each other there is none, and any will do."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")
-
-
-def _check(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:
-    if len(faces) == 0:
-        raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
-    for name, array in {"vertices": vertices, **attributes}.items():
-        if array.shape != (len(vertices), 3):
-            raise MeshError(f"mesh export: {name}: expected [V={len(vertices)}, 3], got {list(array.shape)}")
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshError(f"mesh export: faces: expected [F, 3] indices under V={len(vertices)}, got {list(faces.shape)}")

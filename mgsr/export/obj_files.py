@@ -6,18 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.errors import MeshError
+from mgsr.export.mesh_files import check_mesh
 
 
 def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
     """Text: vertices [V,3] with colours [V,3] sRGB 0..1 behind them (an extension that MeshLab, Blender and others
-    read), unit normals [V,3], faces [F,3]. Twelve digits keep positions also far from
-    the origin.
+    read), unit normals [V,3], faces [F,3]. Twelve digits keep positions also far from the origin.
 
-    Raises MeshError for a mesh without faces.
+    Raises MeshError for a mesh without faces, and for arrays that don't fit together.
     """
-    if len(faces) == 0:
-        raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
+    check_mesh(vertices, faces, normals=normals, colors=colors)
     corners = faces[:, :, None].repeat(2, axis=2).reshape(len(faces), 6) + 1
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("# written by MGSR; vertex colours are sRGB\n")

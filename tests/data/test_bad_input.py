@@ -194,6 +194,12 @@ def test_json_number_without_end(root):
     refuses(root, r"cameras\.json: can't be read as JSON text: .*digits")
 
 
+def test_json_with_half_a_character(root):
+    """Which Python's strings can hold, and neither file names nor terminals can."""
+    edit_view(root, image="\ud800.png")
+    refuses(root, r"cameras\.json: can't be read as JSON text: .*surrogates not allowed; export it again")
+
+
 def test_json_with_nan_in_the_intrinsics(root):
     edit_view(root, K=[[float("nan"), 0, 30], [0, 90, 35], [0, 0, 1]])
     refuses(root, "view 3.*the intrinsics have NaN or infinite numbers")

@@ -17,12 +17,13 @@ from mgsr.data import loading
 from mgsr.data.capture import Photo
 from mgsr.data.loading import load_views
 from mgsr.data.pixels import PixelStore
+from mgsr.parallel import core_count
 
 COUNT = 1000
 WIDTH, HEIGHT = 1633, 1225  # 2 megapixels, 6 MB
 MEMORY = 256 << 20
-# Eight photographs in work, each decoded, with what the decoder needs, and copied.
-IN_WORK = 384 << 20
+# A photograph in work on each core: decoded, with what the decoder needs, and copied.
+IN_WORK = core_count(None) * (48 << 20)
 
 STATUS = Path("/proc/self/status")
 

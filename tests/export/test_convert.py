@@ -9,7 +9,7 @@ import trimesh
 from mgsr.errors import ConfigError, MeshError
 from mgsr.export.convert import convert, load_mesh
 from mgsr.export.gltf import UpAxis
-from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.splats import load_splats, write_splats
 from tests.export.test_mesh_files import ball
@@ -37,6 +37,19 @@ def test_meshes(tmp_path, before, after):
     np.testing.assert_allclose(mesh.vertices, 2 * arrays[0], atol=1e-5)
     np.testing.assert_array_equal(mesh.faces, arrays[1])
     np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, arrays[3], atol=1.01 / 255)
+
+
+@pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
+def test_vertices_take_the_colours_of_a_picture(tmp_path, after):
+    """A square with a texel at each corner."""
+    vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
+    uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]]) * 0.9 + 0.05
+    picture = np.array([[[200, 10, 20], [30, 220, 40]], [[1, 2, 250], [120, 130, 140]]], np.uint8)
+    normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
+    write_textured_glb(tmp_path / "a.glb", vertices, faces, normals, uvs, picture)
+    convert(tmp_path / "a.glb", tmp_path / f"b{after}")
+    expected = picture[[0, 1, 1, 0], [0, 0, 1, 1]] / 255
+    np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, expected, atol=1.01 / 255)
 
 
 def test_up(tmp_path):

@@ -14,6 +14,7 @@ from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_unit import read_unit
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -122,7 +123,7 @@ def test_srgb_curve_ends() -> None:
     np.testing.assert_allclose(srgb_to_linear(np.array([0.0, 0.5, 1.0])), [0, 0.21404, 1], atol=1e-5)
 
 
-@pytest.mark.parametrize("write", [write_ply, write_glb])
+@pytest.mark.parametrize("write", [write_ply, write_glb, write_obj])
 def test_bad_meshes_are_refused(tmp_path: Path, write) -> None:
     vertices, faces, normals, colors = ball()
     with pytest.raises(MeshError, match="at least one face"):

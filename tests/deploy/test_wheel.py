@@ -67,4 +67,5 @@ def test_the_installed_package_finds_its_example_and_reads_it(wheel: Path, tmp_p
         capture_output=True,
         text=True,
     ).stdout
-    assert "40" in facts and "6" in facts
+    views = {name: line for name, _, line in (fact.partition(" ") for fact in facts.splitlines())}
+    assert [len(views[name].split(",")) for name in ("train_views", "test_views")] == [40, 6]

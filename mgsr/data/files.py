@@ -41,7 +41,7 @@ def number(values: Mapping[str, Any], name: str, source: str) -> float:
     """values[name] as a float. Raises SceneError naming `source` for what is no finite number."""
     value = values.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
-        raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}")
+        raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}; mend the file")
     return float(value)
 
 

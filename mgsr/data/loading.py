@@ -23,6 +23,9 @@ from mgsr.parallel import core_count
 # Called with the number of photographs that are loaded and of all.
 LoadProgress = Callable[[int, int], None]
 
+# Each holds a photograph as it is decoded, and its copies: some hundred megabytes where it is large.
+_MOST_THREADS = 16
+
 # Seconds between two calls of it.
 _REPORT_EVERY = 2.0
 
@@ -54,7 +57,7 @@ def load_views(
     loaded: list[LoadedView] = []
     reported = time.monotonic()
     # Decoding and resampling let go of the interpreter lock.
-    with ThreadPoolExecutor(core_count(None)) as pool:
+    with ThreadPoolExecutor(min(_MOST_THREADS, core_count(None))) as pool:
         try:
             for item in pool.map(lambda photo, name: _load(photo, name, tools), photos, names):
                 loaded.append(item)

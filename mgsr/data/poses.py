@@ -18,9 +18,11 @@ def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix of numbers") from error
+        raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix of numbers; mend the file") from error
     if matrix.shape != (rows, cols):
-        raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix, got shape {list(matrix.shape)}")
+        raise SceneError(
+            f"{source}: {what}: expected a {rows}x{cols} matrix, got shape {list(matrix.shape)}; mend the file"
+        )
     return matrix
 
 
@@ -48,7 +50,7 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     """The intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1. Raises SceneError if no pinhole
     camera has them, or its principal point lies outside the image."""
     if not np.isfinite(K).all():
-        raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers")
+        raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers; remove this view or mend them")
     if K[0, 0] == 0 or K[1, 1] == 0:
         raise SceneError(f"{source}: the focal length is zero; expected fx and fy in pixels")
     if abs(np.linalg.det(K)) < 1e-9 * abs(K[0, 0] * K[1, 1]):

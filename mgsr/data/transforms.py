@@ -24,7 +24,7 @@ def read_content(path: Path) -> dict[str, Any]:
     content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise SceneError(f"{path.name}: expected an object with a list 'frames'")
+        raise SceneError(f"{path.name}: expected an object with a list 'frames'; export it again")
     return dict(content)
 
 

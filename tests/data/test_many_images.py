@@ -22,8 +22,8 @@ from mgsr.parallel import core_count
 COUNT = 1000
 WIDTH, HEIGHT = 1633, 1225  # 2 megapixels, 6 MB
 MEMORY = 256 << 20
-# A photograph in work on each core: decoded, with what the decoder needs, and copied.
-IN_WORK = core_count(None) * (48 << 20)
+# A photograph in work in each thread: decoded, with what the decoder needs, and copied.
+IN_WORK = min(loading._MOST_THREADS, core_count(None)) * (48 << 20)
 
 STATUS = Path("/proc/self/status")
 

@@ -47,7 +47,7 @@ def _largest(content: Any, name: str) -> dict[str, Any]:
     parts = content if isinstance(content, list) else []
     good = [part for part in parts if isinstance(part, dict) and _maps(part.get("cameras"), part.get("shots"))]
     if not good:
-        raise SceneError(f"{name}: expected a list of reconstructions with 'cameras' and 'shots'")
+        raise SceneError(f"{name}: expected a list of reconstructions with 'cameras' and 'shots'; export it again")
     return max(good, key=lambda part: len(part["shots"]))
 
 

@@ -68,11 +68,13 @@ class ReflectionTrial:
         before, highest = copied(self._state(stage)), self.branch.model.sh_degree
         kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
         tried = [self._try(stage, run, before, kind, highest) for kind in kinds]
-        best = simplest(tried, self.settings.gain)
+        best = whole = simplest(tried, self.settings.gain)
         lower: list[Candidate] = []
-        while best.sh_degree > 0 and (not lower or best is lower[-1]):
-            lower.append(self._try(stage, run, before, best.reflection, best.sh_degree - 1))
-            best = simplest([lower[-1], best], self.settings.gain)
+        for degree in reversed(range(whole.sh_degree)):
+            lower.append(self._try(stage, run, before, whole.reflection, degree))
+            if lower[-1].psnr < whole.psnr - self.settings.gain:
+                break
+            best = lower[-1]
         self._restore(stage, best.state)
         self.psnr = {str(each.reflection): each.psnr for each in tried}
         self.degrees = {each.sh_degree: each.psnr for each in lower}

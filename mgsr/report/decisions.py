@@ -140,7 +140,7 @@ def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterato
         return
     kept = reflection["tried"][reflection["chosen"]]
     reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
-    why = f"the lowest that renders photographs kept from a trial as well: {reached}; all of them {kept:.2f} dB"
+    why = f"lowered while photographs kept from a trial were rendered no worse: {reached}; all of them {kept:.2f} dB"
     yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
 
 

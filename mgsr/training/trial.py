@@ -35,10 +35,10 @@ class Candidate:
 class ReflectionTrial:
     """Lets each candidate go on from one state, on the same views, and leaves the best in place.
 
-    First the reflections, with all the directions that the transmitted colour has; then fewer of these, degree by
-    degree, while that is as good. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR,
-    dB, on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
-    those it is trained on, it may see once the trial is over.
+    First the reflections, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by one, while
+    that is no worse. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB, on the
+    photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with those it is
+    trained on, it may see once the trial is over.
 
     psnr and degrees: what each reflection, and each lower degree, reached; empty before.
     """
@@ -68,11 +68,12 @@ class ReflectionTrial:
         before, highest = copied(self._state(stage)), self.branch.model.sh_degree
         kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
         tried = [self._try(stage, run, before, kind, highest) for kind in kinds]
-        best = whole = simplest(tried, self.settings.gain)
+        best = simplest(tried, self.settings.gain)
         lower: list[Candidate] = []
-        for degree in reversed(range(whole.sh_degree)):
-            lower.append(self._try(stage, run, before, whole.reflection, degree))
-            if lower[-1].psnr < whole.psnr - self.settings.gain:
+        for degree in reversed(range(best.sh_degree)):
+            lower.append(self._try(stage, run, before, best.reflection, degree))
+            # Fewer numbers are learnt faster: what is a little behind here would be more so in the end.
+            if lower[-1].psnr < best.psnr:
                 break
             best = lower[-1]
         self._restore(stage, best.state)

@@ -36,7 +36,7 @@ def test_a_matte_ball_ends_without_reflection() -> None:
 def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> None:
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]
-    assert all(psnr > result.tried["off"] - 0.1 for psnr in result.degrees.values())
+    assert result.tried["off"] <= result.degrees[1] <= result.degrees[0]
     assert result.volumes.sh_degree == 0 and result.surfels.sh_degree == 2
 
 
@@ -44,8 +44,8 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
     ("reached", "kept", "degrees"),
     [
         ([30.0, 30.0, 30.0, 29.8], 2, {1: 29.8}),
-        ([30.0, 30.0, 30.0, 29.95, 29.8], 1, {1: 29.95, 0: 29.8}),
-        ([29.0, 30.0, 30.0, 30.05, 30.0], 0, {1: 30.05, 0: 30.0}),
+        ([30.0, 30.0, 30.0, 30.2, 30.1], 1, {1: 30.2, 0: 30.1}),
+        ([29.0, 30.0, 30.0, 30.0, 30.05], 0, {1: 30.0, 0: 30.05}),
     ],
 )
 def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int, degrees: dict[int, float]) -> None:

@@ -387,7 +387,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
-    "standard": {},  # about three and a half minutes
+    "standard": {},  # three and a half to four minutes
     "high": {  # meant for 20 minutes, not measured yet
         "warmup.surfel_iterations": "4000",
         "warmup.volume_iterations": "6000",

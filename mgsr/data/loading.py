@@ -12,10 +12,11 @@ import numpy as np
 from mgsr.config import DataConfig, Masks
 from mgsr.data.camera import Camera
 from mgsr.data.capture import Photo
-from mgsr.data.images import Picture, composite_on_white, read_mask, read_picture, reduce_area, to_uint8, upright
+from mgsr.data.images import Picture, composite_on_white, read_mask, read_picture, reduce_area, upright
 from mgsr.data.masks import fitted_mask, inverted_masks
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
+from mgsr.data.stacking import stack, unstack
 from mgsr.data.undistortion import Undistorter, resample
 from mgsr.errors import SceneError
 from mgsr.parallel import core_count
@@ -165,7 +166,7 @@ def _same_shape(size: tuple[int, ...], copy: tuple[int, ...]) -> bool:
 def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> View:
     """The view at most `max_side` large and without its lens. Colours that have no meaning where alpha is zero are
     weighted by it."""
-    pixels = _stack(view, premultiply)
+    pixels = stack(view, premultiply)
     camera = view.camera
     shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
@@ -175,36 +176,11 @@ def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> Vi
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
         pixels = resample(pixels, how)
         camera = replace(camera, K=how.K, width=pixels.shape[1], height=pixels.shape[0])
-    return _unstack(view.name, camera, pixels, premultiply)
+    return unstack(view.name, camera, pixels, premultiply)
 
 
 def reduced_view(view: View, scale: float) -> View:
     """The view with its sides times `scale`, at most 1, and area filtering; colours count as alpha says."""
     camera = view.camera
     camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-    return _unstack(view.name, camera, reduce_area(_stack(view, True), camera.width, camera.height), True)
-
-
-def _stack(view: View, premultiply: bool) -> np.ndarray:
-    """Colours and alpha, if any, as [H,W,3 or 4] in 0..255, float32 where they are weighted and else as they came."""
-    if view.alpha is None:
-        return view.image
-    alpha = view.alpha[..., None]
-    if not premultiply:
-        return np.concatenate([view.image, alpha], axis=2)
-    weight = alpha.astype(np.float32)
-    return np.concatenate([view.image * (weight / 255), weight], axis=2)
-
-
-def _unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) -> View:
-    colors = pixels[..., :3]
-    if pixels.shape[2] == 3:
-        return View(name, camera, _bytes(colors))
-    alpha = pixels[..., 3]
-    if premultiplied:
-        colors = colors * (255 / np.maximum(alpha, 1e-3))[..., None]
-    return View(name, camera, _bytes(colors), _bytes(alpha))
-
-
-def _bytes(pixels: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(pixels) if pixels.dtype == np.uint8 else to_uint8(pixels)
+    return unstack(view.name, camera, reduce_area(stack(view, True), camera.width, camera.height), True)

@@ -138,9 +138,9 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
 def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:
     if not degree.get("tried"):
         return
-    kept = reflection["tried"][reflection["chosen"]]
     reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
-    why = f"lowered while photographs kept from a trial were rendered no worse: {reached}; all of them {kept:.2f} dB"
+    whole = f"with all of them {reflection['tried'][reflection['chosen']]:.2f} dB"
+    why = f"lowered while photographs kept from a trial were rendered no worse: {reached}; {whole}"
     yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
 
 

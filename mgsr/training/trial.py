@@ -93,8 +93,8 @@ class ReflectionTrial:
             self._decide(stage, Reflection(state["chosen"]))
 
     def _try(self, stage: Stage, run: Run, before: dict[str, Any], reflection: Reflection, sh_degree: int) -> Candidate:
-        lowered = sh_degree < self.volumes.sh_degree
         self._restore(stage, before)
+        lowered = sh_degree < self.branch.model.sh_degree
         self._add(reflection)
         if lowered:
             self.branch.narrow("sh", (sh_degree + 1) ** 2)

@@ -40,6 +40,19 @@ def test_the_reflected_light_is_told_with_its_reason() -> None:
     assert told("own", "own", {}).why == "as asked for"
 
 
+def test_the_colours_harmonics_are_told_where_fewer_were_tried() -> None:
+    def told(tried: dict[str, float]) -> list[Decision]:
+        reflection = {"chosen": "shared", "tried": {"off": 33.13, "shared": 33.78}}
+        other = {"reflection": reflection, "sh_degree": {"chosen": 1, "tried": tried}}
+        run = replace(sample_report(), method="mgsr", other=other)
+        return [each for each in tell_decisions(run) if each.what.startswith("Harmonics")]
+
+    (lowered,) = told({"1": 34.44, "0": 33.738})
+    assert lowered.choice == "up to degree 1"
+    assert "degree 1 34.44 dB; degree 0 33.74 dB; with all of them 33.78 dB" in lowered.why
+    assert told({}) == []
+
+
 def test_a_runs_own_decisions_stay() -> None:
     own = [Decision("Seed", "0", "asked for")]
     assert with_decisions(replace(sample_report(), decisions=own)).decisions == own

@@ -25,8 +25,9 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# A file's tests stay in one process: they share what they make.
 test: lint
-	$(PY) -m pytest -m "not slow"
+	$(PY) -m pytest -n auto --dist loadfile -m "not slow"
 
 test-all: lint
 	$(PY) -m pytest

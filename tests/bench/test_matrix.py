@@ -33,7 +33,9 @@ class Matrix:
 
     def run(self, *scenes: Path, more: tuple[str, ...] = (), out: Path | None = None) -> Result:
         words = ["bench", *map(str, scenes), "-o", str(out or self.out), "--methods", "2dgs", "--presets", "draft"]
-        return CliRunner().invoke(app, [*words, *(w for s in SETTINGS for w in ("--set", s)), *more])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("sys.argv", ["program", "bench", "as", "typed"])
+            return CliRunner().invoke(app, [*words, *(w for s in SETTINGS for w in ("--set", s)), *more])
 
     def rows(self, folder: Path | None = None) -> dict[str, dict[str, str]]:
         with open((folder or self.out) / "runs.csv", newline="") as file:
@@ -90,7 +92,8 @@ def test_without_truth_there_is_no_chamfer_and_the_rest_is_there(done: Matrix) -
 
 def test_the_page_has_machine_versions_commit_and_command(done: Matrix) -> None:
     page, row = (done.out / "runs.md").read_text(), done.rows()["truth"]
-    assert row["machine"] in page and row["versions"] in page and row["commit"] in page and "`mgsr " in page
+    assert row["machine"] in page and row["versions"] in page and row["commit"] in page
+    assert "`mgsr bench as typed`" in page
     assert f"| {float(row['chamfer']):.2f} |" in page
     assert "Broken: empty" in page
 

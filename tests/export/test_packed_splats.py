@@ -99,19 +99,22 @@ def test_means_without_a_place(tmp_path, write):
         write(tmp_path / "a", given)
 
 
+def packed_header(*fields: int) -> bytes:
+    """An SPZ file that ends after its header."""
+    return gzip.compress(struct.pack("<IIIBBBB", *fields))
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"hello", r"a\.spz: not an SPZ file: .*write it again"),
-        (gzip.compress(b"short"), r"a\.spz: not an SPZ file"),
-        (
-            gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 9, 1, 0, 12, 0, 0)),
-            "expected SPZ of version 2 .*got version 9",
+        pytest.param(b"hello", r"a\.spz: not an SPZ file: .*write it again", id="not-gzip"),
+        pytest.param(gzip.compress(b"short"), r"a\.spz: not an SPZ file", id="shorter-than-a-header"),
+        pytest.param(
+            packed_header(0x5053474E, 9, 1, 0, 12, 0, 0), "expected SPZ of version 2 .*got version 9", id="version"
         ),
-        (gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 2, 5, 0, 12, 0, 0)), "ends early: expected 95 bytes"),
-        (
-            gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 2, 2**31, 0, 12, 0, 0)),
-            "got version 2, degree 0, 2147483648",
+        pytest.param(packed_header(0x5053474E, 2, 5, 0, 12, 0, 0), "ends early: expected 95 bytes", id="ends-early"),
+        pytest.param(
+            packed_header(0x5053474E, 2, 2**31, 0, 12, 0, 0), "got version 2, degree 0, 2147483648", id="too-many"
         ),
     ],
 )

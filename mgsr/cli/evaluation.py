@@ -24,9 +24,10 @@ MATTE_FOLDER = "test_matte"
 
 def image_scores(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, Any]:
     """psnr_test and ssim_test, on white, None without test views; psnr_fg_test and psnr_fg_gain_test where there are
-    masks; views: each view's values; split where the scene has matte test views."""
+    masks; views: each view's values; split where the scene has matte test views. All of the pixels that the
+    photographs show."""
     views = {
-        image.name: image_metrics(photograph(view), rendering(image))
+        image.name: image_metrics(photograph(view), rendering(image), view.known)
         for image, view in zip(rendered, scene.test, strict=True)
     }
     scores: dict[str, Any] = {"psnr_test": _mean(views, "psnr"), "ssim_test": _mean(views, "ssim")}
@@ -77,9 +78,9 @@ def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | N
 
 
 def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | None:
-    """None without a light split or without a matte picture of the view's size."""
+    """None without a light split or without a matte picture of the view's size, whose lens is undone, too."""
     path = scene.root / MATTE_FOLDER / f"{view.name}.png"
-    if image.transmitted is None or not path.is_file():
+    if image.transmitted is None or view.known is not None or not path.is_file():
         return None
     color, alpha = read_image(path, path.name)
     if alpha is None or color.shape != view.image.shape:

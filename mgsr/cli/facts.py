@@ -51,7 +51,9 @@ def run_report(
         seed=config.seed,
         versions=_versions(),
         seconds=_seconds(trained, clock),
-        iterations={stage.name: StageRun(stage.iterations, stage.stop_reason) for stage in trained.stages},
+        iterations={
+            stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
+        },
         gaussians=Models(trained.surfels, trained.volumes).counts,
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
         mesh=MeshFacts(**asdict(counts)),
@@ -75,21 +77,34 @@ def run_report(
 
 
 def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
-    """What was read: format, views, sizes, masks, points, and the way back to the user's frame."""
+    """What was read: format, views, sizes, masks, points, and the way back to the user's frame; shown: the share of the
+    pixels that photographs show, where it is not all."""
     camera = scene.train[0].camera
-    return {
-        "path": str(path),
-        "format": scene.format,
-        "train_views": [view.name for view in scene.train],
-        "test_views": [view.name for view in scene.test],
-        "image_size": [camera.width, camera.height],
-        "masked": scene.masked,
-        "points": 0 if scene.points is None else len(scene.points.positions),
-        "user_from_scene": {
-            "scale": float(scene.user_from_scene.scale),
-            "offset": [float(x) for x in scene.user_from_scene.offset],
-        },
-    } | ({"notes": list(scene.notes)} if scene.notes else {})
+    shown = shown_share(scene)
+    return (
+        {
+            "path": str(path),
+            "format": scene.format,
+            "train_views": [view.name for view in scene.train],
+            "test_views": [view.name for view in scene.test],
+            "image_size": [camera.width, camera.height],
+            "masked": scene.masked,
+            "points": 0 if scene.points is None else len(scene.points.positions),
+            "user_from_scene": {
+                "scale": float(scene.user_from_scene.scale),
+                "offset": [float(x) for x in scene.user_from_scene.offset],
+            },
+        }
+        | ({"shown": round(shown, 4)} if shown < 1 else {})
+        | ({"notes": list(scene.notes)} if scene.notes else {})
+    )
+
+
+def shown_share(scene: Scene) -> float:
+    """The share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    unknown = sum(int((~view.known).sum()) for view in scene.train if view.known is not None)
+    return 1 - unknown / max(pixels, 1)
 
 
 def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict[str, Any]:
@@ -108,9 +123,11 @@ def scene_line(scene: Scene) -> str:
     camera = scene.train[0].camera
     masks = "with masks" if scene.masked else "without masks"
     points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"
+    shown = shown_share(scene)
+    size = f"{camera.width}x{camera.height}" + (f" of which photographs show {shown:.0%}" if shown < 1 else "")
     return (
         f"{scene.name}: {scene.format}, {len(scene.train)} training and {len(scene.test)} test views, "
-        f"{camera.width}x{camera.height}, {masks}, {points}"
+        f"{size}, {masks}, {points}"
     )
 
 

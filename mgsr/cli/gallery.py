@@ -66,6 +66,16 @@ def _up(scene: Scene) -> np.ndarray:
     return up_direction([view.camera for view in scene.train])
 
 
+def _shown(view: View) -> np.ndarray:
+    """The photograph, clear where it shows nothing."""
+    pixels = photograph(view)
+    if view.known is None:
+        return pixels
+    if view.alpha is None:
+        pixels = np.dstack([pixels, np.full(view.known.shape, 255, np.uint8)])
+    return np.where(view.known[..., None], pixels, np.uint8(0))
+
+
 def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarray) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:
@@ -73,7 +83,7 @@ def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarr
     transmitted = None if images.transmitted is None else premultiplied_picture(images.transmitted, images.alpha)
     return TestViewPictures(
         images.name,
-        photograph(view),
+        _shown(view),
         premultiplied_picture(images.color, images.alpha),
         transmitted,
         reflected,

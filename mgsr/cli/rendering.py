@@ -57,10 +57,15 @@ def render_views(models: Models, views: Sequence[View], config: Config) -> Itera
 
 
 def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceView]:
-    """What surface extraction takes in: the training cameras, and those between them that `config.mesh` asks for."""
+    """What surface extraction takes in: the training cameras, and those between them that `config.mesh` asks for.
+    What a photograph does not show, no loss has seen from there: such pixels are left out."""
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
+    known = [view.known for view in scene.train] + [None] * (len(cameras) - len(scene.train))
     with torch.no_grad():
-        return [_surface_view(models, camera, config) for camera in cameras]
+        return [
+            _surface_view(models, camera, config, _resized(shown, camera))
+            for camera, shown in zip(cameras, known, strict=True)
+        ]
 
 
 def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
@@ -101,12 +106,21 @@ def _render_view(models: Models, view: View, config: Config) -> ViewImages:
     return ViewImages(view.name, view.camera, *images, *light)
 
 
-def _surface_view(models: Models, camera: Camera, config: Config) -> SurfaceView:
+def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:
+    """Known pixels as a camera of another image size has them."""
+    if known is None:
+        return None
+    rows = (np.arange(camera.height) + 0.5) * known.shape[0] / camera.height
+    columns = (np.arange(camera.width) + 0.5) * known.shape[1] / camera.width
+    return np.asarray(known[np.ix_(rows.astype(np.intp), columns.astype(np.intp))])
+
+
+def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     flat, full = _see(models, camera, depth=models.surfels is None)
     depth, normal = _surface(flat, full, camera, config)
     shape = flat if flat is not None else full
     assert shape is not None
-    return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color))
+    return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)
 
 
 def _see(models: Models, camera: Camera, depth: bool) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mgsr.data.known import known_at
 from mgsr.data.silhouettes import Silhouette
 from mgsr.parallel import map_ahead
 
@@ -80,6 +81,8 @@ def _one_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.
     pixels, depth = camera.project(points)
     x, y = pixels.T
     inside = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
+    if outline.known is not None:
+        inside[inside] = known_at(outline.known, pixels[inside])
     place = [y - 0.5, x - 0.5]
     distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
     return inside, distance * (depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1]))

@@ -13,10 +13,11 @@ from mgsr.config import DataConfig, Masks
 from mgsr.data.camera import Camera
 from mgsr.data.capture import Photo
 from mgsr.data.images import Picture, composite_on_white, read_mask, read_picture, reduce_area, upright
+from mgsr.data.known import whole_part
 from mgsr.data.masks import fitted_mask, inverted_masks
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
-from mgsr.data.stacking import stack, unstack
+from mgsr.data.stacking import averaged, stack, unstack
 from mgsr.data.undistortion import Undistorter, resample
 from mgsr.errors import SceneError
 from mgsr.parallel import core_count
@@ -54,7 +55,8 @@ def load_views(
 ) -> list[LoadedView]:
     """Every photograph, decoded once; in the order given. At most as many as there are threads are in work at a time,
     beside the finished ones. Raises SceneError for the first that can't be used."""
-    tools = _Tools(config, Undistorter(), PixelStore())
+    pixels = PixelStore()
+    tools = _Tools(config, Undistorter(pixels), pixels)
     loaded: list[LoadedView] = []
     reported = time.monotonic()
     # Decoding and resampling let go of the interpreter lock.
@@ -78,18 +80,27 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
     Raises SceneError under Masks.REQUIRE, and for masks that are white around the object.
     """
     bare = next((item.view.name for item in train if item.view.alpha is None), None)
-    solid = all(item.view.alpha is None or item.view.alpha.min() == 255 for item in train)
+    solid = all(_solid(item.view) for item in train)
     if masks is Masks.REQUIRE and (bare is not None or solid):
         missing = f"view {bare!r} has none" if bare is not None else "every mask is white all over"
         raise SceneError(f"masks=require: {missing}; add alpha channels or a masks/ folder, or use masks=auto")
     keep = masks is not Masks.OFF and bare is None and not solid
-    if keep and inverted_masks([item.view.alpha for item in train if item.view.alpha is not None]):
+    masks_shown = (whole_part(item.view).alpha for item in train)
+    if keep and inverted_masks([mask for mask in masks_shown if mask is not None]):
         raise SceneError(
             "the masks are inverted: white around the object and black on it; make them white on the object, or run "
             "with masks=off"
         )
     settle = _keep_alpha if keep else _drop_alpha
     return [settle(item) for item in train], [settle(item) for item in test]
+
+
+def _solid(view: View) -> bool:
+    """Whether nothing that the photograph shows lies off the object, as far as the view says."""
+    if view.alpha is None:
+        return True
+    shown = view.alpha if view.known is None else view.alpha[view.known]
+    return bool(shown.min() == 255)
 
 
 def _keep_alpha(item: LoadedView) -> View:
@@ -167,20 +178,20 @@ def _resampled(view: View, photo: Photo, tools: _Tools, premultiply: bool) -> Vi
     """The view at most `max_side` large and without its lens. Colours that have no meaning where alpha is zero are
     weighted by it."""
     pixels = stack(view, premultiply)
-    camera = view.camera
+    camera, known = view.camera, None
     shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         pixels = reduce_area(pixels, camera.width, camera.height)
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
-        pixels = resample(pixels, how)
+        pixels, known = resample(pixels, how), how.known
         camera = replace(camera, K=how.K, width=pixels.shape[1], height=pixels.shape[0])
-    return unstack(view.name, camera, pixels, premultiply)
+    return replace(unstack(view.name, camera, pixels, premultiply), known=known)
 
 
 def reduced_view(view: View, scale: float) -> View:
-    """The view with its sides times `scale`, at most 1, and area filtering; colours count as alpha says."""
+    """The view with its sides times `scale`, at most 1, and area filtering (see `averaged`)."""
     camera = view.camera
     camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-    return unstack(view.name, camera, reduce_area(stack(view, True), camera.width, camera.height), True)
+    return averaged(view, camera, lambda pixels: reduce_area(pixels, camera.width, camera.height))

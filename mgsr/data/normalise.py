@@ -9,6 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mgsr.data.camera import Camera
 from mgsr.data.hull import carve
+from mgsr.data.known import whole_part
 from mgsr.data.scene import PointCloud, Similarity, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.errors import SceneError
@@ -34,7 +35,7 @@ def normalisation(views: Sequence[View], points: PointCloud | None) -> Similarit
         raise SceneError("all cameras stand at the same place; a surface needs views from different places")
     if all(view.alpha is not None for view in views):
         return Similarity(*_swapped(_masked_ball(views)))
-    return Similarity(*_swapped(_unmasked_ball(cameras, points)))
+    return Similarity(*_swapped(_unmasked_ball([whole_part(view).camera for view in views], points)))
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
@@ -113,7 +114,8 @@ def _ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, float]:
 def _box(view: View) -> tuple[np.ndarray, float] | None:
     """World direction to the middle of the mask, and half the mask's diagonal over depth; None if it is empty."""
     assert view.alpha is not None, "called for masked scenes only"
-    rows, cols = np.flatnonzero((view.alpha > 127).any(axis=1)), np.flatnonzero((view.alpha > 127).any(axis=0))
+    inside = view.alpha > 127 if view.known is None else (view.alpha > 127) & view.known
+    rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows):
         return None
     K = view.camera.K

@@ -13,12 +13,15 @@ from mgsr.data.camera import Camera
 @dataclass(frozen=True)
 class View:
     """One photograph: name (unique, without extension), camera, image [H,W,3] uint8 sRGB (straight, not
-    premultiplied) and alpha [H,W] uint8 (255 is the object), or None without a mask."""
+    premultiplied) and alpha [H,W] uint8 (255 is the object), or None without a mask; known [H,W] bool: the pixels that
+    the photograph shows, None where it shows all. What image and alpha hold at others means nothing (see `known.py`).
+    """
 
     name: str
     camera: Camera
     image: np.ndarray
     alpha: np.ndarray | None = None
+    known: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,18 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
+from mgsr.data.known import known_mean
 from mgsr.data.scene import View
 
 
 @dataclass(frozen=True)
 class Silhouette:
-    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera."""
+    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera; known [h,w]
+    bool: the pixels that say where the object is and isn't, None if all do."""
 
     camera: Camera
     distance: np.ndarray
+    known: np.ndarray | None = None
 
 
 def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
@@ -26,23 +29,27 @@ def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
     return [_silhouette(view, view.alpha, max_side) for view in views if view.alpha is not None]
 
 
-def signed_distance(alpha: np.ndarray) -> np.ndarray:
+def signed_distance(alpha: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
     """Pixels [h,w] float32 to the outline at alpha 0.5 of a mask [h,w] 0..1, positive inside; on the outline's own
-    pixels alpha, the share of the pixel that is covered, tells the fraction."""
+    pixels alpha, the share of the pixel that is covered, tells the fraction. What lies beyond the known pixels [h,w]
+    counts as what lies beyond the image: no outline is there, and unknown pixels go on as the nearest known one."""
     inside = alpha >= 0.5
-    if inside.all() or not inside.any():
-        return np.full(alpha.shape, 1e3 if inside.all() else -1e3, dtype=np.float32)
-    within = ndimage.distance_transform_edt(inside) - 0.5
-    beyond = ndimage.distance_transform_edt(~inside) - 0.5
+    known_in, known_out = (inside, ~inside) if known is None else (inside & known, ~inside & known)
+    if not known_in.any() or not known_out.any():
+        return np.full(alpha.shape, -1e3 if known_out.any() else 1e3, dtype=np.float32)
+    within = ndimage.distance_transform_edt(~known_out) - 0.5
+    beyond = ndimage.distance_transform_edt(~known_in) - 0.5
+    soft = (alpha > 0.02) & (alpha < 0.98)
+    if known is not None:
+        inside, soft = within > beyond, soft & known
     distance = np.where(inside, within, -beyond)
-    soft = (alpha > 0.02) & (alpha < 0.98) & (np.abs(distance) < 1)
-    return np.where(soft, alpha - 0.5, distance).astype(np.float32)
+    return np.where(soft & (np.abs(distance) < 1), alpha - 0.5, distance).astype(np.float32)
 
 
 def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
-    camera, alpha = view.camera, mask.astype(np.float32)
+    camera, alpha, known = view.camera, mask.astype(np.float32)[..., None], view.known
     shrink = max_side / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        alpha = reduce_area(alpha[..., None], camera.width, camera.height)[..., 0]
-    return Silhouette(camera, signed_distance(alpha / 255))
+        alpha, known = known_mean(alpha, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
+    return Silhouette(camera, signed_distance(alpha[..., 0] / 255, known), known)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
+from mgsr.data.known import known_mean
 from mgsr.data.scene import View
 
 
@@ -30,6 +34,13 @@ def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) 
     if premultiplied:
         colors = colors * (255 / np.maximum(alpha, 1e-3))[..., None]
     return View(name, camera, _bytes(colors), _bytes(alpha))
+
+
+def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray]) -> View:
+    """The view as a smaller `camera` has it: each pixel the area mean, [H,W,C] to [h,w,C] float, of those that it
+    covers. Colours count as alpha says, and unknown pixels not at all."""
+    pixels, known = known_mean(stack(view, premultiply=True), view.known, mean)
+    return replace(unstack(view.name, camera, pixels, premultiplied=True), known=known)
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:

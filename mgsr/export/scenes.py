@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.camera import Camera
+from mgsr.data.known import whole_part
 from mgsr.data.scene import Scene, View
 from mgsr.errors import MgsrError
 
@@ -22,9 +23,13 @@ def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
 
     images/train and images/test hold the photographs as MGSR uses them (pinhole, reduced); masks/ the same names, white
     on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points; transforms.json the same cameras
-    with OpenGL's axes, as nerfstudio reads them, with the split. Raises MgsrError where an image can't be written.
+    with OpenGL's axes, as nerfstudio reads them, with the split. Of photographs that don't show all of their pixels, a
+    rectangle is written that they do show: the formats can't tell unknown pixels from those off the object.
+
+    Raises MgsrError where an image can't be written.
     """
-    views = [("train", view) for view in scene.train] + [("test", view) for view in scene.test]
+    views = [("train", whole_part(view)) for view in scene.train]
+    views += [("test", whole_part(view)) for view in scene.test]
     names = [f"{part}/{view.name}.png" for part, view in views]
     cameras = [_scaled(scene.user_from_scene.camera_to_user(view.camera), scale) for _, view in views]
     for name, (_, view) in zip(names, views, strict=True):

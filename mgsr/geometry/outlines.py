@@ -13,6 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.data.camera import Camera, pixel_size
+from mgsr.data.known import known_inside
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
@@ -38,12 +39,15 @@ class Outline:
 
 
 def find_outline(silhouette: Silhouette) -> Outline:
-    """The outline of a mask; its parts at the image's border, where the image cuts the object off, are left out."""
+    """The outline of a mask; its parts at the border of the image, or of what is known of it, where the object is cut
+    off, are left out."""
     distance = silhouette.distance
     slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
     near = np.abs(distance) < 0.5
     near[[0, 1, -2, -1]] = False
     near[:, [0, 1, -2, -1]] = False
+    if silhouette.known is not None:
+        near &= known_inside(silhouette.known, 2)
     rows, columns = np.nonzero(near)
     slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
     steep = np.linalg.norm(slopes, axis=1)

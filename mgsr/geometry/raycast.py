@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from mgsr.data.camera import Camera
+from mgsr.data.known import known_at
 from mgsr.open3d_library import load_open3d
 
 NO_FACE = np.iinfo(np.uint32).max
@@ -88,14 +89,16 @@ class RayCaster:
         uv = found["primitive_uvs"].numpy()
         return found["primitive_ids"].numpy(), np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
 
-    def sees(self, camera: Camera, points: np.ndarray, gap: float) -> np.ndarray:
-        """Which of the points [P,3] lie inside the camera's image with nothing between; [P] bool.
+    def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
+        """Which of the points [P,3] lie inside the camera's image, at its known pixels, with nothing between; [P] bool.
 
         Each ray ends `gap` before its point, so that the surface which the point lies on does not hide it.
         """
         core = load_open3d().core
         pixels, depths = camera.project(points)
         inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        if known is not None:
+            inside[inside] = known_at(known, pixels[inside])
         offsets = (points - camera.center)[inside]
         lengths = np.linalg.norm(offsets, axis=1)
         rays = np.concatenate([np.broadcast_to(camera.center, offsets.shape), offsets / lengths[:, None]], axis=1)

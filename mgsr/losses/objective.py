@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from mgsr.config import SurfaceDepth, Teaching, TrainConfig
@@ -37,7 +38,8 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) ->
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
     if config.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
-        inside = None if target.alpha is None else target.covered(outputs.alpha)
+        inside = None if target.unknown is None else target.known(torch.ones_like(outputs.alpha))
+        inside = inside if target.alpha is None else target.covered(outputs.alpha)
         tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
     if settings.reflected_cost and outputs.reflected is not outputs.mirrored:
@@ -100,6 +102,7 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 
 
 def _photo(image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None) -> Tensor:
+    image, other = target.compared(image, other)
     return image_loss(image, other, l1_weight=config.l1_weight, mask=where, region=target.region)
 
 
@@ -121,4 +124,5 @@ def _silhouette(
 ) -> Terms:
     if target.alpha is None or not weight:
         return {}
-    return {f"{branch}.alpha": weight * silhouette(alpha, target.alpha, config.alpha_loss, where)}
+    alpha, mask = target.compared(alpha, target.alpha)
+    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.alpha_loss, where)}

@@ -16,7 +16,8 @@ class Target:
 
     color [H,W,3] float32 0..1, composited on the background that the rendering has too; alpha [H,W] float32 0..1, or
     None without masks; camera: whose view it is; region (y0, y1, x0, x1), ends excluded: where the photographic losses
-    look, None for everywhere.
+    look, None for everywhere; unknown [P] int64: the pixels that the photograph does not show, row x W + column, None
+    if it shows all.
     """
 
     color: Tensor
@@ -24,6 +25,22 @@ class Target:
     camera: Camera
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
+    unknown: Tensor | None = None
+
+    def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+        """A rendering [H,W,...] and what it should be, for a loss: at unknown pixels both are the rendering, and no
+        gradient flows. So such pixels cost nothing, and windows that reach over them see no difference there."""
+        if self.unknown is None:
+            return rendered, wanted
+        still = rendered.detach().flatten(0, 1).index_select(0, self.unknown)
+        alike = (image.flatten(0, 1).index_copy(0, self.unknown, still).view_as(image) for image in (rendered, wanted))
+        return next(alike), next(alike)
+
+    def known(self, weights: Tensor) -> Tensor:
+        """Weights [H,W] of pixels without those of unknown ones."""
+        if self.unknown is None:
+            return weights
+        return weights.flatten().index_fill(0, self.unknown, 0).view_as(weights)
 
     @property
     def distance(self) -> float:
@@ -31,9 +48,9 @@ class Target:
         return float(np.linalg.norm(self.camera.center))
 
     def covered(self, alpha: Tensor) -> Tensor:
-        """Pixels [H,W] float32 0 or 1 that have a surface: over half covered by the rendering's alpha [H,W] and,
+        """Pixels [H,W] float32 0 or 1 that have a surface: known, over half covered by the rendering's alpha [H,W] and,
         with masks, by the photograph's. Depth and normals mean something only there."""
-        inside = alpha.detach() > 0.5
+        inside = self.known(alpha.detach() > 0.5)
         if self.alpha is not None:
             inside &= self.alpha > 0.5
         return inside.to(alpha.dtype)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
 from mgsr.mesh.consistency import Hull
+from mgsr.mesh.views import SurfaceView
 
 
 def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: float, reach: float) -> Triangles:
@@ -24,31 +24,32 @@ def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: 
     return keep_faces(moved, faces, (excess <= reach)[faces].all(1))
 
 
-def seen_sides(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], gap: float) -> np.ndarray:
-    """By ray casting, for each vertex [V]: 1 if a camera sees it from its front, -1 from its back, 0 if none sees it.
+def seen_sides(vertices: np.ndarray, faces: np.ndarray, views: Sequence[SurfaceView], gap: float) -> np.ndarray:
+    """By ray casting, for each vertex [V]: 1 if a view sees it from its front, -1 from its back, 0 if none sees it.
 
-    The first camera that sees a vertex decides. What lies within `gap` before a vertex does not hide it.
+    The first view that sees a vertex, at a pixel that its mask does not leave out, decides. What lies within `gap`
+    before a vertex does not hide it.
     """
     caster, normals = RayCaster(vertices, faces), vertex_normals(vertices, faces)
     sides, open_ = np.zeros(len(vertices), np.int8), np.arange(len(vertices))
-    for camera in _spread(cameras):
-        visible = caster.sees(camera, vertices[open_], gap)
+    for view in _spread(views):
+        visible = caster.sees(view.camera, vertices[open_], gap, view.mask)
         index = open_[visible]
-        front = ((camera.center - vertices[index]) * normals[index]).sum(1) >= 0
+        front = ((view.camera.center - vertices[index]) * normals[index]).sum(1) >= 0
         sides[index], open_ = np.where(front, 1, -1), open_[~visible]
     return sides
 
 
-def _spread(cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras, each as far as can be from those before it: the first few see most of the surface."""
-    centers = np.array([camera.center for camera in cameras])
+def _spread(views: Sequence[SurfaceView]) -> list[SurfaceView]:
+    """The views, each from as far as can be from those before it: the first few see most of the surface."""
+    centers = np.array([view.camera.center for view in views])
     order, nearest = [0], np.linalg.norm(centers - centers[0], axis=1)
     nearest[0] = -1
-    while len(order) < len(cameras):
+    while len(order) < len(views):
         order.append(int(nearest.argmax()))
         nearest = np.minimum(nearest, np.linalg.norm(centers - centers[order[-1]], axis=1))
         nearest[order] = -1
-    return [cameras[index] for index in order]
+    return [views[index] for index in order]
 
 
 def turn_outwards(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:

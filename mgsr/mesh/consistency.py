@@ -117,14 +117,20 @@ class Hull:
 
     def __init__(self, silhouettes: Sequence[Silhouette]) -> None:
         self._cameras = [silhouette.camera for silhouette in silhouettes]
-        self._outside = [np.maximum(-silhouette.distance, 0) for silhouette in silhouettes]
+        self._outside = [_outside(silhouette) for silhouette in silhouettes]
 
     def excess(self, points: np.ndarray, margin: float) -> np.ndarray:
         """How far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette that has
-        them in its image, in the scene's unit; 0 for those that do already."""
+        them in its image, at known pixels, in the scene's unit; 0 for those that do already."""
         worst = np.zeros(len(points), np.float32)
         for camera, outside in zip(self._cameras, self._outside, strict=True):
             index, pixels, depths = project(camera, points)
             over = np.maximum(nearest(outside, pixels) - margin, 0) * depths / camera.K[0, 0]
             worst[index] = np.maximum(worst[index], over)
         return worst
+
+
+def _outside(silhouette: Silhouette) -> np.ndarray:
+    """Pixels [h,w] to the silhouette; 0 in it and where nothing is known."""
+    distance = np.maximum(-silhouette.distance, 0)
+    return distance if silhouette.known is None else np.where(silhouette.known, distance, 0)

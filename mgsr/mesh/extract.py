@@ -112,7 +112,7 @@ def _finish(
     vertices, faces = drop_degenerate(vertices, faces)
     _require_faces(faces, "no pixel's surface survived the fusion", config)
     vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
-    sides = cleanup.seen_sides(vertices, faces, [view.camera for view in views], gap=size)
+    sides = cleanup.seen_sides(vertices, faces, views, gap=size)
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, minimum_filter
 
 
 def on_white(rgba: np.ndarray) -> np.ndarray:
@@ -33,9 +33,10 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
     return decibels(float(((wanted - np.clip(given * gain, 0, 1)) ** 2).mean()))
 
 
-def ssim(truth: np.ndarray, image: np.ndarray) -> float:
+def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) -> float:
     """Structural similarity with an 11 x 11 Gaussian window, sigma 1.5, constants 0.01 and 0.03, the mean over the
-    channels and the pixels whose window lies inside. Source: Wang et al. 2004."""
+    channels and the pixels whose window lies inside, on known pixels [H,W] alone; NaN if there is none. Source: Wang et
+    al. 2004."""
 
     def blur(values: np.ndarray) -> np.ndarray:
         return np.asarray(gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5))
@@ -45,18 +46,25 @@ def ssim(truth: np.ndarray, image: np.ndarray) -> float:
     var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
     value = (2 * mean_a * mean_b + 1e-4) * (2 * both + 9e-4)
     value /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
-    return float(value[5:-5, 5:-5].mean())
+    if known is None:
+        return float(value[5:-5, 5:-5].mean())
+    whole = minimum_filter(known, 11, mode="constant", cval=False)
+    return float(value[whole].mean()) if whole.any() else float("nan")
 
 
-def image_metrics(truth: np.ndarray, image: np.ndarray) -> dict[str, float]:
+def image_metrics(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) -> dict[str, float]:
     """psnr, ssim on white and, where the truth has an alpha channel, psnr_fg and psnr_fg_gain on the object's pixels.
 
-    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8.
+    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. known [H,W] bool: the pixels that the truth shows,
+    None for all; others count in none of them.
     """
     truth, image = unit(truth), unit(image)
     wanted, given = on_white(truth), on_white(image)
-    values = {"psnr": psnr(wanted, given), "ssim": ssim(wanted, given)}
-    if truth.shape[-1] == 4 and (inside := truth[..., 3] > 0.5).any():
+    values = {"psnr": psnr(wanted, given, known), "ssim": ssim(wanted, given, known)}
+    if truth.shape[-1] == 3:
+        return values
+    inside = truth[..., 3] > 0.5 if known is None else (truth[..., 3] > 0.5) & known
+    if inside.any():
         values["psnr_fg"] = psnr(wanted, given, inside)
         values["psnr_fg_gain"] = psnr_after_gain(wanted, given, inside)
     return values

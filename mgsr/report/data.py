@@ -10,10 +10,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class StageRun:
-    """A training stage: its iterations and why it ended (iterations, converged, budget or deadline)."""
+    """A training stage: its iterations, why it ended (iterations, converged, budget or deadline), and how many splats
+    were dropped then, since they carried next to nothing of the light."""
 
     iterations: int
     stopped: str
+    dropped: int = 0
 
 
 @dataclass(frozen=True)

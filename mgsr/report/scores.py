@@ -22,32 +22,79 @@ class Score:
 
 
 IMAGE = (
-    Score("psnr_test", "PSNR", 1, 2, "dB",
-          "How close the renders come to photographs that training never saw; 3 dB more is half the squared error."),
-    Score("psnr_fg_test", "PSNR on the object", 1, 2, "dB",
-          "The same, counting only pixels of the object: an empty background can't flatter it."),
-    Score("ssim_test", "SSIM", 1, 4, "",
-          "How alike the local structure of renders and photographs is; 1 is the same."),
+    Score(
+        "psnr_test",
+        "PSNR",
+        1,
+        2,
+        "dB",
+        "How close the renders come to photographs that training never saw; 3 dB more is half the squared error.",
+    ),
+    Score(
+        "psnr_fg_test",
+        "PSNR on the object",
+        1,
+        2,
+        "dB",
+        "The same, counting only pixels of the object: an empty background can't flatter it.",
+    ),
+    Score("ssim_test", "SSIM", 1, 4, "", "How alike the local structure of renders and photographs is; 1 is the same."),
 )
 SURFACE = (
-    Score("chamfer", "Chamfer distance", 1000, 2, "‰",
-          "The mean distance between this surface and the true one, both ways, per thousand of the object's radius."),
+    Score(
+        "chamfer",
+        "Chamfer distance",
+        1000,
+        2,
+        "‰",
+        "The mean distance between this surface and the true one, both ways, per thousand of the object's radius.",
+    ),
     Score("accuracy", "Accuracy", 1000, 2, "‰", "The mean distance from this surface to the true one."),
-    Score("completeness", "Completeness", 1000, 2, "‰",
-          "The mean distance from the true surface, where views saw it, to this one."),
-    Score("f_005", "F-score at 0.5%", 1, 3, "",
-          "The share of both surfaces that lies within 0.5% of the object's radius of the other; 1 is all."),
+    Score(
+        "completeness",
+        "Completeness",
+        1000,
+        2,
+        "‰",
+        "The mean distance from the true surface, where views saw it, to this one.",
+    ),
+    Score(
+        "f_005",
+        "F-score at 0.5%",
+        1,
+        3,
+        "",
+        "The share of both surfaces that lies within 0.5% of the object's radius of the other; 1 is all.",
+    ),
     Score("f_010", "F-score at 1%", 1, 3, "", "The same within 1%."),
     Score("f_020", "F-score at 2%", 1, 3, "", "The same within 2%."),
-    Score("normal_consistency", "Normal consistency", 100, 1, "%",
-          "How well the directions of nearest places agree; 100 is everywhere the same."),
-    Score("normal_error", "Normal error", 1, 1, "°",
-          "The mean angle between this surface and the true one, pixel by pixel in the test views."),
+    Score(
+        "normal_consistency",
+        "Normal consistency",
+        100,
+        1,
+        "%",
+        "How well the directions of nearest places agree; 100 is everywhere the same.",
+    ),
+    Score(
+        "normal_error",
+        "Normal error",
+        1,
+        1,
+        "°",
+        "The mean angle between this surface and the true one, pixel by pixel in the test views.",
+    ),
     Score("mask_iou", "Outline", 100, 1, "%", "How much of both outlines overlaps in the test views."),
 )
 SPLIT = (
-    Score("split_gain", "Light split", 1, 2, "dB",
-          "How much closer the transmitted light comes to the object without gloss than the photograph does."),
+    Score(
+        "split_gain",
+        "Light split",
+        1,
+        2,
+        "dB",
+        "How much closer the transmitted light comes to the object without gloss than the photograph does.",
+    ),
 )
 
 

@@ -10,6 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
+from mgsr.data.known import known_inside
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
@@ -45,11 +46,13 @@ class Readings:
 @dataclass(frozen=True)
 class Photograph:
     """brightness [H,W] float32, the mean of the channels in linear light; usable [H,W] float32, 1 where a pixel shows
-    the object alone and is not clipped, else 0."""
+    the object alone and is not clipped, else 0; known [H,W] bool: pixels whose neighbours, too, are shown by the
+    photograph, None if all are. Brightness is 0 where nothing is."""
 
     camera: Camera
     brightness: np.ndarray
     usable: np.ndarray
+    known: np.ndarray | None = None
 
 
 def linear_photographs(views: Sequence[View]) -> list[Photograph]:
@@ -83,7 +86,10 @@ def _linear(view: View) -> Photograph:
     usable = srgb.max(axis=-1) <= CLIPPED
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
-    return Photograph(view.camera, linear, usable.astype(np.float32))
+    if view.known is None:
+        return Photograph(view.camera, linear, usable.astype(np.float32))
+    known = known_inside(view.known, 1)  # so that interpolation between usable pixels meets no unknown one
+    return Photograph(view.camera, np.where(view.known, linear, 0), (usable & known).astype(np.float32), known)
 
 
 def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
@@ -100,7 +106,7 @@ def _read(
     towards = offsets / distances[:, None]
     cosines = (towards * normals).sum(1)
     index = np.flatnonzero(cosines > MIN_COS)
-    index = index[caster.sees(camera, points[index] + normals[index] * gap, gap)]
+    index = index[caster.sees(camera, points[index] + normals[index] * gap, gap, photograph.known)]
     pixels, _ = camera.project(points[index])
     places = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
     brightness, weights = np.zeros((2, len(points)), np.float32)

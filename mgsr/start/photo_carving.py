@@ -19,6 +19,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.images import reduce_area, srgb_to_linear
+from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import View
 from mgsr.geometry.displace import edge_length, mean_normals, smooth_displacements, spread, umbrella
 from mgsr.geometry.raycast import RayCaster
@@ -71,26 +72,33 @@ def carve_by_color(
 @dataclass(frozen=True)
 class _Look:
     """A view as it is compared: image [3,h,w], two colour channels without white, in linear light, and where the pixel
-    is solid object (0 or 1); noise: their noise."""
+    is solid object (0 or 1); noise: their noise; known [h,w] bool: the pixels that the photograph shows, None for
+    all."""
 
     camera: Camera
     image: Tensor
     noise: float
+    known: np.ndarray | None
 
 
 def _look(view: View) -> _Look:
-    camera, image, alpha = view.camera, view.image, view.alpha
-    solid = np.full(image.shape[:2], 255, np.uint8) if alpha is None else alpha
+    camera, image, known = view.camera, view.image, view.known
+    solid = np.full(image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
     shrink = MAX_SIDE / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        image = reduce_area(image.astype(np.float32), camera.width, camera.height)
-        solid = reduce_area(solid.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
-    red, green, blue = np.moveaxis(srgb_to_linear(image.astype(np.float32) / 255), -1, 0)
+        image, known = known_mean(image.astype(np.float32), view.known, lambda pixels: _reduced(pixels, camera))
+        solid = known_mean(solid.astype(np.float32)[..., None], view.known, lambda pixels: _reduced(pixels, camera))[0]
+        solid = solid[..., 0]
+    red, green, blue = np.moveaxis(srgb_to_linear(filled(image, known).astype(np.float32) / 255), -1, 0)
     channels = np.stack([(red - green) / 2**0.5, (red + green - 2 * blue) / 6**0.5])
-    inside = solid > SOLID * 255
+    inside = solid > SOLID * 255 if known is None else (solid > SOLID * 255) & known
     packed = np.concatenate([channels, inside[None]]).astype(np.float32)
-    return _Look(camera, torch.from_numpy(packed), _noise(channels, inside))
+    return _Look(camera, torch.from_numpy(packed), _noise(channels, inside), known)
+
+
+def _reduced(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    return reduce_area(pixels, camera.width, camera.height)
 
 
 def _noise(channels: np.ndarray, inside: np.ndarray) -> float:
@@ -113,7 +121,7 @@ def _frontal_views(
         towards = look.camera.center - vertices
         facing = (towards * normals).sum(1) / np.linalg.norm(towards, axis=1)
         index = np.flatnonzero(facing > MIN_COS)
-        index = index[caster.sees(look.camera, vertices[index] + normals[index] * gap, gap)]
+        index = index[caster.sees(look.camera, vertices[index] + normals[index] * gap, gap, look.known)]
         row[index] = facing[index]
     if len(looks) > VIEWS:
         cosines[cosines < np.sort(cosines, axis=0)[-VIEWS]] = -1

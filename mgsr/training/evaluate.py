@@ -38,10 +38,15 @@ def volume_picture(model: VolumeModel, surfels: SurfelModel | None, light: Mirro
 
 @torch.no_grad()
 def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) -> float:
-    """The mean over the views of the PSNR, dB, of images clipped to 0..1, on `background` where there are masks."""
+    """The mean over the views of the PSNR, dB, of images clipped to 0..1 at the pixels that the photographs show, on
+    `background` where there are masks."""
     values = []
     for view in views:
         image = picture(view.camera, background).clamp(0, 1)
-        error = float((image - view.target(background).color).square().mean())
+        target = view.target(background)
+        squares = (image - target.color).square()
+        if target.unknown is not None:
+            squares = squares[target.known(torch.ones_like(squares[..., 0])) > 0]
+        error = float(squares.mean())
         values.append(-10 * math.log10(max(error, 1e-10)))
     return sum(values) / len(values)

@@ -11,7 +11,7 @@ from torch import Tensor
 from mgsr.config import Background
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
-from mgsr.data.stacking import stack, unstack
+from mgsr.data.stacking import averaged
 from mgsr.losses.target import Target
 
 Color = tuple[float, float, float]
@@ -25,7 +25,8 @@ class TrainingView:
 
     image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: where the photographic losses look (see
     Target); off_edge [H,W] bool: what lies off the mask's outline; covered [P] int64: the pixels that the mask touches,
-    row x W + column, None without masks.
+    row x W + column, None without masks; unknown [P] int64: likewise those that the photograph does not show, None
+    where it shows all. The mask is 0 there, and the image anything.
     """
 
     name: str
@@ -35,11 +36,12 @@ class TrainingView:
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None
     covered: Tensor | None = None
+    unknown: Tensor | None = None
 
     def target(self, background: Color) -> Target:
         """The photograph on a background, for the losses."""
         if self.mask is None:
-            return Target(self.image / 255, None, self.camera)
+            return Target(self.image / 255, None, self.camera, unknown=self.unknown)
         height, width = self.mask.shape
         plain = color_tensor(background, self.image.device)
         # Whole rows at once, then only what the mask touches, takes less time than compositing every pixel.
@@ -49,7 +51,7 @@ class TrainingView:
         drawn = (self.image[y0:y1, x0:x1] / 255).sub_(plain).mul_(alpha[y0:y1, x0:x1, None])
         color[y0:y1, x0:x1] += drawn
         off_edge = None if self.off_edge is None else self.off_edge.to(alpha.dtype)
-        return Target(color, alpha, self.camera, self.region, off_edge)
+        return Target(color, alpha, self.camera, self.region, off_edge, self.unknown)
 
 
 def prepare_views(
@@ -77,32 +79,42 @@ def _prepared(
     if reduce > 1:
         view = _reduced(view, reduce)
     image = torch.from_numpy(view.image).to(device)
-    if view.alpha is None:
-        return TrainingView(view.name, view.camera, image, None)
     # Found on the host, so that a card is never waited for.
-    mask, covered = torch.from_numpy(view.alpha), torch.from_numpy(np.flatnonzero(view.alpha))
-    region = None if margin is None else bounding_region(view.alpha, margin)
-    off_edge = off_outline(mask, edge_band).to(device) if edge_band else None
-    return TrainingView(view.name, view.camera, image, mask.to(device), region, off_edge, covered.to(device))
+    unknown = None if view.known is None else torch.from_numpy(np.flatnonzero(~view.known)).to(device)
+    if view.alpha is None:
+        return TrainingView(view.name, view.camera, image, None, unknown=unknown)
+    alpha = view.alpha if view.known is None else np.where(view.known, view.alpha, np.uint8(0))
+    mask, covered = torch.from_numpy(alpha), torch.from_numpy(np.flatnonzero(alpha))
+    region = None if margin is None else bounding_region(alpha, margin)
+    off_edge = off_outline(mask, edge_band, view.known).to(device) if edge_band else None
+    return TrainingView(view.name, view.camera, image, mask.to(device), region, off_edge, covered.to(device), unknown)
 
 
 def _reduced(view: View, by: int) -> View:
     """The view with each by x by pixels averaged into one, sides rounded up. `reduced_view` of `mgsr.data.loading`
     takes any scale, but needs OpenCV, which a bare machine that trains has not."""
     camera = view.camera.resized(-(-view.camera.width // by), -(-view.camera.height // by))
-    pixels = torch.from_numpy(stack(view, premultiply=True)).to(torch.float32).permute(2, 0, 1)
-    small = torch.nn.functional.adaptive_avg_pool2d(pixels[None], (camera.height, camera.width))[0].permute(1, 2, 0)
-    return unstack(view.name, camera, small.numpy(), premultiplied=True)
+
+    def mean(pixels: np.ndarray) -> np.ndarray:
+        planes = torch.from_numpy(pixels).to(torch.float32).permute(2, 0, 1)
+        small = torch.nn.functional.adaptive_avg_pool2d(planes[None], (camera.height, camera.width))[0]
+        return small.permute(1, 2, 0).numpy()
+
+    return averaged(view, camera, mean)
 
 
-def off_outline(mask: Tensor, band: int) -> Tensor:
+def off_outline(mask: Tensor, band: int, known: np.ndarray | None = None) -> Tensor:
     """[H,W] bool of a mask's bytes [H,W]: False where its outline (half covered) passes within `band` pixels, diagonals
-    included."""
-    inside = (mask > 127).to(torch.float32)[None]
+    included; no outline passes between a known pixel and others."""
+    inside = mask > 127
+    outside = ~inside
+    if known is not None:
+        shown = torch.from_numpy(known)
+        inside, outside = inside & shown, outside & shown
+    near = torch.stack([inside, outside]).to(torch.float32)
     size = 2 * band + 1
-    widest = torch.nn.functional.max_pool2d(inside, size, 1, band)
-    narrowest = -torch.nn.functional.max_pool2d(-inside, size, 1, band)
-    return (widest == narrowest)[0]
+    near_inside, near_outside = torch.nn.functional.max_pool2d(near, size, 1, band) > 0
+    return ~(near_inside & near_outside)
 
 
 def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:

@@ -8,7 +8,7 @@ import trimesh
 from mgsr.geometry.triangles import Topology, drop_degenerate, keep_faces, topology, vertex_normals
 from mgsr.mesh.cleanup import drop_small_pieces, seen_sides, turn_outwards
 from mgsr.mesh.views import sample
-from tests.mesh.shapes import ball, cameras_around
+from tests.mesh.shapes import ball, cameras_around, views_of
 
 
 def test_holes_and_pieces_are_counted() -> None:
@@ -31,7 +31,7 @@ def test_vertex_normals_of_a_ball() -> None:
 def test_shells_inside_are_unseen_and_turned_pieces_are_turned_back() -> None:
     shells = trimesh.util.concatenate([ball(0.7), ball(0.5)])
     faces = np.array(shells.faces)[:, ::-1]
-    sides = seen_sides(np.array(shells.vertices), faces, cameras_around(12), gap=0.01)
+    sides = seen_sides(np.array(shells.vertices), faces, views_of(shells, cameras_around(12)), gap=0.01)
     outer = np.linalg.norm(shells.vertices, axis=1) > 0.6
     # At a silhouette the mean normal of the faces around a vertex may point either way.
     assert (sides[outer] == -1).mean() > 0.95 and (sides[~outer] == 0).all()

@@ -120,3 +120,36 @@ def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
     masked = Target(torch.zeros(1, 3, 3), torch.tensor([[1.0, 0.0, 1.0]]), CAMERA)
     assert masked.covered(alpha).tolist() == [[1.0, 0.0, 0.0]]
     assert replace(masked, alpha=None).covered(alpha).tolist() == [[1.0, 1.0, 0.0]]
+
+
+@pytest.mark.parametrize("kind", AlphaLoss)
+@pytest.mark.parametrize("masked", [True, False])
+def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
+    """Whatever stands there, losses and gradients are the same, and colour and alpha get none; far from them, beyond
+    any window, the gradients are those of a photograph that shows all."""
+    config = replace(make_config().train, alpha_loss=kind)
+    config = replace(config, volumes=replace(config.volumes, transmitted_tv_weight=0.0))
+    unknown = torch.arange(SIZE) * SIZE + 1  # the second column
+    results = []
+    for seed in (6, 7):
+        photograph = target(masked)
+        color = photograph.color.flatten(0, 1).index_copy(0, unknown, random(SIZE, 3, seed=seed).detach())
+        photograph = replace(photograph, color=color.view(SIZE, SIZE, 3), unknown=unknown)
+        results.append(_gradients(photograph, config))
+    assert results[0][0] == results[1][0]
+    for one, other in zip(results[0][1], results[1][1], strict=True):
+        assert torch.equal(one, other)
+        assert not one.flatten(0, 1)[unknown].any()
+    _, whole = _gradients(target(masked), config)
+    for one, other in zip(results[0][1], whole, strict=True):
+        torch.testing.assert_close(one[:, 12:], other[:, 12:])
+        assert other.flatten(0, 1)[unknown].any()
+
+
+def _gradients(photograph: Target, config: TrainConfig) -> tuple[list[float], list[torch.Tensor]]:
+    """The terms, and what comes to both branches' colours and, with masks, their alphas."""
+    flat, full = surfels(), volumes()
+    terms = mutual_terms(flat, full, photograph, config)
+    total = torch.stack(list(terms.values())).sum()
+    wanted = [flat.color, full.color, *([] if photograph.alpha is None else [flat.alpha, full.alpha])]
+    return [float(term.detach()) for term in terms.values()], list(torch.autograd.grad(total, wanted))

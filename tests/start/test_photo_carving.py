@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -76,3 +78,24 @@ def test_one_colour_says_nothing() -> None:
     mesh = hull()
     carved = carve_by_color(mesh.vertices, mesh.faces, photographs(False, 0.0))
     assert np.linalg.norm(carved - mesh.vertices, axis=1).max() < 1e-6
+
+
+def with_noise(view: View, seed: int) -> View:
+    """The view as if the photograph showed a disc alone, which cuts the ball off, and noise around it."""
+    y, x = np.mgrid[: view.camera.height, : view.camera.width]
+    known = np.hypot(x - 0.4 * view.camera.width, y - 0.5 * view.camera.height) < 0.35 * view.camera.width
+    noise = np.random.default_rng(seed).integers(0, 256, view.image.shape).astype(np.uint8)
+    alpha = None if view.alpha is None else np.where(known, view.alpha, noise[..., 0])
+    return replace(view, image=np.where(known[..., None], view.image, noise), alpha=alpha, known=known)
+
+
+def test_noise_at_unknown_pixels_changes_nothing() -> None:
+    """The bowl is found from what is known, and to the byte the same whatever stands at other pixels."""
+    mesh, views = hull(), [view for view in photographs(True, 0.0) if view.camera.center[2] > 0.3]
+    first, second = (
+        carve_by_color(mesh.vertices, mesh.faces, [with_noise(view, seed) for view in views]) for seed in (1, 2)
+    )
+    np.testing.assert_array_equal(first, second)
+    deep = (np.linalg.norm(mesh.vertices[:, :2], axis=1) < 0.2) & (mesh.vertices[:, 2] == CAP)
+    moved = np.linalg.norm(first - mesh.vertices, axis=1)
+    assert np.abs(moved - bowl_depth(mesh.vertices))[deep].mean() < 2.5 / 208

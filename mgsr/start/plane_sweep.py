@@ -1,9 +1,9 @@
 """Points on a surface that no mask shows, by plane-sweep stereo (Collins 1996).
 
 A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where
-they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. The
-unit ball is searched finely, and what lies behind it coarsely, so that a background has its place and is not taken for
-something in the ball.
+they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. What
+has no contrast continues what lies around it, where that too is confirmed. The unit ball is searched finely, and what
+lies behind it coarsely, so that a background has its place and is not taken for something in the ball.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
+from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import PointCloud, View
 from mgsr.parallel import map_ahead, one_torch_thread
+from mgsr.start.depth_filling import fill_depth
 
 SIDE = 128  # images are reduced to this side: a start needs no more
 PLANES, BEHIND = 64, 32  # through the ball and from there to infinity, evenly in inverse depth, as disparity is
@@ -29,10 +31,13 @@ FARTHEST_POINT = 40.0  # from the origin; farther points are too uncertain to be
 NEIGHBOURS, APART, FARTHEST = 4, 15.0, 45.0  # views compared; degrees that they are best apart, and at most
 WINDOW = 5  # pixels a side
 NOISE = 0.01  # standard deviation; windows of less contrast correlate with nothing
+SIMILAR, OWN_CONTRAST = 0.06, 0.012  # of colours, sRGB 0..1, and the least standard deviation among similar ones
 AGREEMENT = 0.6  # least correlation of a depth that counts
 LEAD, BESIDE = 0.03, 4  # by which it must beat all planes further from it than this many
 CONFIRMED, TOLERANCE = 2, 0.02  # other views that must have the same depth, to this share
+CONFIRMED_FILLED = 3  # as CONFIRMED, of filled depths, which depend on each other
 SPACING = 0.02  # points closer than this are one, outside the ball in the space that `_drawn_in` gives
+SPACING_FILLED = 0.06  # the same for filled depths; flat and without contrast, they need few splats
 CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY deviations farther than is usual
 
 
@@ -47,28 +52,32 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
         for found in map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None):
             maps.append(found)
             progress(len(maps) / len(looks))
-    clouds = [_confirmed(index, looks, maps) for index in range(len(looks))]
-    positions, colors = (np.concatenate(part) for part in zip(*clouds, strict=True))
-    kept = _thinned(positions)
-    return PointCloud(positions[kept], colors[kept])
+    maps = [_confirmed(index, looks, maps, CONFIRMED) for index in range(len(looks))]
+    cloud = _cloud(looks, maps)
+    cloud = _rows(cloud, _thinned(cloud.positions))
+    return _joined(cloud, _filled(looks, maps, cloud.positions))
 
 
 @dataclass(frozen=True)
 class _Look:
-    """A view as it is compared: its reduced camera, image [h,w,3] sRGB 0..255 and grey [1,h,w] 0..1."""
+    """A view as it is compared: its reduced camera, image [h,w,3] sRGB 0..255 and grey [1,h,w] 0..1; known [h,w]
+    float32, 1 where the photograph shows a pixel, None where it shows all."""
 
     camera: Camera
     image: np.ndarray
     grey: Tensor
+    known: Tensor | None
 
 
 def _look(view: View) -> _Look:
-    camera, image = view.camera, view.image.astype(np.float32)
+    camera, image, known = view.camera, view.image.astype(np.float32), view.known
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        image = reduce_area(image, camera.width, camera.height)
-    return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255))
+        image, known = known_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
+    image = filled(image, known)
+    shown = None if known is None else torch.from_numpy(known.astype(np.float32))
+    return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
 
 
 def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
@@ -86,7 +95,7 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     agreement = scores.topk(max(2, len(neighbours) // 2), dim=0).values.mean(dim=0)
     plane, sure = _best_plane(agreement)
     depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
-    return np.where(sure.numpy(), depth, unknown)
+    return np.where(sure.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
 
 
 def _neighbours(cameras: Sequence[Camera], index: int) -> np.ndarray:
@@ -117,7 +126,15 @@ def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
     variance = _window_mean(own * own) - mean * mean + NOISE**2
     seen_variance = _window_mean(seen * seen) - seen_mean * seen_mean + NOISE**2
     correlation = (_window_mean(seen * own) - seen_mean * mean) / (variance * seen_variance).clamp(min=1e-12).sqrt()
-    return torch.where((places.abs() < 1).all(dim=-1), correlation, -1.0)
+    compared = (places.abs() < 1).all(dim=-1)
+    if look.known is not None:
+        compared &= look.known > 0
+    if other.known is not None:
+        shown = functional.grid_sample(
+            other.known[None, None].expand(len(inverse), -1, -1, -1), places, mode="nearest", align_corners=False
+        )
+        compared &= shown[:, 0] > 0
+    return torch.where(compared, correlation, -1.0)
 
 
 def _window_mean(images: Tensor) -> Tensor:
@@ -130,6 +147,26 @@ def _window_mean(images: Tensor) -> Tensor:
     columns = sum(rows[:, :, shift : shift + width] for shift in range(WINDOW))
     assert isinstance(columns, Tensor)
     return columns / WINDOW**2
+
+
+def _own_contrast(image: np.ndarray) -> np.ndarray:
+    """The standard deviation [h,w], 0..1, of those pixels [h,w,3] in each window whose colour is like its middle's.
+
+    Beside the edge of something near, all the contrast in a window of plain background is that edge's, and so would be
+    the depth.
+    """
+    image = image / 255
+    height, width = image.shape[:2]
+    half = WINDOW // 2
+    padded = np.pad(image, ((half, half), (half, half), (0, 0)), mode="edge")
+    sums = np.zeros((3, *image.shape))  # of weights, and of colours and their squares times these
+    for top in range(WINDOW):
+        for left in range(WINDOW):
+            other = padded[top : top + height, left : left + width]
+            alike = np.exp(-((np.abs(other - image).max(axis=2, keepdims=True) / SIMILAR) ** 2))
+            sums += np.stack([np.broadcast_to(alike, image.shape), alike * other, alike * other * other])
+    mean = sums[1] / sums[0]
+    return np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
@@ -145,14 +182,10 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
     return middle[0] + step.clamp(-0.5, 0.5), sure
 
 
-def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """The points [P,3] of a view's depth map that other views' maps confirm more often than they see through them, and
-    their colours [P,3] uint8."""
-    camera, depth = looks[index].camera, maps[index]
-    rows, columns = np.nonzero(np.isfinite(depth))
-    pixels = np.stack([columns, rows], axis=1) + 0.5
-    local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
-    positions = (local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
+    """A view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
+    depth = maps[index]
+    positions = _positions(looks[index].camera, depth)
     confirming, against = np.zeros(len(positions), int), np.zeros(len(positions), int)
     for other, (look, found) in enumerate(zip(looks, maps, strict=True)):
         if other == index:
@@ -164,15 +197,58 @@ def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray]) -
         gaps = found[down, across] / depths[at] - 1
         confirming[at] += np.abs(gaps) < TOLERANCE
         against[at] += np.isfinite(gaps) & (gaps > 2 * TOLERANCE)
-    good = (confirming >= CONFIRMED) & (confirming > against) & (np.linalg.norm(positions, axis=1) < FARTHEST_POINT)
-    colors = looks[index].image[rows, columns].round().clip(0, 255).astype(np.uint8)
-    return positions[good], colors[good]
+    good = (confirming >= least) & (confirming > against) & (np.linalg.norm(positions, axis=1) < FARTHEST_POINT)
+    kept = np.full_like(depth, np.inf)
+    kept[np.isfinite(depth)] = np.where(good, depth[np.isfinite(depth)], np.inf)
+    return kept
 
 
-def _thinned(positions: np.ndarray) -> np.ndarray:
-    """Which points to keep, by index: one a cell of SPACING, without those that stand alone."""
+def _filled(looks: Sequence[_Look], maps: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
+    """Points of what lies between confirmed depths, away from the points found [P,3] already."""
+    whole = list(map_ahead(lambda index: _continued(looks[index], maps[index]), range(len(looks)), None))
+    cloud = _cloud(looks, [_confirmed(index, looks, whole, CONFIRMED_FILLED) for index in range(len(looks))])
+    cloud = _rows(cloud, _thinned(cloud.positions, SPACING_FILLED))
+    if not len(found):
+        return cloud
+    return _rows(cloud, cKDTree(_drawn_in(found)).query(_drawn_in(cloud.positions))[0] > SPACING_FILLED)
+
+
+def _continued(look: _Look, depth: np.ndarray) -> np.ndarray:
+    """The depth map with what `fill_depth` adds; infinite where there is still none."""
+    inverse = fill_depth(1 / depth, look.image)
+    there = np.isfinite(inverse) if look.known is None else np.isfinite(inverse) & (look.known.numpy() > 0)
+    return np.where(there, 1 / inverse, np.inf)
+
+
+def _cloud(looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> PointCloud:
+    """The points of all views' depth maps, view by view, with their pixels' colours."""
+    positions = [_positions(look.camera, depth) for look, depth in zip(looks, maps, strict=True)]
+    colors = [look.image[np.isfinite(depth)] for look, depth in zip(looks, maps, strict=True)]
+    return PointCloud(np.concatenate(positions), np.concatenate(colors).round().clip(0, 255).astype(np.uint8))
+
+
+def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """World points [P,3] of the finite pixels of a depth map, row by row."""
+    rows, columns = np.nonzero(np.isfinite(depth))
+    pixels = np.stack([columns, rows], axis=1) + 0.5
+    local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
+    positions: np.ndarray = local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]
+    return positions @ camera.cam_from_world[:3, :3]
+
+
+def _rows(cloud: PointCloud, kept: np.ndarray) -> PointCloud:
+    return PointCloud(cloud.positions[kept], cloud.colors[kept])
+
+
+def _joined(first: PointCloud, second: PointCloud) -> PointCloud:
+    both = np.concatenate([first.positions, second.positions]), np.concatenate([first.colors, second.colors])
+    return PointCloud(*both)
+
+
+def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
+    """Which points to keep, by index: one a cell of `spacing`, without those that stand alone."""
     near = _drawn_in(positions)
-    _, first = np.unique(np.floor(near / SPACING).astype(int), axis=0, return_index=True)
+    _, first = np.unique(np.floor(near / spacing).astype(int), axis=0, return_index=True)
     first.sort()
     if len(first) <= CROWD:
         return first

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mgsr.data.hull import Hull, carve, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
@@ -33,8 +34,12 @@ SHADING_PASSES = {
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
 MIN_POINTS = 500
 
-# The share of an unmasked capture's points that may lie outside a ball of radius BALL, where no mesh is made.
+# The share of an unmasked capture's points that lie outside a ball of radius BALL, where no mesh is made, if there are
+# so many.
 BACKGROUND, BALL = 0.25, 1.25
+
+# A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
+LONELY = 8.0
 
 # Shares of the time to the hull's points at which its parts are done: measured, 40 views of 256 x 256 pixels.
 HULL_CARVED, COLOR_CARVED = 0.11, 0.53
@@ -83,7 +88,8 @@ def starting_points(
     if outlines:
         if own is None or len(own.positions) < MIN_POINTS:
             return _hull_points(scene.train, outlines, count, generator, progress)
-        return _chosen(own, StartSource.CAPTURE, count, generator)
+        kept = np.sort(_some(np.arange(len(own.positions)), count, generator))
+        return StartingPoints(own.positions[kept], own.colors[kept], StartSource.CAPTURE)
     return _unmasked_points(scene.train, own, count, generator, progress)
 
 
@@ -116,29 +122,33 @@ def _unmasked_points(
     generator: np.random.Generator,
     progress: Callable[[float], None],
 ) -> StartingPoints:
-    found = _with_less_background(sweep_planes(views, progress), count, generator)
+    points, source = sweep_planes(views, progress), StartSource.STEREO
     if own is not None and len(own.positions):
-        both = (np.concatenate(part) for part in ((own.positions, found.positions), (own.colors, found.colors)))
-        return _chosen(PointCloud(*both), StartSource.CAPTURE, count, generator)
-    if len(found.positions) < MIN_POINTS:
+        both = (np.concatenate(part) for part in ((own.positions, points.positions), (own.colors, points.colors)))
+        points, source = PointCloud(*both), StartSource.CAPTURE
+    elif len(points.positions) < MIN_POINTS:
         return _ball_points(views, count, generator)
-    return _chosen(found, StartSource.STEREO, count, generator)
+    points = _in_company(points)
+    outside = np.linalg.norm(points.positions, axis=1) > BALL
+    behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
+    kept = np.sort(np.concatenate([_some(np.flatnonzero(~outside), count - len(behind), generator), behind]))
+    return StartingPoints(points.positions[kept], points.colors[kept], source)
 
 
-def _with_less_background(points: PointCloud, count: int, generator: np.random.Generator) -> PointCloud:
-    """What lies in the ball, and of what lies outside at most BACKGROUND of `count`."""
-    outside = np.flatnonzero(np.linalg.norm(points.positions, axis=1) > BALL)
-    most = round(BACKGROUND * count)
-    dropped = generator.choice(outside, max(0, len(outside) - most), replace=False)
-    kept = np.setdiff1d(np.arange(len(points.positions)), dropped)
+def _in_company(points: PointCloud) -> PointCloud:
+    """The points without those in the ball that have no others around them: splats there would be huge disks that hang
+    in the air."""
+    inside = np.linalg.norm(points.positions, axis=1) <= BALL
+    if not inside.any():
+        return points
+    spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
+    kept = ~inside | (spacing <= LONELY * np.median(spacing[inside]))
     return PointCloud(points.positions[kept], points.colors[kept])
 
 
-def _chosen(points: PointCloud, source: StartSource, count: int, generator: np.random.Generator) -> StartingPoints:
-    kept = np.arange(len(points.positions))
-    if len(kept) > count:
-        kept = np.sort(generator.choice(kept, count, replace=False))
-    return StartingPoints(points.positions[kept], points.colors[kept], source)
+def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.ndarray:
+    """At most so many of these."""
+    return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
 def _hull_points(

@@ -100,7 +100,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
     report = json.loads((done / "report.json").read_text())
     assert (report["scene"], report["preset"], report["method"]) == ("spheres", "draft", "mgsr")
     assert (report["device"], report["seed"]) == ("cpu", 0)
-    assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations"}
+    assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations", "dropped": 0}
     assert set(report["gaussians"]) == {"surfels", "volumes"}
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
     assert {"seconds", "stage", "iteration", "psnr", "surfels", "volumes"} <= set(report["curve"][0])

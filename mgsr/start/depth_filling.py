@@ -1,0 +1,72 @@
+"""Depth where stereo finds none: an image without contrast continues what lies around it.
+
+A pixel without depth takes the inverse depth that bends least, as a plane's inverse depth does not bend at all in a
+photograph. Where the image has an edge it may bend and break at no cost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+EDGE = 0.03  # change of sRGB from a pixel to the next, 0..1, that counts as an edge
+BARELY = 1e-6  # what an edge's bending costs, against 1 elsewhere
+HOLD = 10.0  # of the found depths against the bending
+LEAK = 2e-3  # trust that is lost on the way from pixel to pixel: e-fold in some twenty of them
+TRUSTED = 0.8  # least share of its trust that a pixel must have from found depths
+
+
+def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """Inverse depths [h,w] of a view's image [h,w,3], sRGB 0..255, in place of what is 0 in `inverse` [h,w]; NaN
+    where no found depth is near enough, or only beyond an edge."""
+    found = inverse > 0
+    if found.sum() < 3:
+        return np.where(found, inverse, np.nan)
+    along_x, along_y = _smoothness(image / 255.0, 1), _smoothness(image / 255.0, 0)
+    trust = _trust(found, along_x, along_y)
+    held = sparse.diags(HOLD * found.ravel().astype(float))
+    bending = _bending(along_x, 1) + _bending(along_y, 0)
+    system = (held + bending + 1e-9 * sparse.eye(found.size)).tocsc()
+    filled = splu(system).solve(HOLD * np.where(found, inverse, 0).ravel()).reshape(found.shape)
+    return np.where(found, inverse, np.where((trust > TRUSTED) & (filled > 0), filled, np.nan))
+
+
+def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
+    """How smooth the image is between each pixel and the next along an axis: 1 where nothing changes, BARELY across an
+    edge; one less along that axis."""
+    change = np.abs(np.diff(image, axis=axis)).max(axis=2)
+    return np.maximum(np.exp(-((change / EDGE) ** 2)), BARELY)
+
+
+def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
+    """The quadratic form of the second differences along an axis, each as dear as its rougher step."""
+    steps = np.moveaxis(smooth, axis, -1)
+    weights = np.minimum(steps[..., :-1], steps[..., 1:])
+    index = np.moveaxis(_pixels(smooth, axis), axis, -1)
+    parts = [(index[..., :-2], 1.0), (index[..., 1:-1], -2.0), (index[..., 2:], 1.0)]
+    return _gram(parts, weights, index.size)
+
+
+def _trust(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+    """1 where depth was found, fading on the way from there, and hardly passing edges, [h,w]."""
+    form = LEAK * sparse.eye(found.size) + sparse.diags(HOLD * found.ravel().astype(float))
+    for smooth, axis in ((along_x, 1), (along_y, 0)):
+        index = np.moveaxis(_pixels(smooth, axis), axis, -1)
+        parts = [(index[..., :-1], 1.0), (index[..., 1:], -1.0)]
+        form = form + _gram(parts, np.moveaxis(smooth, axis, -1), index.size)
+    return splu(form.tocsc()).solve(HOLD * found.ravel().astype(float)).reshape(found.shape)
+
+
+def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:
+    """The numbers [h,w] of an image's pixels, given what lies between them along an axis."""
+    shape = [side + (number == axis) for number, side in enumerate(smooth.shape)]
+    return np.arange(int(np.prod(shape))).reshape(shape)
+
+
+def _gram(parts: list[tuple[np.ndarray, float]], weights: np.ndarray, count: int) -> sparse.csc_matrix:
+    """A' W A for rows that add pixels times factors, each row times its weight."""
+    rows = np.arange(weights.size)
+    entries = [(np.full(weights.size, factor), (rows, index.ravel())) for index, factor in parts]
+    matrix = sum(sparse.csc_matrix(entry, shape=(weights.size, count)) for entry in entries)
+    return (matrix.T @ sparse.diags(weights.ravel()) @ matrix).tocsc()

@@ -31,7 +31,7 @@ class DataConfig:
 
     masks: Masks = Masks.AUTO
     test_every: int = 8  # every n-th view is held out, where the files name no split
-    max_side: int = 1600  # pixels; larger images are reduced to this with area filtering
+    max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 
 
 class Extractor(StrEnum):
@@ -201,6 +201,8 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; densification stops adding there
+    drop_carrying: float = 0.06  # share of the light; splats that together carry no more go after the warm-up; masked
+    # scenes only: in others a few huge ones in the background carry most of it
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,9 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: DensifyConfig = field(default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000))
+    densify: DensifyConfig = field(
+        default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000, drop_carrying=0.01)
+    )
 
 
 @dataclass(frozen=True)
@@ -383,6 +387,8 @@ PRESETS: dict[str, dict[str, str]] = {
         "volumes.max_start": "5000",
         "surfels.densify.max_count": "10000",
         "volumes.densify.max_count": "8000",
+        "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
+        "volumes.densify.drop_carrying": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
@@ -406,6 +412,7 @@ METHODS: dict[str, dict[str, str]] = {
         "reflection": "off",
         "volumes.sh_degree": "3",
         "transmitted_tv_weight": "0",
+        "volumes.densify.drop_carrying": "0",
     },
 }
 

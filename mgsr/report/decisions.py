@@ -34,6 +34,7 @@ LIGHTS = {
     "surroundings": ("mirrored surroundings", "one map of them explains how a point changes from view to view"),
     "unknown": ("not used", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
+SPLATS = {"surfels": "Surfels that give the surface", "volumes": "Gaussians that give the renders"}
 REFLECTIONS = {
     "off": "none",
     "own": "each splat's own",
@@ -98,6 +99,10 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
     if "train_views" in given:
         count = f"{len(given['train_views'])} to train on, {len(given.get('test_views', []))} held back"
         yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
+    if given.get("shown", 1) < 1:
+        choice = f"photographs show {given['shown']:.0%} of them"
+        why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
+        yield Decision("Pixels", choice, why)
     if given.get("starting_points"):
         source, count = given["starting_points"]["source"], given["starting_points"]["count"]
         words, why = STARTS.get(source, (str(source), ""))
@@ -108,6 +113,12 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
     for name, run in data.iterations.items():
         reason = STOPS.get(run.stopped, run.stopped)
         yield Decision(f"End of stage “{stage_name(name)}”", f"after {run.iterations:,} iterations", reason)
+        if run.dropped:
+            branch = name.removeprefix("warmup_")
+            share = f"{data.other['settings']['train'][branch]['densify']['drop_carrying']:.0%}"
+            left = data.gaussians[branch]
+            why = f"{run.dropped:,} of {left + run.dropped:,} went: together they carried at most {share} of the light"
+            yield Decision(SPLATS[branch], f"{left:,}", why)
 
 
 def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]:

@@ -84,6 +84,12 @@ class Branch(Trained[Splats]):
         self.optimizer.keep(morton_order(self.model.means.detach()))
         self.adopt()
 
+    def keep(self, rows: Tensor) -> None:
+        """Drop all splats but those of these ascending indices [M] int64, and begin to gather anew."""
+        self.optimizer.keep(rows)
+        self.adopt()
+        self.densify_state = DensifyState.empty(len(self.model), self.device)
+
     def reset_opacities(self) -> None:
         """Lower every opacity and forget the optimiser's momentum there."""
         for name, lowered in lowered_opacities(self.model.parameters(), self.densify.reset_opacity).items():

@@ -10,6 +10,7 @@ import torch
 
 from mgsr.config import Branches, Config, DensifyConfig, Reflection, StopRule
 from mgsr.data.scene import Scene
+from mgsr.densify.carried import carried, faintest
 from mgsr.errors import TrainingError
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
@@ -137,6 +138,22 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
     return stage
 
 
+def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
+    """Drops the branch's splats that together carry the share of the light that its settings can do without, and
+    counts them."""
+    share = branch.densify.drop_carrying
+
+    def thin() -> int:
+        if not share or any(view.mask is None for view in views):
+            return 0
+        kept = (~faintest(carried(branch.model, [view.camera for view in views]), share)).nonzero().squeeze(1)
+        dropped = len(branch.model) - len(kept)
+        branch.keep(kept)
+        return dropped
+
+    return thin
+
+
 def _warmup(
     name: str,
     parts: Parts,
@@ -165,6 +182,7 @@ def _warmup(
     stage = Stage(
         name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse
     )
+    stage.thin = _thinning(branch, views)
     return stage
 
 

@@ -57,12 +57,14 @@ class Progress:
 
 @dataclass(frozen=True)
 class StageReport:
-    """How a stage went: its iterations, seconds, and why it ended (iterations, converged, budget or deadline)."""
+    """How a stage went: its iterations, seconds, why it ended (iterations, converged, budget or deadline), and how many
+    splats were dropped then."""
 
     name: str
     iterations: int
     seconds: float
     stop_reason: str
+    dropped: int = 0
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ class Stage:
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
     densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
-    coarse: how it begins.
+    coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns.
     """
 
     name: str
@@ -93,6 +93,7 @@ class Stage:
     light: LightInTraining | None = None
     trial: Trial | None = None
     coarse: Coarse | None = None
+    thin: Callable[[], int] | None = None
     iteration: int = 0
     seconds: float = 0.0
 

@@ -77,7 +77,8 @@ class Trainer:
             begun = self.seconds - stage.seconds
             reason = self._run_stage(stage, begun)
             self.guard = None
-            self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason))
+            dropped = 0 if stage.thin is None else stage.thin()
+            self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason, dropped))
             self.stage_index += 1
             self.save()
         self._left_at = time.perf_counter()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mgsr.report.data import Decision
+from mgsr.report.data import Decision, StageRun
 from mgsr.report.decisions import tell_decisions, with_decisions
 from tests.report.samples import sample_report
 
@@ -51,6 +51,22 @@ def test_the_colours_harmonics_are_told_where_fewer_were_tried() -> None:
     assert lowered.choice == "up to degree 1"
     assert "degree 1 34.44 dB; degree 0 33.74 dB; with all of them 33.78 dB" in lowered.why
     assert told({}) == []
+
+
+def test_pixels_that_no_photograph_shows_are_told() -> None:
+    sample = sample_report()
+    given = {**sample.other["input"], "shown": 0.8174}
+    told = {each.what: each for each in tell_decisions(replace(sample, other={**sample.other, "input": given}))}
+    assert told["Pixels"].choice == "photographs show 82% of them"
+    assert "Pixels" not in {each.what for each in tell_decisions(sample)}
+
+
+def test_dropped_gaussians_are_counted() -> None:
+    data = sample_report()
+    data.iterations["warmup_volumes"] = StageRun(2000, "converged", dropped=8123)
+    data.other["settings"]["train"] = {"volumes": {"densify": {"drop_carrying": 0.06}}}
+    told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
+    assert told.choice == "21,877" and "8,123 of 30,000" in told.why and "6%" in told.why
 
 
 def test_a_runs_own_decisions_stay() -> None:

@@ -233,3 +233,18 @@ def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
         ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short()
     ).run()
     assert result.light is None and result.reflection is Reflection.OFF
+
+
+@pytest.mark.parametrize("branch", ["surfels", "volumes"])
+def test_splats_that_carry_little_light_go_after_the_warm_up(branch: str) -> None:
+    scene = ball_scene()
+    kept = [f"{each}.densify.drop_carrying=0" for each in ("surfels", "volumes")]
+
+    def trained(*shares: str) -> TrainResult:
+        return Training(scene, ball_points(), short("mgsr", "reflection=off", "mutual.iterations=0", *shares)).run()
+
+    whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.drop_carrying=0.1")
+    dropped = {report.name: report.dropped for report in thinned.stages}
+    one, two = getattr(whole, branch).means, getattr(thinned, branch).means
+    assert 0 < dropped[f"warmup_{branch}"] == sum(dropped.values()) == len(one) - len(two)
+    assert {tuple(row) for row in one.tolist()} > {tuple(row) for row in two.tolist()}

@@ -1,0 +1,77 @@
+"""What each splat carries of the pictures, and which can go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from mgsr.data.camera import Camera
+from mgsr.densify.carried import carried, faintest
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from tests.oracles import surfels, volumes
+from tests.training.ball import ball_scene
+
+COUNT = 12
+
+
+def some_surfels() -> SurfelModel:
+    """Surfels that hide each other, in front of all cameras of the ball."""
+    draw = noise()
+    return SurfelModel(0.4 * draw(3), draw(4), 0.3 * draw(2) - 2.0, 2 * draw(), draw(1, 3))
+
+
+def some_volumes(split: bool) -> VolumeModel:
+    """Gaussians that do."""
+    draw = noise()
+    half = (draw(), draw(), draw(1, 3)) if split else ()
+    return VolumeModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half)
+
+
+def noise() -> Callable[..., torch.Tensor]:
+    """Draws [COUNT,...], always the same in the same order."""
+    generator = torch.Generator().manual_seed(3)
+    return lambda *shape: torch.randn(COUNT, *shape, generator=generator)
+
+
+@pytest.mark.parametrize("kind", ["surfels", "volumes", "split volumes"])
+def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
+    model = some_surfels() if kind == "surfels" else some_volumes(split=kind.startswith("split"))
+    add = added_by_surfel if kind == "surfels" else added_by_volume
+    cameras = [view.camera for view in ball_scene(size=24, train=3).train]
+    alone = torch.tensor([sum(add(model, camera, i) for camera in cameras) for i in range(COUNT)])
+    assert alone.min() < 0.05 * alone.max()
+    torch.testing.assert_close(carried(model, cameras), alone, rtol=1e-4, atol=1e-3)
+
+
+def added_by_surfel(model: SurfelModel, camera: Camera, index: int) -> float:
+    """The light in the oracle's image where one surfel is white and all others are black."""
+    geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
+    view = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world), camera.width, camera.height
+    return float(surfels.render(*geometry, *view, torch.zeros(3)).color[..., 0].sum())
+
+
+def added_by_volume(model: VolumeModel, camera: Camera, index: int) -> float:
+    """The same for a Gaussian, whose reflected half is white too."""
+    geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
+    reflected = None
+    if model.split:
+        reflected = (model.refl_opacities().double(), geometry[-1], model.weights().double())
+    images = volumes.render(*geometry, camera, torch.zeros(3), reflected)
+    added = 0 if images.reflected is None else images.weight * images.reflected[..., 0]
+    return float((images.color[..., 0] + added).sum())
+
+
+def white(index: int) -> torch.Tensor:
+    """Colours of which one is white and all others are black."""
+    return torch.eye(COUNT)[:, index, None].expand(-1, 3)
+
+
+def test_the_least_that_together_stay_under_the_share() -> None:
+    weights = torch.tensor([5.0, 0.0, 1.0, 3.0, 1.0])
+    assert faintest(weights, 0.19).tolist() == [False, True, True, False, False]
+    assert faintest(weights, 0.2).tolist() == [False, True, True, False, True]
+    assert faintest(weights, 1.0).all()
+    assert not faintest(weights + 1, 0.0).any()

@@ -201,7 +201,7 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; densification stops adding there
-    drop_carrying: float = 0.06  # share of the light; splats that together carry no more go after the warm-up; masked
+    drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
     # scenes only: in others a few huge ones in the background carry most of it
 
 
@@ -514,6 +514,8 @@ def validate(config: Config) -> None:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path == "time_budget" and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")
+        if path.endswith("drop_carrying") and _value(config, path) >= 1:
+            raise ConfigError(f"{path}: expected a share below 1, got {_value(config, path):g}")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
 

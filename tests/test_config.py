@@ -74,6 +74,7 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("mutual.iterations", "key=value"),
         ("mutual.iterations=-1", "0 or more"),
         ("surfels.sh_degree=4", "0 to 3"),
+        ("surfels.densify.drop_carrying=1", "share below 1"),
         ("start_weight=1", "between 0 and 1"),
         ("report_every=0", "at least 1"),
         ("surfels.rates.position=0", "more than 0"),

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from mgsr.budget import costs
@@ -242,7 +243,7 @@ class TimeBudget:
 
 
 def _scaled(facts: Facts, scale: float) -> Facts:
-    return Facts(facts.views, facts.tests, facts.pixels * scale**2, facts.truth, facts.shiny)
+    return replace(facts, pixels=facts.pixels * scale**2)
 
 
 def _iterations(config: Config, stage: str) -> int:

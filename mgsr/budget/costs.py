@@ -12,18 +12,20 @@ from dataclasses import dataclass
 from mgsr.config import MeshConfig
 
 USUAL_PIXELS = 256 * 256
+STEREO = 0.4  # a view
 
 
 @dataclass(frozen=True)
 class Facts:
     """What the cost of a scene depends on: its training and test views, the mean pixels of one, whether the true
-    surface lies beside it, and whether shading may refine its mesh."""
+    surface lies beside it, whether shading may refine its mesh, and whether there are masks."""
 
     views: int
     tests: int
     pixels: float
     truth: bool
     shiny: bool = True
+    masked: bool = True
 
     @property
     def size(self) -> float:
@@ -37,7 +39,9 @@ def load_cost(facts: Facts) -> float:
 
 
 def start_cost(facts: Facts) -> float:
-    """The starting points."""
+    """The starting points: on the hull, or of stereo, which looks at small photographs only."""
+    if not facts.masked:
+        return STEREO * facts.views
     return 2.0 + 10.0 * (facts.views / 48 * facts.size) ** 0.7
 
 

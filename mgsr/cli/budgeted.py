@@ -39,7 +39,7 @@ def facts_of(scene: Scene, start: StartingPoints | None = None) -> Facts:
     cameras = [view.camera for view in scene.train]
     pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
     shiny = start is None or start.shiny is not False
-    return Facts(len(cameras), len(scene.test), pixels, (scene.root / TRUTH).is_file(), shiny)
+    return Facts(len(cameras), len(scene.test), pixels, (scene.root / TRUTH).is_file(), shiny, scene.masked)
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, clock: StepClock) -> Scene:

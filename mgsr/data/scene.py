@@ -59,6 +59,18 @@ class PointCloud:
     positions: np.ndarray
     colors: np.ndarray
 
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def rows(self, kept: np.ndarray) -> PointCloud:
+        """The points of these indices, or where this [P] bool is true."""
+        return PointCloud(self.positions[kept], self.colors[kept])
+
+    def joined(self, other: PointCloud) -> PointCloud:
+        """These points, and after them the other's."""
+        positions = np.concatenate([self.positions, other.positions])
+        return PointCloud(positions, np.concatenate([self.colors, other.colors]))
+
 
 @dataclass(frozen=True)
 class Scene:

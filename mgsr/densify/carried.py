@@ -30,9 +30,9 @@ def carried(model: SurfelModel | VolumeModel, cameras: Sequence[Camera]) -> Tens
 
 
 def faintest(carried: Tensor, share: float) -> Tensor:
-    """Which splats [N] bool together carry at most `share` of all, the least first."""
+    """Which splats [N] bool together carry less than `share` of all, the least first; none where none carries any."""
     least_first = carried.argsort(stable=True)
-    within = carried[least_first].cumsum(0, dtype=torch.float64) <= share * carried.sum(dtype=torch.float64)
+    within = carried[least_first].cumsum(0, dtype=torch.float64) < share * carried.sum(dtype=torch.float64)
     return torch.empty_like(within).scatter_(0, least_first, within)
 
 

@@ -116,9 +116,8 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
         if run.dropped:
             branch = name.removeprefix("warmup_")
             share = f"{data.other['settings']['train'][branch]['densify']['drop_carrying']:.0%}"
-            left = data.gaussians[branch]
-            why = f"{run.dropped:,} of {left + run.dropped:,} went: together they carried at most {share} of the light"
-            yield Decision(SPLATS[branch], f"{left:,}", why)
+            why = f"{run.dropped:,} went after the warm-up: together they carried less than {share} of the light"
+            yield Decision(SPLATS[branch], f"{data.gaussians[branch]:,}", why)
 
 
 def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]:

@@ -79,17 +79,17 @@ def starting_points(
 
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
     on the visual hull, carved deeper where the photographs agree on it and bent to their shading, spread evenly.
-    Without: the capture's own points and those that stereo finds in the unit ball, at most `count`; `count` points
-    anywhere in the ball where there are hardly any.
+    Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
+    plain places too, a quarter of them behind it; `count` points anywhere in the ball where there are hardly any.
     """
     generator = np.random.default_rng(seed)
     outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
     own = _own_points(scene.points, outlines) if scene.points is not None else None
     if outlines:
-        if own is None or len(own.positions) < MIN_POINTS:
+        if own is None or len(own) < MIN_POINTS:
             return _hull_points(scene.train, outlines, count, generator, progress)
-        kept = np.sort(_some(np.arange(len(own.positions)), count, generator))
-        return StartingPoints(own.positions[kept], own.colors[kept], StartSource.CAPTURE)
+        kept = own.rows(np.sort(_some(np.arange(len(own)), count, generator)))
+        return StartingPoints(kept.positions, kept.colors, StartSource.CAPTURE)
     return _unmasked_points(scene.train, own, count, generator, progress)
 
 
@@ -112,7 +112,7 @@ def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointClou
         # A point reconstructed on the outline lies a pixel off as often as not.
         distance, judged = signed_field(outlines, points.positions[good])
         good[good] = judged & (distance > -0.02)
-    return PointCloud(points.positions[good], points.colors[good])
+    return points.rows(good)
 
 
 def _unmasked_points(
@@ -123,16 +123,16 @@ def _unmasked_points(
     progress: Callable[[float], None],
 ) -> StartingPoints:
     points, source = sweep_planes(views, progress), StartSource.STEREO
-    if own is not None and len(own.positions):
-        both = (np.concatenate(part) for part in ((own.positions, points.positions), (own.colors, points.colors)))
-        points, source = PointCloud(*both), StartSource.CAPTURE
-    elif len(points.positions) < MIN_POINTS:
+    if own is not None and len(own):
+        points, source = own.joined(points), StartSource.CAPTURE
+    elif len(points) < MIN_POINTS:
         return _ball_points(views, count, generator)
     points = _in_company(points)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
-    kept = np.sort(np.concatenate([_some(np.flatnonzero(~outside), count - len(behind), generator), behind]))
-    return StartingPoints(points.positions[kept], points.colors[kept], source)
+    before = _some(np.flatnonzero(~outside), count - len(behind), generator)
+    kept = points.rows(np.sort(np.concatenate([before, behind])))
+    return StartingPoints(kept.positions, kept.colors, source)
 
 
 def _in_company(points: PointCloud) -> PointCloud:
@@ -143,7 +143,7 @@ def _in_company(points: PointCloud) -> PointCloud:
         return points
     spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
     kept = ~inside | (spacing <= LONELY * np.median(spacing[inside]))
-    return PointCloud(points.positions[kept], points.colors[kept])
+    return points.rows(kept)
 
 
 def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.ndarray:

@@ -81,7 +81,7 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     machine.now += 0.5 * machine.speed(0.0)  # imports
     budget.learn(costs.load_cost(facts), machine.work("load", costs.load_cost(facts)))
     scale = budget.choose_scale(facts)
-    facts = Facts(facts.views, facts.tests, facts.pixels * scale**2, facts.truth, facts.shiny)
+    facts = replace(facts, pixels=facts.pixels * scale**2)
     budget.learn(costs.start_cost(facts), machine.work("start", costs.start_cost(facts)))
     splats = {"surfels": config.train.surfels.max_start, "volumes": config.train.volumes.max_start}
     names = ("warmup_surfels", "warmup_volumes", "mutual")

@@ -59,6 +59,9 @@ def test_the_share_of_the_work_that_is_done(tmp_path, masks):
     told = []
     starting_points(scene, 500, seed=0, progress=told.append)
     assert len(told) >= 2 and told == sorted(told) and 0 < told[0] < 1 and told[-1] <= 1
+    if masks is Masks.OFF:
+        # Each view is searched, and then what has no contrast in it is continued.
+        assert len(told) == 2 * len(scene.train) and told[-1] == pytest.approx(1)
 
 
 def test_own_points_come_first_and_are_thinned(tmp_path):

@@ -25,11 +25,19 @@ class Masks(StrEnum):
     REQUIRE = "require"
 
 
+class Exposure(StrEnum):
+    """auto: photographs whose exposures differ are brought to a common one; keep: they stay as they are."""
+
+    AUTO = "auto"
+    KEEP = "keep"
+
+
 @dataclass(frozen=True)
 class DataConfig:
     """How a capture is read."""
 
     masks: Masks = Masks.AUTO
+    exposure: Exposure = Exposure.AUTO
     test_every: int = 8  # every n-th view is held out, where the files name no split
     max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 

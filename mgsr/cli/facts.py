@@ -96,6 +96,7 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
             },
         }
         | ({"shown": round(shown, 4)} if shown < 1 else {})
+        | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
         | ({"notes": list(scene.notes)} if scene.notes else {})
     )
 

@@ -98,12 +98,12 @@ def mesh(
         overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         config = make_config(preset, overrides=overrides)
         from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import read_models, write_mesh
+        from mgsr.cli.outputs import at_known_exposures, read_models, write_mesh
         from mgsr.cli.pipeline import make_mesh
         from mgsr.data.readers import load_scene
 
         chosen = pick_device(device)
-        loaded = load_scene(scene, config.data)
+        loaded = at_known_exposures(out, load_scene(scene, config.data))
         surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config)
         write_mesh(out, surface, loaded, config.output)
         print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
@@ -149,13 +149,13 @@ def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto"
 def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, Any]:
     from mgsr.cli.device import pick_device
     from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
-    from mgsr.cli.outputs import MESH, read_mesh, read_models
+    from mgsr.cli.outputs import MESH, at_known_exposures, read_mesh, read_models
     from mgsr.cli.rendering import render_views
     from mgsr.data.readers import load_scene
     from mgsr.report.data import finite
 
     chosen = pick_device(device)
-    loaded = load_scene(scene, config.data)
+    loaded = at_known_exposures(out, load_scene(scene, config.data))
     models = read_models(out, loaded).to(chosen.torch)
     scores = image_scores(list(render_views(models, loaded.test, config)), loaded)
     if (out / MESH).is_file():

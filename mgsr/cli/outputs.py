@@ -15,7 +15,8 @@ from mgsr.cli.models import Models
 from mgsr.cli.rendering import ViewImages
 from mgsr.cli.whole import whole
 from mgsr.config import OutputConfig, Up
-from mgsr.data.scene import Scene
+from mgsr.data.exposure import evened
+from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import MgsrError
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
@@ -41,6 +42,7 @@ MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
 VOLUMES = "splats_3d.ply"
 LIGHT = "mirrored_light.npz"
+EXPOSURES = "exposures.json"
 RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
@@ -55,6 +57,48 @@ def clear_reports(out: Path) -> None:
     """Remove an earlier run's reports: a folder with a report holds a finished run."""
     for name in (REPORT, REPORT_HTML):
         (out / name).unlink(missing_ok=True)
+
+
+def clear_exposures(out: Path) -> None:
+    """Remove what an earlier run found of its photographs."""
+    (out / EXPOSURES).unlink(missing_ok=True)
+
+
+def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
+    """exposures.json: by split and the views' names, the factors [3] of the photographs' linear light."""
+    with whole(out / EXPOSURES) as path:
+        path.write_text(json.dumps(exposure_table(scene, exposures)))
+
+
+def exposure_table(scene: Scene, exposures: Exposures) -> dict[str, dict[str, list[float]]]:
+    """The factors by split and the views' names."""
+    splits = {"train": (scene.train, exposures.train), "test": (scene.test, exposures.test)}
+    return {
+        split: {view.name: factor.tolist() for view, factor in zip(views, factors, strict=True)}
+        for split, (views, factors) in splits.items()
+    }
+
+
+def at_known_exposures(out: Path, scene: Scene) -> Scene:
+    """The scene as the run that left its results in `out` saw it. Raises MgsrError for a file that is damaged or of
+    other photographs."""
+    if not (out / EXPOSURES).is_file():
+        return scene
+    try:
+        table = json.loads((out / EXPOSURES).read_text())
+        train, test = (
+            np.array([table[split][view.name] for view in views], np.float64).reshape(len(views), 3)
+            for split, views in (("train", scene.train), ("test", scene.test))
+        )
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise MgsrError(
+            f"{out / EXPOSURES}: expected three factors for each photograph of {scene.name}: {error}; run `mgsr train "
+            f"SCENE -o {out}` again"
+        ) from error
+    factors = np.concatenate([train, test])
+    if not (np.isfinite(factors) & (factors > 0)).all():
+        raise MgsrError(f"{out / EXPOSURES}: expected factors above 0; run `mgsr train SCENE -o {out}` again")
+    return evened(scene, Exposures(train, test))
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:

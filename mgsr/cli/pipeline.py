@@ -19,7 +19,8 @@ from mgsr.cli.facts import run_report, scene_line
 from mgsr.cli.gallery import draw_surface, report_pictures
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
-from mgsr.config import Config
+from mgsr.config import Config, Exposure
+from mgsr.data.exposure import evened
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import Cancelled, ConfigError
@@ -28,6 +29,7 @@ from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.training.exposure import find_exposures
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 
@@ -107,6 +109,7 @@ def run_scene(
     if budget is not None:
         scene = fitted_scene(scene, budget, step.clock)
     start = _start(scene, config, step, budget)
+    scene, start = _at_one_exposure(scene, start, config, out, step, budget)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
@@ -157,7 +160,8 @@ def train_only(
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    return _Training(scene, _start(scene, config, step), config, out, step, chosen, resume).run()
+    scene, start = _at_one_exposure(scene, _start(scene, config, step), config, out, step)
+    return _Training(scene, start, config, out, step, chosen, resume).run()
 
 
 def make_mesh(models: Models, scene: Scene, config: Config, go_on: Callable[[], bool] = always) -> SurfaceMesh:
@@ -200,6 +204,24 @@ def _start(scene: Scene, config: Config, step: Steps, budget: TimeBudget | None 
     most = most_points(config, budget)
     with step("start", "choosing starting points"):
         return starting_points(scene, most, config.seed, step.share("start", "choosing starting points"))
+
+
+def _at_one_exposure(
+    scene: Scene, start: StartingPoints, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+) -> tuple[Scene, StartingPoints]:
+    """The scene with its photographs at a common exposure, where theirs differ, and the points to start from then."""
+    outputs.clear_exposures(out)
+    if config.data.exposure is Exposure.KEEP:
+        return scene, start
+    with step("exposures", "comparing the photographs' exposures"):
+        exposures = find_exposures(scene, start, config.seed, step.should_stop)
+        if exposures is None:
+            return scene, start
+        scene = evened(scene, exposures)
+        outputs.write_exposures(out, scene, exposures)
+        text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
+        step.progress(Event("exposures", text))
+        return scene, starting_points(scene, most_points(config, budget), config.seed)
 
 
 class _Training:

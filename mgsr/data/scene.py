@@ -73,12 +73,28 @@ class PointCloud:
 
 
 @dataclass(frozen=True)
+class Exposures:
+    """How much more light photographs got than at the common exposure: a factor of each channel's linear light, of the
+    training views [V,3] and of the test views [T,3]."""
+
+    train: np.ndarray
+    test: np.ndarray
+
+    @property
+    def largest_difference(self) -> float:
+        """How many times the light of the darkest exposure the brightest has, by the geometric mean of the channels."""
+        light = np.log(np.concatenate([self.train, self.test])).mean(axis=1)
+        return float(np.exp(light.max() - light.min()))
+
+
+@dataclass(frozen=True)
 class Scene:
     """A capture in its normalised frame: the object (or what the cameras look at) lies in the unit ball.
 
     user_from_scene takes results back to the frame and scale of the input files.
     format names the reader; root is the folder that was read (also for an archive: its unpacked folder). notes tell
-    the person what the files have and the reader left out.
+    the person what the files have and the reader left out. exposures: what was taken back from the
+    photographs where theirs differed, None where they are as they were (see `exposure.py`).
     """
 
     name: str
@@ -89,6 +105,7 @@ class Scene:
     points: PointCloud | None
     user_from_scene: Similarity
     notes: tuple[str, ...] = ()
+    exposures: Exposures | None = None
 
     @property
     def masked(self) -> bool:

@@ -101,8 +101,12 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
         yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
     if given.get("shown", 1) < 1:
         choice = f"photographs show {given['shown']:.0%} of them"
-        why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
+        why = "others lie beyond an undone lens's borders, or are overexposed: no training and no figure heeds them"
         yield Decision("Pixels", choice, why)
+    if given.get("exposures"):
+        choice = f"differ, up to {given['exposures']:.2f} times the light"
+        why = "photographs are brought to a common exposure, also those that figures come from; renders have it"
+        yield Decision("Exposures", choice, why)
     if given.get("starting_points"):
         source, count = given["starting_points"]["source"], given["starting_points"]["count"]
         words, why = STARTS.get(source, (str(source), ""))

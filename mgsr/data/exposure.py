@@ -1,0 +1,68 @@
+"""Photographs taken at different exposures, brought to a common one.
+
+A camera that sets its own exposure, or its white balance, makes the same surface brighter in one photograph than in the
+next. What that did to each is found by `mgsr.training.exposure`, as a factor on each channel's linear light against the
+common exposure. Here it is taken back, so that all that reads views afterwards meets one exposure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
+from mgsr.data.scene import Exposures, Scene, View
+
+CLIPPED = 250  # of 255; brighter pixels hide how bright they were
+BRIGHTENED = 1.02  # factor from which on a clipped pixel is known to be wrong at the common exposure
+NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
+
+
+def evened(scene: Scene, exposures: Exposures) -> Scene:
+    """The scene with its photographs at the common exposure."""
+    train, test = (
+        [at_common_exposure(view, factor) for view, factor in zip(views, factors, strict=True)]
+        for views, factors in ((scene.train, exposures.train), (scene.test, exposures.test))
+    )
+    return replace(scene, train=train, test=test, exposures=exposures)
+
+
+def at_common_exposure(view: View, factor: np.ndarray) -> View:
+    """The view with its light divided by the factor [3]. What the photograph clipped and would not be clipped now is
+    unknown; what becomes brighter than white is white."""
+    if (factor == 1).all():
+        return view
+    light = srgb_to_linear(np.arange(256) / 255)[:, None] / factor
+    table = to_uint8(255 * linear_to_srgb(np.clip(light, 0, 1)))
+    image = np.stack([table[view.image[..., channel], channel] for channel in range(3)], axis=-1)
+    known = view.known
+    if factor.max() > BRIGHTENED:
+        unclipped = np.asarray((view.image < CLIPPED).all(axis=-1))
+        known = unclipped if known is None else known & unclipped
+    return replace(view, image=image, known=known)
+
+
+def brightness_jumps(views: Sequence[View]) -> float:
+    """How much the logarithm of a photograph's mean light differs from its neighbours', robustly: what the light does
+    to it changes little from one camera to the next. 0.1 is a tenth more or less light."""
+    light = np.log(np.maximum([_mean_light(view) for view in views], 1e-6))
+    centers = np.array([view.camera.center for view in views])
+    directions = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
+    alike = directions @ directions.T
+    np.fill_diagonal(alike, -2)
+    nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
+    jumps = light - light[nearest].mean(axis=1)
+    # The deviation of one light, from the median of its difference to the mean of others that vary as much.
+    usual = 1.4826 * float(np.median(np.abs(jumps - np.median(jumps))))
+    return usual / float(np.sqrt(1 + 1 / nearest.shape[1]))
+
+
+def _mean_light(view: View) -> float:
+    """The mean of linear light over the object, or the whole photograph without a mask; all 1e-6 where nothing is."""
+    light = srgb_to_linear(np.arange(256) / 255)[view.image].mean(axis=-1)
+    weight = np.ones(light.shape) if view.alpha is None else view.alpha.astype(np.float64)
+    if view.known is not None:
+        weight = weight * view.known
+    return float((light * weight).sum() / max(weight.sum(), 1e-6))

@@ -1,0 +1,176 @@
+"""Whether photographs differ in exposure, and by how much, told by a small 3D branch that is trained for it.
+
+It can't follow a photograph's own factor in views that it has not seen, so those tell: where a factor that is fitted to
+one half of such a view makes the other half right, too, exposures differ. What light does to a view (a flash, gloss)
+the branch explains by direction, and what is left of that seldom is the same in both halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from mgsr.config import Reflection, make_config
+from mgsr.data.exposure import CLIPPED, at_common_exposure, brightness_jumps
+from mgsr.data.images import linear_to_srgb, srgb_to_linear
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Exposures, Scene, View
+from mgsr.parallel import one_torch_thread
+from mgsr.start.view_colors import seen_colors
+from mgsr.training.evaluate import volume_picture
+from mgsr.training.parts import StartingPoints, make_parts, seeded
+from mgsr.training.plan import Plan
+from mgsr.training.stages import Stage, volumes_alone
+from mgsr.training.trainer import Trainer
+from mgsr.training.views import CPU, ViewCycle, plain_background, prepare_views
+
+SIDE, POINTS, DEGREE = 128, 4000, 2  # pixels of the photographs, Gaussians, and the degree of their harmonics
+ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
+FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from training
+JUMPS = 0.07  # of brightness from view to view under which exposures are taken as even (see `brightness_jumps`)
+PAYS = 0.5  # dB that a factor must gain on the other half of views that are kept from training
+FAINT = 0.3  # of the median light; fainter pixels tell little
+ENOUGH = 20  # pixels to fit a factor to
+DIGITS = 5  # of a factor
+WHITE = 0.9  # light of a rendering times its factor over which the photograph may be clipped
+
+
+def find_exposures(
+    scene: Scene, start: StartingPoints, seed: int, should_stop: Callable[[], bool] = lambda: False
+) -> Exposures | None:
+    """What each photograph got, the factors' geometric mean over the training views being 1; None where exposures don't
+    differ, or can't be told from what light does. The same seed gives the same factors, on any number of cores.
+
+    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    """
+    if len(scene.train) < FEWEST or brightness_jumps(scene.train) < JUMPS:
+        return None
+    small = [_small(view) for view in scene.train]
+    seen = [view for index, view in enumerate(small) if index % HELD_BACK != 1]
+    held_back = [view for index, view in enumerate(small) if index % HELD_BACK == 1]
+    few = _few(start, seed)
+    with one_torch_thread():
+        picture = _trained(scene, few, seen, seed, should_stop)
+        if np.mean([_gained(view, picture(view)) for view in held_back]) < PAYS:
+            return None
+        factors = np.ones((len(small), 3))
+        for _ in range(ROUNDS):
+            even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
+            picture = _trained(scene, few, even, seed, should_stop)
+            factors = np.stack([_factor(view, picture(view)) for view in small])
+            mean = np.exp(np.log(factors).mean(axis=0))
+            factors /= mean
+        tests = [_factor(view, picture(view)) / mean for view in map(_small, scene.test)]
+    # As exposures.json has them, so that later steps see the same photographs.
+    return Exposures(factors.round(DIGITS), np.reshape(tests, (-1, 3)).round(DIGITS))
+
+
+def _small(view: View) -> View:
+    return reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
+
+
+@dataclass(frozen=True)
+class _Few:
+    """Some of the starting points, for few Gaussians."""
+
+    positions: np.ndarray
+    normals: np.ndarray | None
+    colors: np.ndarray
+    shiny: bool | None = False
+
+    def colored(self, views: Sequence[View]) -> _Few:
+        """The same in the colours of these views."""
+        return replace(self, colors=seen_colors(views, self.positions, self.normals))
+
+
+def _few(start: StartingPoints, seed: int) -> _Few:
+    count = len(start.positions)
+    rows = np.sort(np.random.default_rng(seed).permutation(count)[:POINTS])
+    return _Few(start.positions[rows], None if start.normals is None else start.normals[rows], start.colors[rows])
+
+
+def _trained(
+    scene: Scene, start: _Few, views: list[View], seed: int, should_stop: Callable[[], bool]
+) -> Callable[[View], np.ndarray]:
+    """How Gaussians that are trained on these views render a view: linear light [H,W,3]."""
+    settings = make_config(
+        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={DEGREE}", "tv=off"]
+    )
+    parts = make_parts(replace(scene, train=views), start.colored(views), settings, Reflection.OFF, False, CPU)
+    branch = parts.volumes
+    assert branch is not None
+    cycle = ViewCycle(len(views), seeded(settings, 7))
+    compute = volumes_alone(branch, settings.train, warming=False)
+    prepared = prepare_views(views, scene.masked)
+    stage = Stage("exposures", [branch], ITERATIONS, prepared, cycle, compute, lambda _: (1, 0), lambda *_: 0.2)
+    Trainer(Plan(parts, [stage], []), settings.train, scene.masked, {}, should_stop=should_stop).run()
+    picture = volume_picture(branch.model, None, None)
+
+    background = plain_background(settings.train.background)
+
+    @torch.no_grad()
+    def light(view: View) -> np.ndarray:
+        return srgb_to_linear(picture(view.camera, background).clamp(0, 1).numpy().astype(np.float64))
+
+    return light
+
+
+def _gained(view: View, rendered: np.ndarray) -> float:
+    """By how many dB each half of a view's pixels comes nearer to its rendering [H,W,3] with the other's factor."""
+    usable = _usable(view)
+    columns = np.broadcast_to(np.arange(usable.shape[1]), usable.shape)
+    if not usable.any():
+        return 0.0
+    left = columns < np.median(columns[usable])
+    before, after = 0.0, 0.0
+    for half in (left, ~left):
+        wanted = view.image[usable & half] / 255.0
+        factor = _fitted(view, rendered, usable & ~half)
+        if not len(wanted) or factor is None:
+            return 0.0
+        there = rendered[usable & half]
+        before += float(np.square(wanted - linear_to_srgb(there)).mean())
+        after += float(np.square(wanted - linear_to_srgb(np.clip(there * factor, 0, 1))).mean())
+    return float(10 * np.log10(max(before, 1e-9) / max(after, 1e-9)))
+
+
+def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
+    """A view's light [3] against its rendering's [H,W,3]; 1 where too little can be compared."""
+    fitted = _fitted(view, rendered, _usable(view))
+    return np.ones(3) if fitted is None else fitted
+
+
+def _usable(view: View) -> np.ndarray:
+    """Pixels [H,W] bool that are known, of the object alone, and not clipped."""
+    usable = (view.image < CLIPPED).all(axis=-1)
+    if view.alpha is not None:
+        usable &= view.alpha >= CLIPPED
+    return np.asarray(usable if view.known is None else usable & view.known)
+
+
+def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:
+    """The factor [3] by which the photograph's light at some pixels exceeds the rendering's; relative errors count,
+    large ones as if they were 1.5 deviations (Huber). None for too few pixels."""
+    factor = np.ones(3)
+    for channel in range(3):
+        wanted = srgb_to_linear(view.image[..., channel][usable] / 255.0)
+        there = rendered[..., channel][usable]
+        bright = there > FAINT * np.median(there) if len(there) else np.zeros(0, bool)
+        if bright.sum() < ENOUGH:
+            return None
+        wanted, there = wanted[bright], there[bright]
+        found = float(np.median(wanted) / np.median(there))
+        for _ in range(8):
+            if found <= 0:
+                return None
+            error = wanted / (found * there) - 1
+            spread = max(1.4826 * float(np.median(np.abs(error))), 1e-3)
+            weight = np.minimum(1, 1.5 * spread / np.maximum(np.abs(error), 1e-9)) * (found * there < WHITE)
+            if not weight.any():
+                return None
+            found = float((weight * wanted / there).sum() / weight.sum())
+        factor[channel] = found
+    return factor

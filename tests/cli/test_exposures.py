@@ -1,0 +1,83 @@
+"""A capture whose photographs differ in exposure, from the command to the results."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from mgsr.cli.main import app
+from tests.cli.spheres import write_spheres
+from tests.data.test_exposure import to_linear, to_srgb
+from worker.cli import app as worker_app
+
+SHORT = [
+    *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "volume_iterations=80"),
+    *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "volumes.max_start=1500"),
+    *("--set", "poisson_depth=6"),
+]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Spheres, each photograph with up to half as much light."""
+    folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", train=28, test=4)
+    (folder / "mesh_gt.ply").unlink()
+    draw = np.random.default_rng(2)
+    for path in sorted(folder.glob("*/*.png")):
+        pixels = np.array(Image.open(path))
+        light = to_linear(pixels[..., :3] / 255) * 2 ** draw.uniform(-1.3, 0)
+        pixels[..., :3] = np.rint(255 * to_srgb(np.clip(light, 0, 1)))
+        Image.fromarray(pixels).save(path)
+    return folder
+
+
+def run(scene: Path, out: Path, *more: str) -> dict:
+    result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, *more])
+    assert result.exit_code == 0, result.output
+    report: dict = json.loads((out / "report.json").read_text())
+    return report
+
+
+@pytest.fixture(scope="module")
+def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "evened"
+    run(scene, out)
+    return out
+
+
+def test_they_are_brought_to_one_and_the_report_says_so(scene: Path, done: Path, tmp_path: Path) -> None:
+    report = json.loads((done / "report.json").read_text())
+    factors = json.loads((done / "exposures.json").read_text())
+    for split in ("train", "test"):
+        assert list(factors[split]) == report["input"][f"{split}_views"]
+    told = next(each for each in report["decisions"] if each["what"] == "Exposures")
+    assert "times the light" in told["choice"] and "exposures differ" in (done / "log.txt").read_text()
+    kept = run(scene, tmp_path / "kept", "--set", "exposure=keep")
+    assert not (tmp_path / "kept" / "exposures.json").exists() and "exposures" not in kept["input"]
+    assert report["psnr_fg_test"] > kept["psnr_fg_test"] + 1
+
+
+def test_single_steps_see_what_the_run_saw(scene: Path, done: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(done, out)
+    report = json.loads((out / "report.json").read_text())
+    scored = CliRunner().invoke(app, ["evaluate", str(scene), "-o", str(out)])
+    assert scored.exit_code == 0, scored.output
+    assert json.loads(scored.output)["psnr_test"] == pytest.approx(report["psnr_test"], abs=0.02)
+    (out / "exposures.json").write_text('{"train": {"r_0": [1, 2]}}')
+    refused = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), "--preset", "draft"])
+    assert refused.exit_code != 0 and "exposures.json: expected three factors for each photograph" in refused.output
+
+
+def test_a_later_run_without_leaves_no_factors(done: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    shutil.copy(done / "exposures.json", out)
+    run(write_spheres(tmp_path / "even", train=14, test=2), out)
+    assert not (out / "exposures.json").exists()

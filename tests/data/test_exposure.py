@@ -1,0 +1,65 @@
+"""Photographs brought to a common exposure, against the formulas in float64."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mgsr.data.exposure import CLIPPED, at_common_exposure, brightness_jumps, evened
+from mgsr.data.scene import Exposures, View
+from tests.training.ball import ball_scene
+
+
+def to_linear(srgb: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, float64."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(light: np.ndarray) -> np.ndarray:
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def exposed(view: View, factor: np.ndarray) -> View:
+    """The photograph that a camera takes of the same with this factor [3] of light."""
+    light = np.clip(to_linear(view.image / 255) * factor, 0, 1)
+    return replace(view, image=np.rint(255 * to_srgb(light)).astype(np.uint8))
+
+
+@pytest.mark.parametrize("factor", [(0.5, 0.6, 0.7), (1.3, 1.0, 0.9)])
+def test_what_an_exposure_did_is_undone(factor: tuple[float, float, float]) -> None:
+    (view, *_) = ball_scene(size=40, train=4).train
+    given = exposed(view, np.array(factor))
+    back = at_common_exposure(given, np.array(factor))
+    unclipped = (given.image < CLIPPED).all(-1)
+    steep = 1 / min(1, *factor)  # darker photographs have fewer levels
+    assert np.abs(back.image.astype(int) - view.image)[unclipped].max() <= np.ceil(steep)
+    assert back.alpha is view.alpha and back.camera is view.camera
+
+
+def test_what_was_clipped_is_unknown_where_it_is_darkened() -> None:
+    (view, *_) = ball_scene(size=40, train=4, gloss=0.8).train
+    clipped = (view.image >= CLIPPED).any(-1)
+    assert clipped.any()
+    darker = at_common_exposure(view, np.array([1.5, 1.5, 1.5]))
+    assert darker.known is not None and (darker.known == ~clipped).all()
+    assert at_common_exposure(view, np.array([0.7, 0.7, 0.7])).known is None
+    half = np.zeros(clipped.shape, bool)
+    half[:20] = True
+    both = at_common_exposure(replace(view, known=half), np.array([1.5, 1.5, 1.5]))
+    assert both.known is not None and (both.known == (half & ~clipped)).all()
+
+
+def test_a_factor_of_one_changes_nothing() -> None:
+    scene = ball_scene(size=24, train=4)
+    same = evened(scene, Exposures(np.ones((len(scene.train), 3)), np.ones((len(scene.test), 3))))
+    assert all(a is b for a, b in zip([*same.train, *same.test], [*scene.train, *scene.test], strict=True))
+
+
+def test_jumps_are_about_the_deviation_of_the_exposures() -> None:
+    scene = ball_scene(size=24, train=40, test=2)
+    assert brightness_jumps(scene.train) < 0.07
+    noise = np.exp(np.random.default_rng(0).normal(-0.6, 0.2, len(scene.train)))
+    views = [exposed(view, np.full(3, factor)) for view, factor in zip(scene.train, noise, strict=True)]
+    assert 0.15 < brightness_jumps(views) < 0.26

@@ -1,0 +1,76 @@
+"""Exposures that are found: photographs exposed by known factors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mgsr.data.exposure import brightness_jumps, evened
+from mgsr.data.scene import Exposures, Scene
+from mgsr.errors import Cancelled
+from mgsr.training import exposure
+from mgsr.training.exposure import find_exposures
+from tests.data.test_exposure import exposed
+from tests.training.ball import ball_points, ball_scene
+
+START = ball_points(1500)
+
+
+def varied(scene: Scene, deviation: float = 0.3) -> tuple[Scene, np.ndarray]:
+    """The scene with each photograph's exposure, and its white balance a little, drawn at random; the factors [V,3] of
+    the training views, then the test views."""
+    draw = np.random.default_rng(5)
+    views = [*scene.train, *scene.test]
+    factors = np.exp(draw.normal(-0.3, deviation, (len(views), 1)) + draw.normal(0, 0.1 * deviation, (len(views), 3)))
+    given = [exposed(view, factor) for view, factor in zip(views, factors, strict=True)]
+    count = len(scene.train)
+    return replace(scene, train=given[:count], test=given[count:]), factors
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_the_factors_are_found(masked: bool) -> None:
+    even = ball_scene(size=40, train=40, test=4, masked=masked)
+    scene, truth = varied(even)
+    found = find_exposures(scene, START, seed=0)
+    assert found is not None
+    factors = np.concatenate([found.train, found.test])
+    np.testing.assert_allclose(np.exp(np.log(factors[:40]).mean(axis=0)), 1, atol=1e-5)
+    # The photographs differ by 0.3. What changes slowly with the direction could be light, and may stay.
+    error = np.log(factors / truth).mean(axis=1)
+    error -= error[:40].mean()
+    assert error[:40].std() < (0.1 if masked else 0.2) and np.abs(error[40:]).max() < 0.25
+    jumps = [brightness_jumps(each.train) for each in (even, evened(scene, found), scene)]
+    assert jumps[2] > 0.25 and jumps[1] < jumps[0] + 0.06
+
+
+def test_light_that_moves_with_the_camera_is_no_exposure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "JUMPS", 0.0)
+    for gloss in (0.0, 0.6):
+        assert find_exposures(ball_scene(size=40, train=24, test=4, gloss=gloss), START, seed=0) is None
+
+
+def test_nothing_is_trained_for_even_photographs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "_trained", None)
+    assert find_exposures(ball_scene(size=24, train=40), START, seed=0) is None
+    few, _ = varied(ball_scene(size=24, train=6))
+    assert find_exposures(few, START, seed=0) is None
+
+
+def test_the_same_seed_gives_the_same_factors() -> None:
+    scene, _ = varied(ball_scene(size=32, train=16, test=2))
+    first, again = (find_exposures(scene, START, seed=1) for _ in range(2))
+    assert first is not None and again is not None
+    assert (first.train == again.train).all() and (first.test == again.test).all()
+
+
+def test_a_wish_to_stop_is_heeded() -> None:
+    scene, _ = varied(ball_scene(size=32, train=16, test=2))
+    with pytest.raises(Cancelled, match="stopped on request in exposures after 0 iterations"):
+        find_exposures(scene, START, seed=0, should_stop=lambda: True)
+
+
+def test_the_difference_between_the_brightest_and_the_darkest() -> None:
+    exposures = Exposures(np.array([[0.5, 0.5, 0.5], [1.0, 2.0, 0.5]]), np.array([[2.0, 2.0, 2.0]]))
+    assert exposures.largest_difference == pytest.approx(4)

@@ -1,6 +1,6 @@
 """What differing exposures cost, with and without their correction:
 
-    python benchmarks/exposures.py SCENE... [--deviation 0.3] [--preset draft] [--seed 1]
+    python benchmarks/exposures.py SCENE... -o benchmarks/results/exposures.csv [--deviation 0.3] [--preset draft]
 
 Each SCENE is a folder whose training photographs are train/*.png (NeRF-synthetic) and that has a mesh_gt.ply. Three
 runs: the scene as it is; a copy whose training photographs got exposures of their own (`--deviation` of the logarithm
@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from mgsr.bench.exposure_page import EVEN, EVENED, KEPT, ExposureRow, write_exposures
+from mgsr.bench.machine import program_commit
 from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
@@ -26,15 +28,21 @@ from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 
 def main() -> None:
     given = arguments()
-    print("| scene | photographs | seconds | PSNR | Chamfer | F | normal error |\n|---|---|---|---|---|---|---|")
+    rows: list[ExposureRow] = []
     for scene in given.scenes:
         with tempfile.TemporaryDirectory() as folder:
             varied = Path(folder) / scene.name
             shutil.copytree(scene, varied)
             expose(varied, given.deviation, given.seed)
-            row("as they are", scene, Path(folder) / "as_they_are", given.preset, "auto")
-            row("exposed differently, kept so", varied, Path(folder) / "kept", given.preset, "keep")
-            row("exposed differently", varied, Path(folder) / "evened", given.preset, "auto")
+            for photographs, path, exposure in (
+                (EVEN, scene, "auto"),
+                (KEPT, varied, "keep"),
+                (EVENED, varied, "auto"),
+            ):
+                deviation = 0.0 if photographs == EVEN else given.deviation
+                rows.append(measured(photographs, path, Path(folder) / "out", given.preset, exposure, deviation))
+                print(rows[-1], flush=True)
+                write_exposures(given.out, rows)
 
 
 def arguments() -> argparse.Namespace:
@@ -43,6 +51,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--deviation", type=float, default=0.3)
     parser.add_argument("--preset", default="draft")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("-o", dest="out", type=Path, required=True)
     return parser.parse_args()
 
 
@@ -56,19 +65,22 @@ def expose(scene: Path, deviation: float, seed: int) -> None:
         Image.fromarray(pixels).save(path)
 
 
-def row(name: str, scene: Path, out: Path, preset: str, exposure: str) -> None:
-    """Run, and print a line of the table."""
+def measured(photographs: str, scene: Path, out: Path, preset: str, exposure: str, deviation: float) -> ExposureRow:
+    """A run's scores."""
     run_scene(scene, out, make_config(preset, overrides=[f"exposure={exposure}"]))
     report = json.loads((out / "report.json").read_text())
     truth = report["gt"]
-    figures = [
-        f"{report['seconds']['total']:.0f}",
-        f"{report['psnr_fg_gain_test']:.2f}",
-        f"{1000 * truth['chamfer']:.2f}",
-        f"{truth['f_005']:.3f}",
-        f"{truth['normal_error']:.2f}",
-    ]
-    print(f"| {scene.name} | {name} | {' | '.join(figures)} |", flush=True)
+    return ExposureRow(
+        scene=scene.name,
+        photographs=photographs,
+        deviation=deviation,
+        preset=preset,
+        psnr=round(report["psnr_fg_gain_test"], 3),
+        chamfer=round(1000 * truth["chamfer"], 3),
+        f_score=round(truth["f_005"], 4),
+        normal_error=round(truth["normal_error"], 3),
+        commit=program_commit(),
+    )
 
 
 if __name__ == "__main__":

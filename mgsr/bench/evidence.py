@@ -10,11 +10,12 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mgsr.bench.ablation_page import ablation_section, choices_section
 from mgsr.bench.comparing import compare, is_busy, plain_runs
+from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section, read_exposures
 from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels
 from mgsr.bench.plots import write_kernel_plot, write_plots
@@ -47,6 +48,7 @@ class Evidence:
     curves: list[Curve]
     scenes: list[SceneFacts]
     kernels: list[KernelRow]
+    exposures: list[ExposureRow] = field(default_factory=list)
 
 
 def read_evidence(results: Path) -> Evidence:
@@ -57,7 +59,8 @@ def read_evidence(results: Path) -> Evidence:
             for row in csv.DictReader(file)
         ]
     rows = [row for row in read_rows(results / RUNS) if row.state == DONE]
-    return Evidence(rows, read_curves(results / CURVES), scenes, read_kernels(results / KERNELS))
+    kernels, exposures = read_kernels(results / KERNELS), read_exposures(results / EXPOSURES)
+    return Evidence(rows, read_curves(results / CURVES), scenes, kernels, exposures)
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
@@ -81,6 +84,7 @@ def evidence_page(evidence: Evidence) -> str:
         _curve_section(evidence),
         _light_section(evidence),
         _need_section(evidence),
+        exposure_section(evidence.exposures),
         ablation_section(evidence.rows),
         choices_section(evidence.rows),
         kernel_section(evidence.kernels),

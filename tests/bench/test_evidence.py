@@ -10,6 +10,15 @@ import pytest
 
 from mgsr.bench.comparing import compare, plain_runs, seed_spread, verdict
 from mgsr.bench.evidence import IMAGES, PAGE, Evidence, SceneFacts, evidence_page, read_evidence, write_evidence
+from mgsr.bench.exposure_page import (
+    EVEN,
+    EVENED,
+    KEPT,
+    ExposureRow,
+    exposure_section,
+    read_exposures,
+    write_exposures,
+)
 from mgsr.bench.results import Curve, Row
 from tests.bench.samples import sample_row, sample_rows
 
@@ -106,3 +115,15 @@ def test_gains_are_those_of_the_rounded_figures() -> None:
     first, second = ({"apple": sample_row("apple", chamfer=value)} for value in (2.5049, 2.5051))
     found = compare(first, second, "chamfer")
     assert found is not None and found.gains["apple"] == pytest.approx(0.01)
+
+
+def test_what_differing_exposures_cost(tmp_path: Path) -> None:
+    rows = [
+        ExposureRow("apple", kind, deviation, "draft", psnr, 3.0, 0.9, 6.0, "abc")
+        for kind, deviation, psnr in ((EVEN, 0.0, 30.0), (KEPT, 0.3, 27.5), (EVENED, 0.3, 29.9))
+    ]
+    write_exposures(tmp_path / "exposures.csv", rows)
+    assert read_exposures(tmp_path / "exposures.csv") == rows and read_exposures(tmp_path / "none.csv") == []
+    text = exposure_section(rows)
+    assert "cost 2.50 dB if nothing is done, and 0.10 dB as it is" in text and "deviates by 0.3." in text
+    assert exposure_section([]) == ""

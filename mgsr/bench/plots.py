@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -215,4 +216,14 @@ def _save(figure: Figure, path: Path, rows: Sequence[Row]) -> Path:
 def _write(figure: Figure, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    path.write_text(_numbered(path.read_text(encoding="utf-8")), encoding="utf-8")
     return path
+
+
+def _numbered(svg: str) -> str:
+    """An SVG whose clip paths are called by their order: matplotlib names them by all digits of their place, of which
+    the last differ from one machine to the next."""
+    names = dict.fromkeys(re.findall(r'<clipPath id="(\w+)"', svg))
+    for index, name in enumerate(names):
+        svg = svg.replace(name, f"clip{index}")
+    return svg

@@ -18,6 +18,7 @@ from mgsr.cli.models import Models
 from mgsr.cli.pipeline import make_mesh
 from mgsr.cli.rendering import render_views, scene_silhouettes
 from mgsr.config import Config, DataConfig, make_config
+from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
 from mgsr.data.normalise import normalisation
@@ -77,6 +78,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
         yield "silhouette", (each.distance, each.known)
     yield "facts", sorted(map(str, scene_facts(scene, Path("scene")).items()))
     start = starting_points(scene, 400, 0)
+    yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]
     models = _trained(scene, start, config)
     for model in (models.surfels, models.volumes, models.light):

@@ -1,7 +1,7 @@
 """Whether photographs differ in exposure, and by how much, told by a small 3D branch that is trained for it.
 
 It can't follow a photograph's own factor in views that it has not seen, so those tell: where a factor that is fitted to
-one half of such a view makes the other half right, too, exposures differ. What light does to a view (a flash, gloss)
+one half of such a view makes the other half better, too, exposures differ. What light does to a view (a flash, gloss)
 the branch explains by direction, and what is left of that seldom is the same in both halves.
 """
 
@@ -27,7 +27,8 @@ from mgsr.training.stages import Stage, volumes_alone
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, ViewCycle, plain_background, prepare_views
 
-SIDE, POINTS, DEGREE = 128, 4000, 2  # pixels of the photographs, Gaussians, and the degree of their harmonics
+SIDE, POINTS = 128, 4000  # pixels of the photographs, and Gaussians
+DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
 FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from training
 JUMPS = 0.07  # of brightness from view to view under which exposures are taken as even (see `brightness_jumps`)
@@ -53,13 +54,17 @@ def find_exposures(
     held_back = [view for index, view in enumerate(small) if index % HELD_BACK == 1]
     few = _few(start, seed)
     with one_torch_thread():
-        picture = _trained(scene, few, seen, seed, should_stop)
-        if np.mean([_gained(view, picture(view)) for view in held_back]) < PAYS:
+        errors = {}
+        for degree in DEGREES:
+            picture = _trained(scene, few, seen, degree, seed, should_stop)
+            errors[degree] = np.mean([_errors(view, picture(view)) for view in held_back], axis=0)
+        degree = min(DEGREES, key=lambda each: float(errors[each][1]))
+        if errors[degree][0] - errors[degree][1] < PAYS:
             return None
         factors = np.ones((len(small), 3))
         for _ in range(ROUNDS):
             even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, few, even, seed, should_stop)
+            picture = _trained(scene, few, even, degree, seed, should_stop)
             factors = np.stack([_factor(view, picture(view)) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
@@ -93,11 +98,11 @@ def _few(start: StartingPoints, seed: int) -> _Few:
 
 
 def _trained(
-    scene: Scene, start: _Few, views: list[View], seed: int, should_stop: Callable[[], bool]
+    scene: Scene, start: _Few, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
     """How Gaussians that are trained on these views render a view: linear light [H,W,3]."""
     settings = make_config(
-        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={DEGREE}", "tv=off"]
+        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
     )
     parts = make_parts(replace(scene, train=views), start.colored(views), settings, Reflection.OFF, False, CPU)
     branch = parts.volumes
@@ -108,7 +113,6 @@ def _trained(
     stage = Stage("exposures", [branch], ITERATIONS, prepared, cycle, compute, lambda _: (1, 0), lambda *_: 0.2)
     Trainer(Plan(parts, [stage], []), settings.train, scene.masked, {}, should_stop=should_stop).run()
     picture = volume_picture(branch.model, None, None)
-
     background = plain_background(settings.train.background)
 
     @torch.no_grad()
@@ -118,23 +122,24 @@ def _trained(
     return light
 
 
-def _gained(view: View, rendered: np.ndarray) -> float:
-    """By how many dB each half of a view's pixels comes nearer to its rendering [H,W,3] with the other's factor."""
+def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
+    """How far the halves of a view's pixels are from their rendering [H,W,3], dB, as they are and each with the other's
+    factor."""
     usable = _usable(view)
     columns = np.broadcast_to(np.arange(usable.shape[1]), usable.shape)
     if not usable.any():
-        return 0.0
+        return 0.0, 0.0
     left = columns < np.median(columns[usable])
     before, after = 0.0, 0.0
     for half in (left, ~left):
         wanted = view.image[usable & half] / 255.0
         factor = _fitted(view, rendered, usable & ~half)
         if not len(wanted) or factor is None:
-            return 0.0
+            return 0.0, 0.0
         there = rendered[usable & half]
         before += float(np.square(wanted - linear_to_srgb(there)).mean())
         after += float(np.square(wanted - linear_to_srgb(np.clip(there * factor, 0, 1))).mean())
-    return float(10 * np.log10(max(before, 1e-9) / max(after, 1e-9)))
+    return 10 * float(np.log10(max(before, 1e-9))), 10 * float(np.log10(max(after, 1e-9)))
 
 
 def _factor(view: View, rendered: np.ndarray) -> np.ndarray:

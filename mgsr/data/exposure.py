@@ -13,19 +13,25 @@ from dataclasses import replace
 import numpy as np
 
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
+from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Exposures, Scene, View
 
 CLIPPED = 250  # of 255; brighter pixels hide how bright they were
 BRIGHTENED = 1.02  # factor from which on a clipped pixel is known to be wrong at the common exposure
+ENOUGH = 256  # pixels a side that tell a photograph's mean light
 NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
 
 
 def evened(scene: Scene, exposures: Exposures) -> Scene:
-    """The scene with its photographs at the common exposure."""
-    train, test = (
-        [at_common_exposure(view, factor) for view, factor in zip(views, factors, strict=True)]
-        for views, factors in ((scene.train, exposures.train), (scene.test, exposures.test))
-    )
+    """The scene with its photographs at the common exposure. Past a limit they lie in files, as they do when read."""
+    pixels = PixelStore()
+
+    def at_common(view: View, factor: np.ndarray) -> View:
+        there = at_common_exposure(view, factor)
+        return view if there is view else replace(there, image=pixels.hold(there.image))
+
+    train = [at_common(view, factor) for view, factor in zip(scene.train, exposures.train, strict=True)]
+    test = [at_common(view, factor) for view, factor in zip(scene.test, exposures.test, strict=True)]
     return replace(scene, train=train, test=test, exposures=exposures)
 
 
@@ -60,9 +66,11 @@ def brightness_jumps(views: Sequence[View]) -> float:
 
 
 def _mean_light(view: View) -> float:
-    """The mean of linear light over the object, or the whole photograph without a mask; all 1e-6 where nothing is."""
-    light = srgb_to_linear(np.arange(256) / 255)[view.image].mean(axis=-1)
-    weight = np.ones(light.shape) if view.alpha is None else view.alpha.astype(np.float64)
+    """The mean of linear light over the object, or the whole photograph without a mask; 0 where nothing is known."""
+    step = max(1, max(view.image.shape[:2]) // ENOUGH)
+    some = (slice(None, None, step),) * 2
+    light = srgb_to_linear(np.arange(256) / 255)[view.image[some]].mean(axis=-1)
+    weight = np.ones(light.shape) if view.alpha is None else view.alpha[some].astype(np.float64)
     if view.known is not None:
-        weight = weight * view.known
+        weight = weight * view.known[some]
     return float((light * weight).sum() / max(weight.sum(), 1e-6))

@@ -99,7 +99,7 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
     if "train_views" in given:
         count = f"{len(given['train_views'])} to train on, {len(given.get('test_views', []))} held back"
         yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
-    if given.get("shown", 1) < 1:
+    if given.get("shown", 1) < 0.995:
         choice = f"photographs show {given['shown']:.0%} of them"
         why = "others lie beyond an undone lens's borders, or are overexposed: no training and no figure heeds them"
         yield Decision("Pixels", choice, why)

@@ -105,6 +105,8 @@ def verdict(comparison: Comparison | None, spread: float | None) -> str:
     mean = statistics.fmean(comparison.gains.values())
     if spread is not None and abs(mean) < spread:
         return "no difference beyond that of seeds"
+    if not comparison.better and not comparison.worse:
+        return "no difference"
     if len(comparison.better) == len(comparison.gains):
         return "holds"
     if not comparison.better:

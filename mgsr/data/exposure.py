@@ -16,8 +16,6 @@ from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Exposures, Scene, View
 
-CLIPPED = 250  # of 255; brighter pixels hide how bright they were
-BRIGHTENED = 1.02  # factor from which on a clipped pixel is known to be wrong at the common exposure
 ENOUGH = 256  # pixels a side that tell a photograph's mean light
 NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
 
@@ -36,18 +34,14 @@ def evened(scene: Scene, exposures: Exposures) -> Scene:
 
 
 def at_common_exposure(view: View, factor: np.ndarray) -> View:
-    """The view with its light divided by the factor [3]. What the photograph clipped and would not be clipped now is
-    unknown; what becomes brighter than white is white."""
+    """The view with its light divided by the factor [3]. What the photograph had clipped stays the brightest in it; what
+    becomes brighter than white is white."""
     if (factor == 1).all():
         return view
     light = srgb_to_linear(np.arange(256) / 255)[:, None] / factor
     table = to_uint8(255 * linear_to_srgb(np.clip(light, 0, 1)))
     image = np.stack([table[view.image[..., channel], channel] for channel in range(3)], axis=-1)
-    known = view.known
-    if factor.max() > BRIGHTENED:
-        unclipped = np.asarray((view.image < CLIPPED).all(axis=-1))
-        known = unclipped if known is None else known & unclipped
-    return replace(view, image=image, known=known)
+    return replace(view, image=image)
 
 
 def brightness_jumps(views: Sequence[View]) -> float:

@@ -101,7 +101,7 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
         yield Decision("Views", count, "figures named “test” come from photographs that training never saw")
     if given.get("shown", 1) < 0.995:
         choice = f"photographs show {given['shown']:.0%} of them"
-        why = "others lie beyond an undone lens's borders, or are overexposed: no training and no figure heeds them"
+        why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
         yield Decision("Pixels", choice, why)
     if given.get("exposures"):
         choice = f"differ, up to {given['exposures']:.2f} times the light"

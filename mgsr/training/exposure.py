@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from mgsr.config import Reflection, make_config
-from mgsr.data.exposure import CLIPPED, at_common_exposure, brightness_jumps
+from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Exposures, Scene, View
@@ -35,6 +35,7 @@ JUMPS = 0.07  # of brightness from view to view under which exposures are taken 
 PAYS = 0.5  # dB that a factor must gain on the other half of views that are kept from training
 FAINT = 0.3  # of the median light; fainter pixels tell little
 ENOUGH = 20  # pixels to fit a factor to
+CLIPPED = 250  # of 255; brighter pixels hide how bright they were
 DIGITS = 5  # of a factor
 WHITE = 0.9  # light of a rendering times its factor over which the photograph may be clipped
 

@@ -34,8 +34,8 @@ def evened(scene: Scene, exposures: Exposures) -> Scene:
 
 
 def at_common_exposure(view: View, factor: np.ndarray) -> View:
-    """The view with its light divided by the factor [3]. What the photograph had clipped stays the brightest in it; what
-    becomes brighter than white is white."""
+    """The view with its light divided by the factor [3]. What the photograph had clipped stays the brightest in it, and
+    what becomes brighter than white is white."""
     if (factor == 1).all():
         return view
     light = srgb_to_linear(np.arange(256) / 255)[:, None] / factor

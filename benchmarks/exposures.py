@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mgsr.bench.exposure_page import EVEN, EVENED, KEPT, ExposureRow, write_exposures
+from mgsr.bench.csv_rows import write_csv
+from mgsr.bench.exposure_page import EVEN, EVENED, KEPT, ExposureRow
 from mgsr.bench.machine import program_commit
 from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
@@ -42,7 +43,7 @@ def main() -> None:
                 deviation = 0.0 if photographs == EVEN else given.deviation
                 rows.append(measured(photographs, path, Path(folder) / "out", given.preset, exposure, deviation))
                 print(rows[-1], flush=True)
-                write_exposures(given.out, rows)
+                write_csv(given.out, ExposureRow, rows, digits=5)
 
 
 def arguments() -> argparse.Namespace:
@@ -75,10 +76,10 @@ def measured(photographs: str, scene: Path, out: Path, preset: str, exposure: st
         photographs=photographs,
         deviation=deviation,
         preset=preset,
-        psnr=round(report["psnr_fg_gain_test"], 3),
-        chamfer=round(1000 * truth["chamfer"], 3),
-        f_score=round(truth["f_005"], 4),
-        normal_error=round(truth["normal_error"], 3),
+        psnr=report["psnr_fg_gain_test"],
+        chamfer=1000 * truth["chamfer"],
+        f_score=truth["f_005"],
+        normal_error=truth["normal_error"],
         commit=program_commit(),
     )
 

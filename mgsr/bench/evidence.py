@@ -15,7 +15,8 @@ from pathlib import Path
 
 from mgsr.bench.ablation_page import ablation_section, choices_section
 from mgsr.bench.comparing import compare, is_busy, plain_runs
-from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section, read_exposures
+from mgsr.bench.csv_rows import read_csv
+from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section
 from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels
 from mgsr.bench.plots import write_kernel_plot, write_plots
@@ -59,7 +60,7 @@ def read_evidence(results: Path) -> Evidence:
             for row in csv.DictReader(file)
         ]
     rows = [row for row in read_rows(results / RUNS) if row.state == DONE]
-    kernels, exposures = read_kernels(results / KERNELS), read_exposures(results / EXPOSURES)
+    kernels, exposures = read_kernels(results / KERNELS), read_csv(results / EXPOSURES, ExposureRow)
     return Evidence(rows, read_curves(results / CURVES), scenes, kernels, exposures)
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 from mgsr.bench.table import markdown
 
@@ -27,26 +25,6 @@ class ExposureRow:
     f_score: float
     normal_error: float
     commit: str
-
-
-def write_exposures(path: Path, rows: Sequence[ExposureRow]) -> None:
-    """A CSV file of the rows."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(ExposureRow)])
-        writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
-
-
-def read_exposures(path: Path) -> list[ExposureRow]:
-    """The rows of such a file; none where there is no file."""
-    if not path.is_file():
-        return []
-    with open(path, newline="", encoding="utf-8") as file:
-        numbers = {field.name for field in fields(ExposureRow) if field.type == "float"}
-        return [
-            ExposureRow(**{name: float(text) if name in numbers else text for name, text in row.items()})  # type: ignore[arg-type]
-            for row in csv.DictReader(file)
-        ]
 
 
 def exposure_section(rows: Sequence[ExposureRow]) -> str:

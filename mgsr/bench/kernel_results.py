@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import get_type_hints
+
+from mgsr.bench.csv_rows import read_csv, write_csv
 
 KERNELS = "kernels.csv"
 
@@ -48,27 +48,9 @@ class KernelRow:
 
 def write_kernels(path: Path, rows: Sequence[KernelRow]) -> None:
     """Four digits of each figure."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(each.name for each in fields(KernelRow))
-        for row in rows:
-            writer.writerow(
-                "" if value is None else f"{value:.4g}" if isinstance(value, float) else value
-                for value in asdict(row).values()
-            )
+    write_csv(path, KernelRow, rows, digits=4)
 
 
 def read_kernels(path: Path) -> list[KernelRow]:
     """What `write_kernels` wrote; no rows where there is no file."""
-    if not path.is_file():
-        return []
-    kinds = get_type_hints(KernelRow)
-    with open(path, newline="", encoding="utf-8") as file:
-        return [
-            KernelRow(**{name: text if kinds[name] is str else _figure(text) for name, text in row.items()})  # type: ignore[arg-type]
-            for row in csv.DictReader(file)
-        ]
-
-
-def _figure(text: str) -> float | None:
-    return float(text) if text else None
+    return read_csv(path, KernelRow)

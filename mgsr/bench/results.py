@@ -6,11 +6,12 @@ import csv
 import json
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from mgsr.bench.cells import Cell
+from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.running import MEASURED
 
 RUNS, CURVES = "runs.csv", "curves.csv"
@@ -139,19 +140,12 @@ def keep_curves(old: Iterable[Curve], new: Iterable[Curve]) -> list[Curve]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Six digits of each figure, in the order of the fields."""
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(each.name for each in fields(Row))
-        writer.writerows([_text(value) for value in asdict(row).values()] for row in rows)
+    write_csv(path, Row, rows, digits=6)
 
 
 def read_rows(path: Path) -> list[Row]:
     """What `write_rows` wrote; no rows where there is no file."""
-    if not path.is_file():
-        return []
-    kinds = get_type_hints(Row)
-    with open(path, newline="", encoding="utf-8") as file:
-        return [Row(**{name: _value(text, kinds[name]) for name, text in row.items()}) for row in csv.DictReader(file)]
+    return read_csv(path, Row)
 
 
 def write_curves(path: Path, curves: Sequence[Curve]) -> None:
@@ -173,17 +167,3 @@ def read_curves(path: Path) -> list[Curve]:
             key = (*(row[name] for name in KEY[:-1]), int(row["seed"]))
             points.setdefault(key, []).append((float(row["seconds"]), float(row["psnr"])))
     return [Curve(key, tuple(found)) for key, found in points.items()]
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _value(text: str, kind: Any) -> Any:
-    if kind is str:
-        return text
-    if text == "":
-        return None
-    return int(text) if kind in (int, int | None) else float(text)

@@ -66,17 +66,13 @@ def clear_exposures(out: Path) -> None:
 
 def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
     """exposures.json: by split and the views' names, the factors [3] of the photographs' linear light."""
-    with whole(out / EXPOSURES) as path:
-        path.write_text(json.dumps(exposure_table(scene, exposures)))
-
-
-def exposure_table(scene: Scene, exposures: Exposures) -> dict[str, dict[str, list[float]]]:
-    """The factors by split and the views' names."""
     splits = {"train": (scene.train, exposures.train), "test": (scene.test, exposures.test)}
-    return {
+    table = {
         split: {view.name: factor.tolist() for view, factor in zip(views, factors, strict=True)}
         for split, (views, factors) in splits.items()
     }
+    with whole(out / EXPOSURES) as path:
+        path.write_text(json.dumps(table))
 
 
 def at_known_exposures(out: Path, scene: Scene) -> Scene:

@@ -201,9 +201,14 @@ def _loading(done: int, total: int) -> Event:
 
 
 def _start(scene: Scene, config: Config, step: Steps, budget: TimeBudget | None = None) -> StartingPoints:
-    most = most_points(config, budget)
     with step("start", "choosing starting points"):
-        return starting_points(scene, most, config.seed, step.share("start", "choosing starting points"))
+        return _points(scene, config, budget, step.share("start", "choosing starting points"))
+
+
+def _points(
+    scene: Scene, config: Config, budget: TimeBudget | None, progress: Callable[[float], None]
+) -> StartingPoints:
+    return starting_points(scene, most_points(config, budget), config.seed, progress)
 
 
 def _at_one_exposure(
@@ -221,7 +226,7 @@ def _at_one_exposure(
         outputs.write_exposures(out, scene, exposures)
         text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
         step.progress(Event("exposures", text))
-        return scene, starting_points(scene, most_points(config, budget), config.seed)
+        return scene, _points(scene, config, budget, step.share("exposures", "choosing starting points anew"))
 
 
 class _Training:

@@ -53,11 +53,10 @@ def find_exposures(
     small = [_small(view) for view in scene.train]
     seen = [view for index, view in enumerate(small) if index % HELD_BACK != 1]
     held_back = [view for index, view in enumerate(small) if index % HELD_BACK == 1]
-    few = _few(start, seed)
     with one_torch_thread():
         errors = {}
         for degree in DEGREES:
-            picture = _trained(scene, few, seen, degree, seed, should_stop)
+            picture = _trained(scene, start, seen, degree, seed, should_stop)
             errors[degree] = np.mean([_errors(view, picture(view)) for view in held_back], axis=0)
         degree = min(DEGREES, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < PAYS:
@@ -65,7 +64,7 @@ def find_exposures(
         factors = np.ones((len(small), 3))
         for _ in range(ROUNDS):
             even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
-            picture = _trained(scene, few, even, degree, seed, should_stop)
+            picture = _trained(scene, start, even, degree, seed, should_stop)
             factors = np.stack([_factor(view, picture(view)) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
@@ -80,32 +79,29 @@ def _small(view: View) -> View:
 
 @dataclass(frozen=True)
 class _Few:
-    """Some of the starting points, for few Gaussians."""
+    """Some of the starting points, for few Gaussians, in the colours of some views."""
 
     positions: np.ndarray
     normals: np.ndarray | None
     colors: np.ndarray
-    shiny: bool | None = False
-
-    def colored(self, views: Sequence[View]) -> _Few:
-        """The same in the colours of these views."""
-        return replace(self, colors=seen_colors(views, self.positions, self.normals))
+    shiny: bool | None = None
 
 
-def _few(start: StartingPoints, seed: int) -> _Few:
-    count = len(start.positions)
-    rows = np.sort(np.random.default_rng(seed).permutation(count)[:POINTS])
-    return _Few(start.positions[rows], None if start.normals is None else start.normals[rows], start.colors[rows])
+def _few(start: StartingPoints, views: Sequence[View], seed: int) -> _Few:
+    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
+    positions = start.positions[rows]
+    normals = None if start.normals is None else start.normals[rows]
+    return _Few(positions, normals, seen_colors(views, positions, normals))
 
 
 def _trained(
-    scene: Scene, start: _Few, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
+    scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
     """How Gaussians that are trained on these views render a view: linear light [H,W,3]."""
     settings = make_config(
         seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
     )
-    parts = make_parts(replace(scene, train=views), start.colored(views), settings, Reflection.OFF, False, CPU)
+    parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
     branch = parts.volumes
     assert branch is not None
     cycle = ViewCycle(len(views), seeded(settings, 7))

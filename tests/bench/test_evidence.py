@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from mgsr.bench.comparing import compare, plain_runs, seed_spread, verdict
+from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.evidence import IMAGES, PAGE, Evidence, SceneFacts, evidence_page, read_evidence, write_evidence
 from mgsr.bench.exposure_page import (
     EVEN,
@@ -16,8 +17,6 @@ from mgsr.bench.exposure_page import (
     KEPT,
     ExposureRow,
     exposure_section,
-    read_exposures,
-    write_exposures,
 )
 from mgsr.bench.results import Curve, Row
 from tests.bench.samples import sample_row, sample_rows
@@ -122,8 +121,10 @@ def test_what_differing_exposures_cost(tmp_path: Path) -> None:
         ExposureRow("apple", kind, deviation, "draft", psnr, 3.0, 0.9, 6.0, "abc")
         for kind, deviation, psnr in ((EVEN, 0.0, 30.0), (KEPT, 0.3, 27.5), (EVENED, 0.3, 29.9))
     ]
-    write_exposures(tmp_path / "exposures.csv", rows)
-    assert read_exposures(tmp_path / "exposures.csv") == rows and read_exposures(tmp_path / "none.csv") == []
+    write_csv(tmp_path / "exposures.csv", ExposureRow, rows, digits=5)
+    assert (
+        read_csv(tmp_path / "exposures.csv", ExposureRow) == rows and read_csv(tmp_path / "none.csv", ExposureRow) == []
+    )
     text = exposure_section(rows)
     assert "cost 2.50 dB if nothing is done, and 0.10 dB as it is" in text and "deviates by 0.3." in text
     assert exposure_section([]) == ""

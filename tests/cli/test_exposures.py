@@ -13,14 +13,9 @@ from typer.testing import CliRunner
 
 from mgsr.cli.main import app
 from tests.cli.spheres import write_spheres
+from tests.cli.test_run import SHORT
 from tests.data.test_exposure import to_linear, to_srgb
 from worker.cli import app as worker_app
-
-SHORT = [
-    *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "volume_iterations=80"),
-    *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "volumes.max_start=1500"),
-    *("--set", "poisson_depth=6"),
-]
 
 STAGES = ("surfel_iterations", "volume_iterations", "mutual.iterations")
 

@@ -263,6 +263,7 @@ class VolumeConfig:
     start_scale: float = 1.0  # times the mean distance of the three nearest neighbours
     start_weight: float = 0.4  # beta; must lie inside (0, 1)
     start_reflected: float = 0.05  # grey of the reflected colour, 0..1
+    low_pass: float = 0.05  # px^2 added to each footprint; 3DGS has 0.3, which blurs outlines and fits one image size
     transmitted_tv_weight: float = 0.05  # lambda_2: 1 in the paper, 0.1 in the published program
     depth_tv_weight: float = 0.0  # the published program has 0.05
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must

@@ -22,7 +22,7 @@ from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
-from mgsr.export.ply_unit import read_unit
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.gaussians.mirrored import MirroredLight
@@ -106,7 +106,8 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
             continue
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
         with whole(out / name) as path:
-            write_splats(path, arrays, scene.user_from_scene, output.scale)
+            low_pass = model.low_pass if isinstance(model, VolumeModel) else None
+            write_splats(path, arrays, scene.user_from_scene, output.scale, low_pass)
     if models.light is None:
         (out / LIGHT).unlink(missing_ok=True)
         return
@@ -120,7 +121,9 @@ def read_models(out: Path, scene: Scene) -> Models:
     if not found:
         raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
     surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
-    volumes = VolumeModel(**found[VOLUMES]) if VOLUMES in found else None
+    volumes = None
+    if VOLUMES in found:
+        volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
     light = MirroredLight.of(load_mirrored_light(out / LIGHT)) if (out / LIGHT).exists() else None
     return Models(surfels, volumes, light)
 
@@ -162,7 +165,7 @@ def read_mesh(out: Path) -> SurfaceMesh:
     mesh: Any = trimesh.load(out / MESH, process=False, force="mesh")
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
-    vertices = np.asarray(mesh.vertices, np.float64) / read_unit(out / MESH)
+    vertices = np.asarray(mesh.vertices, np.float64) / read_number(out / MESH, UNIT)
     return SurfaceMesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
 
 
@@ -198,7 +201,7 @@ def _export_form(view: ViewImages, unit: float) -> RenderedView:
 
 def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
     """A splat file's arrays, taken from the user's frame and the file's unit to the scene's."""
-    arrays, unit = load_splats(path), read_unit(path)
+    arrays, unit = load_splats(path), read_number(path, UNIT)
     arrays["means"] = scene.user_from_scene.to_scene(arrays["means"].astype(np.float64) / unit)
     arrays["log_scales"] = arrays["log_scales"] - math.log(scene.user_from_scene.scale * unit)
     return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

@@ -43,7 +43,8 @@ def _drawn(model: SurfelModel | VolumeModel, colors: Tensor, camera: Camera) -> 
     if isinstance(model, SurfelModel):
         return rasterize_surfels(*geometry, colors, camera, black).color[..., 0]
     reflected = Reflected(model.refl_opacities(), colors, model.weights()) if model.split else None
-    raster = rasterize_volumes(*geometry, colors, camera, black, reflected, VolumeOptions(depth=False))
+    options = VolumeOptions(low_pass=model.low_pass, depth=False)
+    raster = rasterize_volumes(*geometry, colors, camera, black, reflected, options)
     if raster.reflected is None or raster.weight is None:
         return raster.color[..., 0]
     return raster.color[..., 0] + raster.weight.detach() * raster.reflected[..., 0]

@@ -9,7 +9,7 @@ import numpy as np
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
 from mgsr.export.gltf import UpAxis, glb
-from mgsr.export.ply_unit import unit_comments
+from mgsr.export.ply_notes import number_comments
 
 
 def check_mesh(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:
@@ -54,7 +54,7 @@ def write_ply(
 
 def _ply_header(vertex_count: int, face_count: int, real: str, unit: float) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", "comment colours are sRGB"]
-    lines += [f"comment {text}" for text in unit_comments(unit)] + [f"element vertex {vertex_count}"]
+    lines += [f"comment {text}" for text in number_comments(unit=unit)] + [f"element vertex {vertex_count}"]
     lines += [f"property {real} {name}" for name in ("x", "y", "z")]
     lines += [f"property float {name}" for name in ("nx", "ny", "nz")]
     lines += [f"property uchar {name}" for name in ("red", "green", "blue")]

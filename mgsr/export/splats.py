@@ -20,7 +20,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError
-from mgsr.export.ply_unit import unit_comments
+from mgsr.export.ply_notes import number_comments
 
 Splats = dict[str, np.ndarray]
 
@@ -41,13 +41,19 @@ _SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
 DAMAGE = (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError, OSError)
 
 
-def write_splats(path: Path, splats: Splats, user_from_scene: Similarity | None = None, unit: float = 1.0) -> None:
+def write_splats(
+    path: Path,
+    splats: Splats,
+    user_from_scene: Similarity | None = None,
+    unit: float = 1.0,
+    low_pass: float | None = None,
+) -> None:
     """Write splats as a PLY in the user's frame.
 
     splats, float32 in the scene's frame: means [N,3], quats [N,4] wxyz, log_scales [N,3] or [N,2] (surfels),
     opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
     weight_logits [N], refl_sh [N,K',3]. Without a similarity the frame stays. unit: what the lengths in the user's
-    frame are multiplied with.
+    frame are multiplied with. low_pass: px^2, of the 3D branch (see `VolumeModel`).
 
     Raises SceneError for arrays that are missing, not known or of the wrong shape.
     """
@@ -59,7 +65,8 @@ def write_splats(path: Path, splats: Splats, user_from_scene: Similarity | None 
     for name, values in columns.items():
         rows[name] = values
     kind = "surfels" if splats["log_scales"].shape[1] == 2 else "volumes"
-    comments = [f"mgsr kind {kind}", f"mgsr sh_coefficients {splats['sh'].shape[1]}", *unit_comments(unit)]
+    comments = [f"mgsr kind {kind}", f"mgsr sh_coefficients {splats['sh'].shape[1]}"]
+    comments += number_comments(unit=unit, low_pass=low_pass)
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments).write(str(path))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import torch
@@ -66,8 +65,11 @@ def start_volumes(
         log_scales=_tensor(np.repeat(np.log(spacing * config.start_scale)[:, None], 3, axis=1)),
         opacity_logits=torch.full((count,), logit(config.start_opacity)),
         sh=_sh(colors, config.sh_degree),
+        low_pass=config.low_pass,
     )
-    return replace(model, **reflected_half(model, config)) if split else model
+    if not split:
+        return model
+    return VolumeModel(**model.parameters(), **reflected_half(model, config), low_pass=config.low_pass)
 
 
 def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:

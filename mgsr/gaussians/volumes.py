@@ -18,6 +18,8 @@ class VolumeModel:
     means [N,3]; quats [N,4] wxyz, normalised where used; log_scales [N,3]; opacity_logits [N] and sh [N,K,3] of the
     transmitted colour. With the light split also refl_opacity_logits [N], weight_logits [N] (beta: how much of the
     reflected colour is added) and refl_sh [N,K',3]; without it these three are None.
+
+    low_pass: px^2, what images add to each footprint's variance, as they did when the splats were trained.
     """
 
     means: Tensor
@@ -28,6 +30,7 @@ class VolumeModel:
     refl_opacity_logits: Tensor | None = None
     weight_logits: Tensor | None = None
     refl_sh: Tensor | None = None
+    low_pass: float = 0.05
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -40,7 +43,7 @@ class VolumeModel:
     def parameters(self) -> dict[str, Tensor]:
         """Every stored tensor by name; their first axis is the Gaussians."""
         stored = {item.name: getattr(self, item.name) for item in fields(self)}
-        return {name: tensor for name, tensor in stored.items() if tensor is not None}
+        return {name: tensor for name, tensor in stored.items() if isinstance(tensor, Tensor)}
 
     @property
     def sh_degree(self) -> int:
@@ -79,11 +82,13 @@ class VolumeModel:
 
     def detached(self) -> VolumeModel:
         """A copy that carries no gradients."""
-        return VolumeModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})
+        tensors = {name: tensor.detach().clone() for name, tensor in self.parameters().items()}
+        return VolumeModel(**tensors, low_pass=self.low_pass)
 
     def to(self, device: torch.device) -> VolumeModel:
         """The same on a device (no copy where it already is)."""
-        return VolumeModel(**{name: tensor.to(device) for name, tensor in self.parameters().items()})
+        tensors = {name: tensor.to(device) for name, tensor in self.parameters().items()}
+        return VolumeModel(**tensors, low_pass=self.low_pass)
 
 
 def _stored(tensor: Tensor | None) -> Tensor:

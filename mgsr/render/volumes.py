@@ -40,7 +40,7 @@ def render_volumes(
         camera,
         torch.zeros(3, device=model.means.device) if background is None else background,
         reflected=_reflected(model, center, refl_degree),
-        options=VolumeOptions(depth=depth),
+        options=VolumeOptions(low_pass=model.low_pass, depth=depth),
     )
     color, reflected, weight = raster.color, mirrored, raster.alpha
     if raster.reflected is not None and raster.weight is not None:

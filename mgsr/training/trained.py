@@ -103,7 +103,8 @@ class Trained(ABC, Generic[Model]):
     def adopt(self) -> None:
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
         for item in fields(self.model):
-            setattr(self.model, item.name, self.optimizer.params.get(item.name))
+            if not isinstance(getattr(self.model, item.name), float):  # numbers aren't trained
+                setattr(self.model, item.name, self.optimizer.params.get(item.name))
 
 
 def copied(state: Any) -> Any:

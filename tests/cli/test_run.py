@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from mgsr.cli.evaluation import find_truth, surface_scores
 from mgsr.cli.main import app
 from mgsr.cli.outputs import read_mesh, read_models, write_models
-from mgsr.config import DataConfig, OutputConfig
+from mgsr.config import DataConfig, OutputConfig, VolumeConfig
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
@@ -144,6 +144,17 @@ def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
     report = json.loads((done / "report.json").read_text())
     scores = surface_scores(read_mesh(out), find_truth(loaded), loaded)
     assert scores["gt"]["chamfer"] == pytest.approx(report["gt"]["chamfer"], rel=0.05)
+
+
+def test_splats_come_back_with_the_low_pass_that_they_were_trained_with(
+    scene: Path, done: Path, tmp_path: Path
+) -> None:
+    loaded = load_scene(scene, DataConfig())
+    models = read_models(done, loaded)
+    assert models.volumes.low_pass == VolumeConfig().low_pass
+    models.volumes.low_pass = 0.3
+    write_models(tmp_path, models, loaded, OutputConfig())
+    assert read_models(tmp_path, loaded).volumes.low_pass == 0.3
 
 
 def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def added_by_volume(model: VolumeModel, camera: Camera, index: int) -> float:
     reflected = None
     if model.split:
         reflected = (model.refl_opacities().double(), geometry[-1], model.weights().double())
-    images = volumes.render(*geometry, camera, torch.zeros(3), reflected)
+    images = volumes.render(*geometry, camera, torch.zeros(3), reflected, model.low_pass)
     added = 0 if images.reflected is None else images.weight * images.reflected[..., 0]
     return float((images.color[..., 0] + added).sum())
 

@@ -15,7 +15,7 @@ from mgsr.errors import MeshError
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
-from mgsr.export.ply_unit import read_unit
+from mgsr.export.ply_notes import UNIT, read_number
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -97,11 +97,11 @@ def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
 def test_a_ply_tells_its_unit(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", *ball(), unit=0.1)
     write_ply(tmp_path / "b.ply", *ball())
-    assert (read_unit(tmp_path / "a.ply"), read_unit(tmp_path / "b.ply")) == (0.1, 1.0)
+    assert [read_number(tmp_path / name, UNIT) for name in ("a.ply", "b.ply")] == [0.1, 1.0]
     assert len(PlyData.read(str(tmp_path / "a.ply"))["vertex"].data) == len(ball()[0])
     for text in (b"x", b"nan", b"-1", b"0"):
         (tmp_path / "c.ply").write_bytes(b"ply\ncomment mgsr unit " + text + b"\nend_header\n")
-        assert read_unit(tmp_path / "c.ply") == 1
+        assert read_number(tmp_path / "c.ply", UNIT) == 1
 
 
 def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:

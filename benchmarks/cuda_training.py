@@ -25,6 +25,7 @@ from torch.profiler import ProfilerActivity
 from torch.profiler import profile as record
 
 from mgsr.config import Config, make_config
+from mgsr.data.backdrop import backdrop
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.export.mirrored_light import write_mirrored_light
@@ -34,7 +35,7 @@ from mgsr.training.parts import StartingPoints
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
-from mgsr.training.views import plain_background, prepare_views
+from mgsr.training.views import prepare_views
 
 BALL = "ball"
 
@@ -75,7 +76,7 @@ def read(path: Path, config: Config) -> tuple[Scene, StartingPoints]:
 
     scene = load_scene(path, config.data)
     most = max(config.train.surfels.max_start, config.train.volumes.max_start)
-    return scene, starting_points(scene, most, config.seed)
+    return scene, starting_points(scene, most, config.seed, background=config.train.background)
 
 
 def ball() -> tuple[Scene, StartingPoints]:
@@ -138,7 +139,7 @@ def report(progress: Progress) -> None:
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
     """Seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
-    background = plain_background(config.train.background)
+    background = backdrop(scene, config.train.background).color
     surfels = None if result.surfels is None else result.surfels.to(device)
     volumes = None if result.volumes is None else result.volumes.to(device)
     light = None if result.light is None else result.light.to(device)
@@ -171,8 +172,8 @@ def as_chosen(config: Config, result: TrainResult) -> Config:
 
 def kernel_share(scene: Scene, start: PackedPoints, config: Config, device: torch.device, count: int) -> float:
     """The part of the wall time of `count` iterations of the last stage, from its start, in which kernels ran."""
-    stage = make_plan(scene, start, config, device).stages[-1]
-    background = plain_background(config.train.background)
+    plan = make_plan(scene, start, config, device)
+    stage, background = plan.stages[-1], plan.backdrop.color
 
     def iterate(i: int) -> None:
         step = stage.compute(stage.views[i % len(stage.views)], background, i)

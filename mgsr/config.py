@@ -156,7 +156,8 @@ class SurfaceDepth(StrEnum):
 
 
 class Background(StrEnum):
-    """What lies behind the splats in training. auto: random where there are masks, else white."""
+    """What lies behind the splats in training. auto: random where there are masks, else the colour of a plain backdrop
+    where photographs have one, and white."""
 
     AUTO = "auto"
     RANDOM = "random"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.cli.rendering import ViewImages
+from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
@@ -22,12 +23,12 @@ from mgsr.metrics.truth import TrueSurface, load_truth
 MATTE_FOLDER = "test_matte"
 
 
-def image_scores(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, Any]:
-    """psnr_test and ssim_test, on white, None without test views; psnr_fg_test and psnr_fg_gain_test where there are
-    masks; views: each view's values; split where the scene has matte test views. All of the pixels that the
+def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
+    """psnr_test and ssim_test, on the background, None without test views; psnr_fg_test and psnr_fg_gain_test where
+    there are masks; views: each view's values; split where the scene has matte test views. All of the pixels that the
     photographs show."""
     views = {
-        image.name: image_metrics(photograph(view), rendering(image), view.known)
+        image.name: image_metrics(photograph(view), rendering(image), view.known, background)
         for image, view in zip(rendered, scene.test, strict=True)
     }
     scores: dict[str, Any] = {"psnr_test": _mean(views, "psnr"), "ssim_test": _mean(views, "ssim")}

@@ -9,6 +9,7 @@ import numpy as np
 
 from mgsr.cli.evaluation import photograph
 from mgsr.cli.rendering import ViewImages
+from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.mesh.surface import SurfaceMesh
@@ -52,10 +53,12 @@ def report_pictures(
     drawn: SurfaceDrawings,
     scene: Scene,
     light: MirroredLight | None,
+    background: Color,
 ) -> ReportPictures:
-    """The first test views, with their PSNR in dB, the surface, and the light that it mirrors."""
+    """The first test views, with their PSNR in dB, the surface, and the light that it mirrors. background: what lies
+    behind views without masks."""
     views = [
-        _view_pictures(images, view, value, shaded)
+        _view_pictures(images, view, value, shaded, background)
         for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
     ]
     mirrored = () if light is None else mirrored_pictures(light, _up(scene))
@@ -76,16 +79,22 @@ def _shown(view: View) -> np.ndarray:
     return np.where(view.known[..., None], pixels, np.uint8(0))
 
 
-def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarray) -> TestViewPictures:
+def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarray, background: Color
+) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:
         reflected = color_picture(images.reflected * images.weight[..., None])
-    transmitted = None if images.transmitted is None else premultiplied_picture(images.transmitted, images.alpha)
+    rest = (1 - images.alpha[..., None]) * np.array(background)
+
+    def light(color: np.ndarray) -> np.ndarray:
+        masked = view.alpha is not None
+        return premultiplied_picture(color, images.alpha) if masked else color_picture(np.clip(color + rest, 0, 1))
+
     return TestViewPictures(
         images.name,
         _shown(view),
-        premultiplied_picture(images.color, images.alpha),
-        transmitted,
+        light(images.color),
+        None if images.transmitted is None else light(images.transmitted),
         reflected,
         normal_picture(images.normal, images.camera, images.alpha),
         depth_picture(images.depth, images.alpha),

@@ -151,13 +151,15 @@ def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, An
     from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
     from mgsr.cli.outputs import MESH, at_known_exposures, read_mesh, read_models
     from mgsr.cli.rendering import render_views
+    from mgsr.data.backdrop import backdrop
     from mgsr.data.readers import load_scene
     from mgsr.report.data import finite
 
     chosen = pick_device(device)
     loaded = at_known_exposures(out, load_scene(scene, config.data))
     models = read_models(out, loaded).to(chosen.torch)
-    scores = image_scores(list(render_views(models, loaded.test, config)), loaded)
+    behind = backdrop(loaded, config.train.background)
+    scores = image_scores(list(render_views(models, loaded.test, config)), loaded, behind.color)
     if (out / MESH).is_file():
         scores |= surface_scores(read_mesh(out), find_truth(loaded), loaded)
     plain: dict[str, Any] = finite(scores)

@@ -20,6 +20,7 @@ from mgsr.cli.gallery import draw_surface, report_pictures
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
 from mgsr.config import Config, Exposure
+from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
@@ -133,10 +134,11 @@ def run_scene(
     with step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
         outputs.write_renders(out, rendered, scene, config.output)
-        scores |= image_scores(rendered, scene)
+        behind = backdrop(scene, config.train.background).color
+        scores |= image_scores(rendered, scene, behind)
     with step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, drawn, scene, trained.light)
+        pictures = report_pictures(rendered, psnr, drawn, scene, trained.light, behind)
     kept = None if budget is None else budget_report(budget, step.clock.steps)
     report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock, kept)
     outputs.write_reports(out, report, pictures)
@@ -208,7 +210,7 @@ def _start(scene: Scene, config: Config, step: Steps, budget: TimeBudget | None 
 def _points(
     scene: Scene, config: Config, budget: TimeBudget | None, progress: Callable[[float], None]
 ) -> StartingPoints:
-    return starting_points(scene, most_points(config, budget), config.seed, progress)
+    return starting_points(scene, most_points(config, budget), config.seed, progress, config.train.background)
 
 
 def _at_one_exposure(

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, minimum_filter
 
+from mgsr.data.backdrop import WHITE, Color
 
-def on_white(rgba: np.ndarray) -> np.ndarray:
-    """Straight-alpha RGBA [H,W,4] (or RGB, as it is) composited on white in sRGB, [H,W,3] float64."""
+
+def composited(rgba: np.ndarray, background: Color = WHITE) -> np.ndarray:
+    """Straight-alpha RGBA [H,W,4] (or RGB, as it is) on a colour, in sRGB, [H,W,3] float64."""
     image = rgba.astype(np.float64)
     if image.shape[-1] == 3:
         return image
     alpha = image[..., 3:]
-    return image[..., :3] * alpha + 1 - alpha
+    return image[..., :3] * alpha + (1 - alpha) * np.array(background)
 
 
 def decibels(error: float) -> float:
@@ -52,14 +54,17 @@ def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) 
     return float(value[whole].mean()) if whole.any() else float("nan")
 
 
-def image_metrics(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) -> dict[str, float]:
-    """psnr, ssim on white and, where the truth has an alpha channel, psnr_fg and psnr_fg_gain on the object's pixels.
+def image_metrics(
+    truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None, background: Color = WHITE
+) -> dict[str, float]:
+    """psnr, ssim on the background and, where the truth has an alpha channel, psnr_fg and psnr_fg_gain on the object's
+    pixels.
 
     truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. known [H,W] bool: the pixels that the truth shows,
     None for all; others count in none of them.
     """
     truth, image = unit(truth), unit(image)
-    wanted, given = on_white(truth), on_white(image)
+    wanted, given = composited(truth, background), composited(image, background)
     values = {"psnr": psnr(wanted, given, known), "ssim": ssim(wanted, given, known)}
     if truth.shape[-1] == 3:
         return values

@@ -103,6 +103,10 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
         choice = f"photographs show {given['shown']:.0%} of them"
         why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
         yield Decision("Pixels", choice, why)
+    if given.get("backdrop"):
+        color = "#" + "".join(f"{round(255 * value):02x}" for value in given["backdrop"])
+        why = "the photographs' borders have this one colour: it lies behind the splats, which need not show it"
+        yield Decision("Backdrop", f"plain, {color}", why)
     if given.get("exposures"):
         choice = f"differ, up to {given['exposures']:.2f} times the light"
         why = "photographs are brought to a common exposure, also those that figures come from; renders have it"

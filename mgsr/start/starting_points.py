@@ -9,6 +9,8 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.config import Background
+from mgsr.data.backdrop import backdrop, without_backdrop
 from mgsr.data.hull import Hull, carve, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
@@ -72,15 +74,20 @@ class StartingPoints:
 
 
 def starting_points(
-    scene: Scene, count: int, seed: int, progress: Callable[[float], None] = lambda done: None
+    scene: Scene,
+    count: int,
+    seed: int,
+    progress: Callable[[float], None] = lambda done: None,
+    background: Background = Background.AUTO,
 ) -> StartingPoints:
     """Points to start from. The same seed gives the same points. progress: told now and then of the share of the work
-    that is done, 0..1.
+    that is done, 0..1; background: the setting, which tells whether a plain backdrop is looked for.
 
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
     on the visual hull, carved deeper where the photographs agree on it and bent to their shading, spread evenly.
     Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
-    plain places too, a quarter of them behind it; `count` points anywhere in the ball where there are hardly any.
+    plain places too, a quarter of them behind it, none on a plain backdrop; `count` points anywhere in the ball where
+    there are hardly any.
     """
     generator = np.random.default_rng(seed)
     outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
@@ -90,7 +97,7 @@ def starting_points(
             return _hull_points(scene.train, outlines, count, generator, progress)
         kept = own.rows(np.sort(_some(np.arange(len(own)), count, generator)))
         return StartingPoints(kept.positions, kept.colors, StartSource.CAPTURE)
-    return _unmasked_points(scene.train, own, count, generator, progress)
+    return _unmasked_points(scene, own, count, generator, progress, background)
 
 
 def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
@@ -116,17 +123,19 @@ def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointClou
 
 
 def _unmasked_points(
-    views: Sequence[View],
+    scene: Scene,
     own: PointCloud | None,
     count: int,
     generator: np.random.Generator,
     progress: Callable[[float], None],
+    background: Background,
 ) -> StartingPoints:
-    points, source = sweep_planes(views, progress), StartSource.STEREO
+    points, source = sweep_planes(scene.train, progress), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
-    elif len(points) < MIN_POINTS:
-        return _ball_points(views, count, generator)
+    points = without_backdrop(points, backdrop(scene, background))
+    if source is StartSource.STEREO and len(points) < MIN_POINTS:
+        return _ball_points(scene.train, count, generator)
     points = _in_company(points)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)

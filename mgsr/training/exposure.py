@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from mgsr.config import Reflection, make_config
+from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.loading import reduced_view
@@ -25,7 +26,7 @@ from mgsr.training.parts import StartingPoints, make_parts, seeded
 from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, volumes_alone
 from mgsr.training.trainer import Trainer
-from mgsr.training.views import CPU, ViewCycle, plain_background, prepare_views
+from mgsr.training.views import CPU, ViewCycle, prepare_views
 
 SIDE, POINTS = 128, 4000  # pixels of the photographs, and Gaussians
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
@@ -108,13 +109,13 @@ def _trained(
     compute = volumes_alone(branch, settings.train, warming=False)
     prepared = prepare_views(views, scene.masked)
     stage = Stage("exposures", [branch], ITERATIONS, prepared, cycle, compute, lambda _: (1, 0), lambda *_: 0.2)
-    Trainer(Plan(parts, [stage], []), settings.train, scene.masked, {}, should_stop=should_stop).run()
+    behind = backdrop(scene, settings.train.background)
+    Trainer(Plan(parts, [stage], [], behind), settings.train, {}, should_stop=should_stop).run()
     picture = volume_picture(branch.model, None, None)
-    background = plain_background(settings.train.background)
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:
-        return srgb_to_linear(picture(view.camera, background).clamp(0, 1).numpy().astype(np.float64))
+        return srgb_to_linear(picture(view.camera, behind.color).clamp(0, 1).numpy().astype(np.float64))
 
     return light
 

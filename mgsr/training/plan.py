@@ -9,6 +9,7 @@ from typing import TypeVar
 import torch
 
 from mgsr.config import Branches, Config, DensifyConfig, Reflection, StopRule
+from mgsr.data.backdrop import Backdrop, Color, backdrop
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
 from mgsr.errors import TrainingError
@@ -20,18 +21,20 @@ from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
 from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
 from mgsr.training.trained import Trained
 from mgsr.training.trial import ReflectionTrial
-from mgsr.training.views import CPU, TrainingView, ViewCycle, plain_background, prepare_views
+from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A run before its first iteration: what it trains, its stages, and the views that only its curve looks at."""
+    """A run before its first iteration: what it trains, its stages, the views that only its curve looks at, and what
+    lies behind the splats."""
 
     parts: Parts
     stages: list[Stage]
     curve_views: list[TrainingView]
+    backdrop: Backdrop
 
     @property
     def trial(self) -> Trial | None:
@@ -42,10 +45,11 @@ class Plan:
 @dataclass(frozen=True)
 class _Photographs:
     """A stage's views, and the same made smaller, where they are large enough; the last `held_back` of both are kept
-    from it."""
+    from it. backdrop: the colour on which renderings of them are judged."""
 
     views: list[TrainingView]
     small: list[TrainingView] | None
+    backdrop: Color
     held_back: int = 0
 
     @property
@@ -57,7 +61,7 @@ class _Photographs:
         spared = _spread(range(len(self.views)), count)
         order = [i for i in range(len(self.views)) if i not in spared] + spared
         small = None if self.small is None else [self.small[i] for i in order]
-        return _Photographs([self.views[i] for i in order], small, count)
+        return _Photographs([self.views[i] for i in order], small, self.backdrop, count)
 
 
 def make_plan(
@@ -70,7 +74,8 @@ def make_plan(
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    photographs = _photographs(scene, config, device)
+    behind = backdrop(scene, config.train.background)
+    photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
     stages: list[Stage] = []
@@ -83,7 +88,7 @@ def make_plan(
     if finish:
         stages.append(_finish(parts, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
-    return Plan(parts, stages, curve_views)
+    return Plan(parts, stages, curve_views, behind)
 
 
 def mutual_iterations(config: Config) -> int:
@@ -103,15 +108,15 @@ def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[R
     return Reflection.OWN if alone else Reflection.SHARED if shiny else Reflection.BOTH, False
 
 
-def _photographs(scene: Scene, config: Config, device: torch.device) -> _Photographs:
+def _photographs(scene: Scene, behind: Color, config: Config, device: torch.device) -> _Photographs:
     train, margin = config.train, config.train.crop_margin if _silhouettes_count(config) else None
     views = prepare_views(scene.train, scene.masked, margin, train.surfels.edge_band, device)
     shortest = min(min(view.camera.width, view.camera.height) for view in views)
     if not train.warmup.coarse or shortest < train.warmup.coarse_side:
-        return _Photographs(views, None)
+        return _Photographs(views, None, behind)
     half = None if margin is None else -(-margin // 2)
     band = -(-train.surfels.edge_band // 2)
-    return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2))
+    return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2), behind)
 
 
 def _surfel_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config) -> Stage:
@@ -132,7 +137,7 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
     compute = volumes_alone(parts.volumes, config.train, warming=True, mirrored=mirrored)
     stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, last, config)
     if tried:
-        measure = _measure(parts, "volumes", photographs, config)
+        measure = _measure(parts, "volumes", photographs)
         seen_after = views - held_back
         stage.trial = ReflectionTrial(config.train, parts.volumes, parts.light, measure, seen_after)
     return stage
@@ -175,7 +180,7 @@ def _warmup(
 
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
-    measure = _measure(parts, branch.name, photographs, config)
+    measure = _measure(parts, branch.name, photographs)
     convergence = make_convergence(warmup, iterations, measure)
     light = parts.light if branch is parts.volumes else None
     views = photographs.views
@@ -227,10 +232,10 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
     return Stage(FINISH, [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0, light=parts.light)
 
 
-def _measure(parts: Parts, branch: str, photographs: _Photographs, config: Config) -> Callable[[], float]:
+def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:
     """A branch's PSNR on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
-    return lambda: mean_psnr(parts.picture(branch), held_back, plain_background(config.train.background))
+    return lambda: mean_psnr(parts.picture(branch), held_back, photographs.backdrop)
 
 
 def _silhouettes_count(config: Config) -> bool:

@@ -8,18 +8,18 @@ from torch import Tensor
 
 from mgsr.render.both import render_both
 from mgsr.training.plan import Plan
-from mgsr.training.views import Color, color_tensor
+from mgsr.training.views import color_tensor
 
 
 @torch.no_grad()
-def preview_pictures(plan: Plan, background: Color) -> dict[str, np.ndarray]:
+def preview_pictures(plan: Plan) -> dict[str, np.ndarray]:
     """Pictures uint8 [H,W,3] of the first view that the curve looks at, or else the first to train on.
 
     render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey where
     nothing is; transmitted and reflected: the halves of the light, where it is split.
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
-    color = color_tensor(background, plan.parts.branches[0].device)
+    color = color_tensor(plan.backdrop.color, plan.parts.branches[0].device)
     flat, full = render_both(*plan.parts.models, view.camera, color, depth=False)
     images: dict[str, Tensor] = {}
     if flat is not None:

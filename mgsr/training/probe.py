@@ -36,7 +36,7 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing
         plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
         splats = {branch.name: len(branch.model) for branch in plan.parts.branches}
-        Trainer(plan, config.train, scene.masked, {}, pace=timer).run()
+        Trainer(plan, config.train, {}, pace=timer).run()
     return Probe({name: timer.median(name) for name in timer.times}, splats)
 
 

@@ -65,7 +65,6 @@ class Training:
             self._trainer = Trainer(
                 make_plan(scene, start, config, device, finish=pace is not None),
                 config.train,
-                scene.masked,
                 fingerprint(scene, config),
                 checkpoint_path,
                 progress,

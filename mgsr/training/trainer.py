@@ -21,7 +21,7 @@ from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
 from mgsr.training.stages import Stage, Step, Trial
-from mgsr.training.views import pick_background, plain_background
+from mgsr.training.views import pick_background
 
 
 class Trainer:
@@ -36,7 +36,6 @@ class Trainer:
         self,
         plan: Plan,
         config: TrainConfig,
-        masked: bool,
         run_fingerprint: dict[str, str],
         checkpoint_path: Path | None = None,
         progress: ProgressCallback | None = None,
@@ -46,7 +45,6 @@ class Trainer:
     ) -> None:
         self.plan = plan
         self.config = config
-        self.masked = masked
         self.fingerprint = run_fingerprint
         self.checkpoint_path = checkpoint_path
         self.progress = progress
@@ -184,7 +182,7 @@ class Trainer:
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Terms, bool]:
         """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
         view = stage.next_view()
-        background = pick_background(self.config.background, self.masked, stage.cycle.generator)
+        background = pick_background(self.plan.backdrop, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)
         loss = torch.stack(list(step.terms.values())).sum()
         loss.backward()
@@ -247,9 +245,7 @@ class Trainer:
     def _psnr(self, branch: str) -> float | None:
         if not self.plan.curve_views:
             return None
-        return mean_psnr(
-            self.plan.parts.picture(branch), self.plan.curve_views, plain_background(self.config.background)
-        )
+        return mean_psnr(self.plan.parts.picture(branch), self.plan.curve_views, self.plan.backdrop.color)
 
     def _report(self, stage: Stage, terms: Terms, last: bool) -> Progress:
         every = self.config.watch.preview_every
@@ -263,7 +259,7 @@ class Trainer:
             losses={name: float(term.detach()) for name, term in terms.items()},
             counts=self._counts(),
             psnr=self.curve[-1].psnr if self.curve else None,
-            previews=preview_pictures(self.plan, plain_background(self.config.background)) if due else {},
+            previews=preview_pictures(self.plan) if due else {},
         )
 
     def _done(self, stage: Stage) -> float:

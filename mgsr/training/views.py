@@ -8,13 +8,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.config import Background
+from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.data.stacking import averaged
 from mgsr.losses.target import Target
 
-Color = tuple[float, float, float]
 CPU = torch.device("cpu")
 
 
@@ -128,19 +127,12 @@ def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int]
     return max(0, int(y0)), min(height, int(y1)), max(0, int(x0)), min(width, int(x1))
 
 
-def pick_background(kind: Background, masked: bool, generator: torch.Generator) -> Color:
+def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:
     """The colour behind the splats in one iteration; draws from the generator only where it is random."""
-    if kind is Background.BLACK:
-        return (0.0, 0.0, 0.0)
-    if kind is Background.RANDOM or (kind is Background.AUTO and masked):
-        red, green, blue = torch.rand(3, generator=generator).tolist()
-        return (red, green, blue)
-    return (1.0, 1.0, 1.0)
-
-
-def plain_background(kind: Background) -> Color:
-    """The colour on which renderings are judged: white, unless training knows black alone."""
-    return (0.0, 0.0, 0.0) if kind is Background.BLACK else (1.0, 1.0, 1.0)
+    if not backdrop.random:
+        return backdrop.color
+    red, green, blue = torch.rand(3, generator=generator).tolist()
+    return (red, green, blue)
 
 
 def color_tensor(color: Color, device: torch.device) -> Tensor:

@@ -18,6 +18,7 @@ from mgsr.cli.models import Models
 from mgsr.cli.pipeline import make_mesh
 from mgsr.cli.rendering import render_views, scene_silhouettes
 from mgsr.config import Config, DataConfig, make_config
+from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
@@ -88,9 +89,11 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     assert mesh.textured is not None
     yield "texture", mesh.textured.picture
     rendered = list(render_views(models, scene.test, config))
-    scores = image_scores(rendered, scene)
+    behind = backdrop(scene, config.train.background).color
+    scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
-    pictures = report_pictures(rendered, [0.0] * len(rendered), draw_surface(mesh, None, scene), scene, models.light)
+    drawn = draw_surface(mesh, None, scene)
+    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.light, behind)
     yield "pictures", [view.photo for view in pictures.views]
     folder.mkdir()
     write_scene(folder, scene)

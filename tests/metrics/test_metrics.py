@@ -12,7 +12,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from mgsr.data.camera import Camera
 from mgsr.errors import MeshError, SceneError
 from mgsr.geometry.raycast import RayCaster
-from mgsr.metrics.image import image_metrics, on_white, psnr, psnr_after_gain, ssim
+from mgsr.metrics.image import composited, image_metrics, psnr, psnr_after_gain, ssim
 from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.surface import surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth, sample_surface
@@ -60,8 +60,8 @@ def test_a_gain_costs_nothing() -> None:
 
 def test_on_white_composites_straight_alpha() -> None:
     pixel = np.array([[[0.2, 0.4, 0.6, 0.5]]])
-    np.testing.assert_allclose(on_white(pixel), [[[0.6, 0.7, 0.8]]])
-    np.testing.assert_allclose(on_white(pixel[..., :3]), pixel[..., :3])
+    np.testing.assert_allclose(composited(pixel), [[[0.6, 0.7, 0.8]]])
+    np.testing.assert_allclose(composited(pixel[..., :3]), pixel[..., :3])
 
 
 def test_a_larger_ball_is_its_distance_away() -> None:

@@ -58,7 +58,7 @@ def long_training(iterations: int, seen: Callable[[Look], None] = lambda _: None
         looks.append(_look(report, plan, len(trainer.incidents), iterations))
         seen(looks[-1])
 
-    trainer = Trainer(plan, config.train, scene.masked, {}, progress=look)
+    trainer = Trainer(plan, config.train, {}, progress=look)
     with one_torch_thread():
         trainer.run()
     return looks

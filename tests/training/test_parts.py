@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import Background, RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.config import RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.data.backdrop import WHITE, Backdrop
 from mgsr.training.convergence import EpochMeans, HeldBack, LossRange, make_convergence
 from mgsr.training.plan import make_plan
 from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
@@ -106,9 +107,8 @@ def test_region_bounds_the_mask() -> None:
 
 def test_backgrounds() -> None:
     generator = torch.Generator().manual_seed(0)
-    assert pick_background(Background.AUTO, False, generator) == (1.0, 1.0, 1.0)
-    assert pick_background(Background.BLACK, True, generator) == (0.0, 0.0, 0.0)
-    first, second = (pick_background(Background.AUTO, True, generator) for _ in range(2))
+    assert pick_background(Backdrop((0.1, 0.2, 0.3)), generator) == (0.1, 0.2, 0.3)
+    first, second = (pick_background(Backdrop(WHITE, random=True), generator) for _ in range(2))
     assert first != second
 
 

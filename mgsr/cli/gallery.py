@@ -79,7 +79,8 @@ def _shown(view: View) -> np.ndarray:
     return np.where(view.known[..., None], pixels, np.uint8(0))
 
 
-def _view_pictures(images: ViewImages, view: View, psnr: float, shaded: np.ndarray, background: Color
+def _view_pictures(
+    images: ViewImages, view: View, psnr: float, shaded: np.ndarray, background: Color
 ) -> TestViewPictures:
     reflected = None
     if images.reflected is not None and images.weight is not None:

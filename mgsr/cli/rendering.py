@@ -11,6 +11,7 @@ from torch import Tensor
 
 from mgsr.cli.models import Models
 from mgsr.config import Config, MeshColor, SurfaceDepth
+from mgsr.data.backdrop import Color, backdrop
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.scene import Scene, View
@@ -71,20 +72,23 @@ def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceV
 def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
     """The scene with renders in place of its photographs, and of its masks if it has any: the transmitted colour, so
     without highlights, where there is a light split and `mesh.color` asks for it."""
+    behind = backdrop(scene, config.train.background).color
     return replace(
         scene,
-        train=[_as_photograph(models, view, config) for view in scene.train],
-        test=[_as_photograph(models, view, config) for view in scene.test],
+        train=[_as_photograph(models, view, config, behind) for view in scene.train],
+        test=[_as_photograph(models, view, config, behind) for view in scene.test],
     )
 
 
-def _as_photograph(models: Models, view: View, config: Config) -> View:
+def _as_photograph(models: Models, view: View, config: Config, behind: Color) -> View:
     (images,) = render_views(models, [view], config)
     color = images.color
     if images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED:
         color = images.transmitted
+    if view.alpha is None:
+        return replace(view, image=to_uint8((color + (1 - images.alpha[..., None]) * np.array(behind)) * 255))
     pixels = to_uint8(straight_color(color, images.alpha) * 255)
-    return replace(view, image=pixels, alpha=None if view.alpha is None else to_uint8(images.alpha * 255))
+    return replace(view, image=pixels, alpha=to_uint8(images.alpha * 255))
 
 
 def scene_silhouettes(scene: Scene) -> list[Silhouette]:

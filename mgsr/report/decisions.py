@@ -66,7 +66,7 @@ def tell_decisions(data: ReportData) -> list[Decision]:
     return [
         *told,
         *_about_budget(data.other.get("time_budget")),
-        *_about_input(given),
+        *_about_input(given, (data.other.get("settings") or {}).get("train") or {}),
         *_about_stages(data),
         *_about_surface(data, mesh),
         *_about_light(data),
@@ -91,7 +91,7 @@ def _about_budget(budget: dict[str, Any] | None) -> Iterator[Decision]:
     yield Decision(f"Time budget of {budget['seconds']:g} s", choice, why)
 
 
-def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
+def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decision]:
     if "masked" in given:
         yes = "every training photograph has a mask: what lies outside is no object and gets no colour"
         no = "no mask is used: the whole of each photograph is explained"
@@ -103,7 +103,7 @@ def _about_input(given: dict[str, Any]) -> Iterator[Decision]:
         choice = f"photographs show {given['shown']:.0%} of them"
         why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
         yield Decision("Pixels", choice, why)
-    if given.get("backdrop"):
+    if given.get("backdrop") and train.get("background", "auto") == "auto":
         color = "#" + "".join(f"{round(255 * value):02x}" for value in given["backdrop"])
         why = "the photographs' borders have this one colour: it lies behind the splats, which need not show it"
         yield Decision("Backdrop", f"plain, {color}", why)

@@ -9,23 +9,10 @@ import pytest
 
 from mgsr.config import Background
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, backdrop, plain_backdrop, without_backdrop
-from mgsr.data.scene import PointCloud, Scene, View
-from tests.training.ball import ball_scene
+from mgsr.data.scene import PointCloud
+from tests.training.ball import before
 
 GREY = (90, 120, 60)
-
-
-def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False) -> Scene:
-    """The ball before a backdrop, photographed with noise, with or without its masks."""
-    random = np.random.default_rng(0)
-    scene = ball_scene(48, train=6)
-
-    def placed(view: View) -> View:
-        cover = view.alpha[..., None] / 255.0
-        image = view.image * cover + np.array(color) * (1 - cover) + random.normal(0, noise, view.image.shape)
-        return replace(view, image=image.round().clip(0, 255).astype(np.uint8), alpha=view.alpha if masked else None)
-
-    return replace(scene, train=[placed(view) for view in scene.train])
 
 
 @pytest.mark.parametrize("color", [(0, 0, 0), (255, 255, 255), GREY])

@@ -96,3 +96,15 @@ def test_a_time_budget_is_told() -> None:
     assert "planned train 60 s" in told.why and "came to train 64 s" in told.why and "117 s in all" in told.why
     short = replace(sample_report(), other={"time_budget": budget | {"too_small": True}})
     assert "less than the least plan needs" in tell_decisions(short)[1].why
+
+
+def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> None:
+    sample = sample_report()
+
+    def told(background: str) -> dict[str, Decision]:
+        given = {**sample.other["input"], "masked": False, "backdrop": [0.0, 0.502, 1.0]}
+        other = {**sample.other, "input": given, "settings": {"train": {"background": background}}}
+        return {each.what: each for each in tell_decisions(replace(sample, other=other))}
+
+    assert told("auto")["Backdrop"].choice == "plain, #0080ff"
+    assert "Backdrop" not in told("white")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -89,3 +89,16 @@ def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
     return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)
+
+
+def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False) -> Scene:
+    """The ball before a backdrop, photographed with noise, with or without its masks."""
+    random = np.random.default_rng(0)
+    scene = ball_scene(48, train=6)
+
+    def placed(view: View) -> View:
+        cover = view.alpha[..., None] / 255.0
+        image = view.image * cover + np.array(color) * (1 - cover) + random.normal(0, noise, view.image.shape)
+        return replace(view, image=image.round().clip(0, 255).astype(np.uint8), alpha=view.alpha if masked else None)
+
+    return replace(scene, train=[placed(view) for view in scene.train])

@@ -1,0 +1,29 @@
+"""Renders that take the photographs' place."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.cli.models import Models
+from mgsr.cli.rendering import rendered_scene
+from mgsr.config import Config
+from mgsr.gaussians.volumes import VolumeModel
+from tests.training.ball import before
+
+
+@pytest.mark.parametrize("color", [(0, 0, 0), (90, 120, 60)])
+def test_without_masks_renders_lie_on_the_backdrop(color: tuple[int, int, int]) -> None:
+    """One grey, nearly opaque Gaussian in the middle, and nothing else."""
+    scene = before(color, noise=0)
+    grey = VolumeModel(
+        torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), -2.0), torch.full((1,), 8.0),
+        torch.zeros(1, 1, 3),
+    )  # fmt: skip
+    rendered = rendered_scene(Models(None, grey), scene, Config())
+    for view in rendered.train:
+        assert view.alpha is None
+        np.testing.assert_array_equal(view.image[0, 0], color)
+        middle = view.image[view.camera.height // 2, view.camera.width // 2]
+        assert np.abs(middle.astype(int) - 128).max() <= 2

@@ -22,8 +22,9 @@ def ablation_section(rows: Sequence[Row]) -> str:
             "Each row is the method with one thing changed (settings in [mgsr/config.py](../mgsr/config.py); the "
             "published weights of C, D and F are not known, so those are ours). Our figures are means over the scenes "
             "on which both the row and the method were run, and in brackets the difference to the method on the same "
-            "scenes. The paper's are means over 30 other objects, at another size and scale: only the differences can "
-            "be held against each other. A dash: the supplement gives no mean, or no such output.",
+            "scenes, at the same commit where there is such a run. The paper's are means over 30 other objects, at "
+            "another size and scale: only the differences can be held against each other. A dash: the supplement gives "
+            "no mean, or no such output.",
             _table(PAPER_ROWS, rows),
             "What the paper found, and whether it holds here (`standard`; a finding holds where every scene says so, "
             f"and {_about_seeds(rows)}):",
@@ -49,6 +50,18 @@ def _runs(row: AblationRow, rows: Sequence[Row]) -> dict[str, Row]:
     return plain_runs(rows, row.method, of_row(row).name)
 
 
+def _method_beside(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
+    """The method's run on each scene that is to be held against another run there: the latest, or, where only that has
+    the other's commit, the one with 3DGS's low-pass, which was the default until it became a setting."""
+    method, before = _runs(named_rows()["E"], rows), _runs(named_rows()["paper-low-pass"], rows)
+    for scene, run in own.items():
+        earlier = before.get(scene)
+        if earlier is not None and earlier is not run and earlier.commit == run.commit:
+            latest = method.get(scene)
+            method[scene] = earlier if latest is None or latest.commit != run.commit else latest
+    return method
+
+
 def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = True) -> str:
     """Rows that were not run have dashes; no table without a row."""
     if not chosen:
@@ -59,7 +72,8 @@ def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = Tru
 
 
 def _cells(row: AblationRow, rows: Sequence[Row], paper: bool) -> list[str]:
-    own, method = _runs(row, rows), _runs(named_rows()["E"], rows)
+    own = _runs(row, rows)
+    method = _method_beside(own, rows)
     shared = [scene for scene in own if scene in method]
     cells = [row.name, row.meaning, str(len(shared)) if shared else "not run"]
     cells += [_our_mean(score, [own[s] for s in shared], [method[s] for s in shared]) for score in OURS]
@@ -100,7 +114,8 @@ def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]
     """A line of the list: the finding, then each score's verdict and figures."""
     told = []
     for score in scores:
-        found = compare(_runs(named_rows()["E"], rows), _runs(named_rows()[name], rows), score)
+        own = _runs(named_rows()[name], rows)
+        found = compare(_method_beside(own, rows), own, score)
         if found is None:
             continue
         if score == "seconds" and found.busy:

@@ -105,6 +105,16 @@ def test_runs_of_different_commits_are_named_as_such() -> None:
     assert "runs of different commits" in next(line for line in page_of(rows).splitlines() if "(row K)" in line)
 
 
+def test_an_older_row_is_held_against_the_low_pass_of_its_commit() -> None:
+    rows = [replace(row, commit="def") if row.variant == "K" else row for row in sample_rows()]
+    rows += [replace(sample_row(scene, "paper-low-pass", psnr=33.0), commit="def") for scene in ("apple", "pear")]
+    lines = page_of(rows).splitlines()
+    finding, row = (next(line for line in lines if part in line) for part in ("(row K)", "| K |"))
+    assert "different commits" not in finding and "33.50 (+0.50)" in row
+    (choice,) = (line for line in lines if line.startswith("| paper-low-pass |"))
+    assert "33.00 (-1.00)" in choice  # that itself against the latest
+
+
 def test_when_a_run_was_near_its_best() -> None:
     curve = Curve(sample_row("apple").key, ((50.0, 30.0), (120.0, 33.95), (200.0, 34.0)))
     assert "| apple | mgsr | standard | 200 | 120 | 60% | 34.00 |" in page_of(sample_rows(), (curve,))

@@ -51,14 +51,14 @@ def _runs(row: AblationRow, rows: Sequence[Row]) -> dict[str, Row]:
 
 
 def _method_beside(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
-    """The method's run on each scene that is to be held against another run there: the latest, or, where only that has
-    the other's commit, the one with 3DGS's low-pass, which was the default until it became a setting."""
+    """By scene, the method's run that another is held against: the latest, unless only an older one, with 3DGS's
+    low-pass, which was the default then, is of the other's commit."""
     method, before = _runs(named_rows()["E"], rows), _runs(named_rows()["paper-low-pass"], rows)
     for scene, run in own.items():
-        earlier = before.get(scene)
-        if earlier is not None and earlier is not run and earlier.commit == run.commit:
-            latest = method.get(scene)
-            method[scene] = earlier if latest is None or latest.commit != run.commit else latest
+        candidates = [method.get(scene), before.get(scene)]
+        same = [each for each in candidates if each is not None and each.commit == run.commit]
+        if same and same[0] is not run:
+            method[scene] = same[0]
     return method
 
 
@@ -112,10 +112,10 @@ def _paper_means(paper: PaperMeans, method: PaperMeans) -> list[str]:
 
 def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]) -> str:
     """A line of the list: the finding, then each score's verdict and figures."""
-    told = []
+    told, own = [], _runs(named_rows()[name], rows)
+    method = _method_beside(own, rows)
     for score in scores:
-        own = _runs(named_rows()[name], rows)
-        found = compare(_method_beside(own, rows), own, score)
+        found = compare(method, own, score)
         if found is None:
             continue
         if score == "seconds" and found.busy:

@@ -17,7 +17,6 @@ from mgsr.cli.clock import StepClock
 from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
-from mgsr.data.backdrop import plain_backdrop
 from mgsr.data.scene import Scene
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import SurfaceMesh
@@ -79,10 +78,10 @@ def run_report(
 
 def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
     """What was read: format, views, sizes, masks, points, and the way back to the user's frame; shown: the share of the
-    pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one, which only
-    counts without masks."""
+    pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind
+    photographs without masks."""
     camera = scene.train[0].camera
-    shown, plain = shown_share(scene), plain_backdrop(scene.train)
+    shown, plain = shown_share(scene), scene.plain_backdrop
     return (
         {
             "path": str(path),
@@ -98,7 +97,7 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
             },
         }
         | ({"shown": round(shown, 4)} if shown < 1 else {})
-        | ({} if scene.masked or plain is None else {"backdrop": [round(value, 3) for value in plain]})
+        | ({} if plain is None else {"backdrop": [round(value, 3) for value in plain]})
         | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
         | ({"notes": list(scene.notes)} if scene.notes else {})
     )

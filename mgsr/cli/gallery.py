@@ -11,6 +11,7 @@ from mgsr.cli.evaluation import photograph
 from mgsr.cli.rendering import ViewImages
 from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
+from mgsr.export.renders import on_background
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
@@ -85,11 +86,11 @@ def _view_pictures(
     reflected = None
     if images.reflected is not None and images.weight is not None:
         reflected = color_picture(images.reflected * images.weight[..., None])
-    rest = (1 - images.alpha[..., None]) * np.array(background)
 
     def light(color: np.ndarray) -> np.ndarray:
-        masked = view.alpha is not None
-        return premultiplied_picture(color, images.alpha) if masked else color_picture(np.clip(color + rest, 0, 1))
+        if view.alpha is None:
+            return color_picture(on_background(color, images.alpha, background))
+        return premultiplied_picture(color, images.alpha)
 
     return TestViewPictures(
         images.name,

@@ -16,7 +16,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
-from mgsr.export.renders import straight_color
+from mgsr.export.renders import on_background, straight_color
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
@@ -86,7 +86,7 @@ def _as_photograph(models: Models, view: View, config: Config, behind: Color) ->
     if images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED:
         color = images.transmitted
     if view.alpha is None:
-        return replace(view, image=to_uint8((color + (1 - images.alpha[..., None]) * np.array(behind)) * 255))
+        return replace(view, image=to_uint8(on_background(color, images.alpha, behind) * 255))
     pixels = to_uint8(straight_color(color, images.alpha) * 255)
     return replace(view, image=pixels, alpha=to_uint8(images.alpha * 255))
 

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mgsr.config import Background
-from mgsr.data.scene import PointCloud, Scene, View
+
+if TYPE_CHECKING:
+    from mgsr.data.scene import PointCloud, Scene, View
 
 Color = tuple[float, float, float]
 WHITE: Color = (1.0, 1.0, 1.0)
@@ -39,14 +42,14 @@ def backdrop(scene: Scene, kind: Background) -> Backdrop:
     """What lies behind a scene's splats."""
     if kind is Background.RANDOM or (kind is Background.AUTO and scene.masked):
         return Backdrop(WHITE, random=True)
-    if kind is Background.AUTO and (color := plain_backdrop(scene.train)) is not None:
-        return Backdrop(color, plain=True)
+    if kind is Background.AUTO and scene.plain_backdrop is not None:
+        return Backdrop(scene.plain_backdrop, plain=True)
     return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 
 def plain_backdrop(views: Sequence[View]) -> Color | None:
     """The one colour, sRGB 0..1, that the borders of photographs have where something else stands before it; None where
-    they have no such colour."""
+    they have no such colour. Looks at all of them: `Scene.plain_backdrop` keeps the answer."""
     borders, others = (np.concatenate(parts) for parts in zip(*map(_border_and_rest, views), strict=True))
     if not len(borders):
         return None

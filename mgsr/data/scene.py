@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from mgsr.data.backdrop import Color, plain_backdrop
 from mgsr.data.camera import Camera
 
 
@@ -111,3 +113,9 @@ class Scene:
     def masked(self) -> bool:
         """Whether every training view has a mask."""
         return all(view.alpha is not None for view in self.train)
+
+    @cached_property
+    def plain_backdrop(self) -> Color | None:
+        """The colour, sRGB 0..1, of a plain backdrop in the training photographs, None without one; with masks none is
+        looked for."""
+        return None if self.masked else plain_backdrop(self.train)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsr.data.backdrop import Color
 from mgsr.errors import MgsrError, SceneError
 
 
@@ -35,6 +36,11 @@ def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """The colour [H,W,3] of what was rendered on black with alpha [H,W], 0..1; black where alpha rounds to nothing."""
     visible = alpha[..., None] >= 0.5 / 255
     return np.where(visible, np.clip(on_black / np.maximum(alpha[..., None], 1e-6), 0, 1), 0)
+
+
+def on_background(on_black: np.ndarray, alpha: np.ndarray, background: Color) -> np.ndarray:
+    """What was rendered on black [H,W,3] with alpha [H,W], 0..1, on a colour instead."""
+    return np.clip(on_black + (1 - alpha[..., None]) * np.array(background), 0, 1)
 
 
 def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:

@@ -7,7 +7,8 @@ opacity (logit); scale_0..2 (log); rot_0..3 (wxyz).
 
 Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
 refl_opacity (logit), refl_weight (beta's logit) and refl_dc_0..2, refl_rest_0.. (ordered as above, unpadded); viewers
-skip them and show the transmitted half. Comments tell the kind and how many coefficients are real.
+skip them and show the transmitted half. Comments tell the kind, how many coefficients are real, and the 3D branch's
+low-pass (`ply_notes.py`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import torch
 from torch import Tensor
@@ -30,7 +30,7 @@ class VolumeModel:
     refl_opacity_logits: Tensor | None = None
     weight_logits: Tensor | None = None
     refl_sh: Tensor | None = None
-    low_pass: float = 0.05
+    low_pass: float = field(kw_only=True)
 
     def __len__(self) -> int:
         return self.means.shape[0]

@@ -45,11 +45,11 @@ class Plan:
 @dataclass(frozen=True)
 class _Photographs:
     """A stage's views, and the same made smaller, where they are large enough; the last `held_back` of both are kept
-    from it. backdrop: the colour on which renderings of them are judged."""
+    from it. behind: the colour on which renderings of them are judged."""
 
     views: list[TrainingView]
     small: list[TrainingView] | None
-    backdrop: Color
+    behind: Color
     held_back: int = 0
 
     @property
@@ -61,7 +61,7 @@ class _Photographs:
         spared = _spread(range(len(self.views)), count)
         order = [i for i in range(len(self.views)) if i not in spared] + spared
         small = None if self.small is None else [self.small[i] for i in order]
-        return _Photographs([self.views[i] for i in order], small, self.backdrop, count)
+        return _Photographs([self.views[i] for i in order], small, self.behind, count)
 
 
 def make_plan(
@@ -235,7 +235,7 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
 def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:
     """A branch's PSNR on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
-    return lambda: mean_psnr(parts.picture(branch), held_back, photographs.backdrop)
+    return lambda: mean_psnr(parts.picture(branch), held_back, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import fields
 from typing import Any, Generic, Literal, TypeVar
 
 import torch
@@ -102,9 +101,8 @@ class Trained(ABC, Generic[Model]):
 
     def adopt(self) -> None:
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
-        for item in fields(self.model):
-            if not isinstance(getattr(self.model, item.name), float):  # numbers aren't trained
-                setattr(self.model, item.name, self.optimizer.params.get(item.name))
+        for name in self.model.parameters() | self.optimizer.params:
+            setattr(self.model, name, self.optimizer.params.get(name))
 
 
 def copied(state: Any) -> Any:

@@ -18,9 +18,13 @@ def test_without_masks_renders_lie_on_the_backdrop(color: tuple[int, int, int]) 
     """One grey, nearly opaque Gaussian in the middle, and nothing else."""
     scene = before(color, noise=0)
     grey = VolumeModel(
-        torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), -2.0), torch.full((1,), 8.0),
-        torch.zeros(1, 1, 3),
-    )  # fmt: skip
+        means=torch.zeros(1, 3),
+        quats=torch.tensor([[1.0, 0, 0, 0]]),
+        log_scales=torch.full((1, 3), -2.0),
+        opacity_logits=torch.full((1,), 8.0),
+        sh=torch.zeros(1, 1, 3),
+        low_pass=0.05,
+    )
     rendered = rendered_scene(Models(None, grey), scene, Config())
     for view in rendered.train:
         assert view.alpha is None

@@ -27,7 +27,7 @@ def some_volumes(split: bool) -> VolumeModel:
     """Gaussians that do."""
     draw = noise()
     half = (draw(), draw(), draw(1, 3)) if split else ()
-    return VolumeModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half)
+    return VolumeModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half, low_pass=0.1)
 
 
 def noise() -> Callable[..., torch.Tensor]:

@@ -15,7 +15,10 @@ from tests.oracles import volumes as oracle
 def test_splats_are_drawn_with_their_own_low_pass(low_pass: float) -> None:
     """Under a pixel wide, so that it makes most of what is seen."""
     generator = torch.Generator().manual_seed(0)
-    draw = lambda *shape: torch.randn(30, *shape, generator=generator)  # noqa: E731
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(30, *shape, generator=generator)
+
     model = VolumeModel(
         0.3 * draw(3), draw(4), 0.2 * draw(3) - 5.5, 2 + draw(), draw(1, 3), low_pass=low_pass
     ).detached()

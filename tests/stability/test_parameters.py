@@ -202,11 +202,11 @@ def test_log_scales_over_floats_range_send_no_nan(branch: str) -> None:
 
 def _model(branch: str, splats: Splats) -> SurfelModel | VolumeModel:
     numbers = {name: tensor.float() for name, tensor in splats.items()}
-    kind = SurfelModel if branch == "surfels" else VolumeModel
-    return kind(
-        means=numbers["means"],
-        quats=numbers["quats"],
-        log_scales=numbers["scales"].log(),
-        opacity_logits=numbers["opacities"].logit(),
-        sh=numbers["colors"][:, None],
-    )
+    parameters = {
+        "means": numbers["means"],
+        "quats": numbers["quats"],
+        "log_scales": numbers["scales"].log(),
+        "opacity_logits": numbers["opacities"].logit(),
+        "sh": numbers["colors"][:, None],
+    }
+    return SurfelModel(**parameters) if branch == "surfels" else VolumeModel(**parameters, low_pass=0.05)

@@ -78,8 +78,10 @@ class MeshConfig:
     shading_ratio: float | None = (
         0.85  # shading by a flash on the camera, or by mirrored surroundings, refines the mesh
     )
-    # if it leaves at most this share of what one brightness a point leaves; none is off
+    # if it leaves at most this share of what one brightness a point leaves; none is off, for parallax too
     shading_reach: float = 40.0  # pixels; the shape larger than this is not shading's
+    parallax_reach: float | None = 12.0  # pixels over which what the photographs' parallax tells spreads, where
+    # shading is looked at, no flash is found and masks hold the outlines; none is off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen

@@ -75,6 +75,12 @@ PAPER_CHOICES = (
     AblationRow("paper-depth", "expected depth (ours median)", "mgsr", ("surfels.depth=expected",)),
     AblationRow("paper-mesh", "TSDF fusion (ours screened Poisson)", "mgsr", ("extractor=tsdf",)),
     AblationRow(
+        "paper-parallax",
+        "no parallax in the mesh (ours where light stands still)",
+        "mgsr",
+        ("parallax_reach=none",),
+    ),
+    AblationRow(
         "paper-shading", "no shading in the mesh (ours where light explains it)", "mgsr", ("shading_ratio=none",)
     ),
 )

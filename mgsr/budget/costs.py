@@ -59,8 +59,10 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     """The views of the surface, and the surface from them."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
     surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
-    refined = config.shading_ratio is not None and facts.shiny
-    return surface + (12.0 * (facts.views / 48 * facts.size) ** 0.7 if refined else 0.0)
+    if config.shading_ratio is None:
+        return surface
+    refinement = (12.0 if facts.shiny else 0.0) + (7.0 if facts.masked and config.parallax_reach is not None else 0.0)
+    return surface + refinement * (facts.views / 48 * facts.size) ** 0.7
 
 
 def judging_cost(facts: Facts) -> float:

@@ -16,6 +16,7 @@ from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.parallax import refine_by_parallax
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
@@ -38,7 +39,7 @@ def extract_mesh(
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
     photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
-    their shading, it refines the mesh.
+    their shading, it refines the mesh; where there are silhouettes and no flash, so does their parallax.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -133,6 +134,8 @@ def _finish(
             go_on=go_on,
         )
         vertices, light = refined.vertices, refined.light
+        if outlines and config.parallax_reach is not None and light is not Light.FLASH:
+            vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:

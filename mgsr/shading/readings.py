@@ -56,9 +56,14 @@ class Photograph:
 
 
 def linear_photographs(views: Sequence[View]) -> list[Photograph]:
-    """The photographs as they are read: PHOTOGRAPHS of the views at most, in linear light."""
+    """The photographs as they are read: `some_of` the views, in linear light."""
+    return [_linear(view) for view in some_of(views)]
+
+
+def some_of(views: Sequence[View]) -> list[View]:
+    """PHOTOGRAPHS of the views at most, spread over all."""
     chosen = np.unique(np.linspace(0, len(views) - 1, PHOTOGRAPHS).round().astype(int))
-    return [_linear(views[index]) for index in chosen]
+    return [views[index] for index in chosen]
 
 
 def read_photographs(

@@ -1,0 +1,95 @@
+"""Registration by parallax, on a painted ball with a dent that no outline shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.data.scene import View
+from mgsr.geometry.outlines import Outline, find_outline
+from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.mesh.parallax import refine_by_parallax
+from tests.mesh.shapes import ball, cameras_around, silhouettes_of
+
+RADIUS = 0.7
+SIDE = 128
+PIXEL = 3.0 / (1.3 * SIDE)  # what one covers at the ball's middle
+DENT = np.array([0.36, 0.48, 0.8])
+
+
+def dented() -> trimesh.Trimesh:
+    """The ball with a dent of 1.5 pixels, and a third of the radius wide."""
+    mesh = ball(RADIUS)
+    angles = np.arccos(np.clip(mesh.vertices @ DENT / RADIUS, -1, 1))
+    depth = 1.5 * PIXEL * np.exp(-((angles / 0.33) ** 2))
+    return trimesh.Trimesh(mesh.vertices * (1 - depth / RADIUS)[:, None], mesh.faces, process=False)
+
+
+def painted(points: np.ndarray) -> np.ndarray:
+    """A paint [...,3] that changes over some six pixels, and differently along every axis."""
+    waves = np.sin(points @ (np.array([[47, 11, 5], [-9, 43, 13], [7, -15, 45.0]]).T))
+    return 0.5 + 0.25 * waves
+
+
+def plain(points: np.ndarray) -> np.ndarray:
+    return np.full(points.shape, 0.5)
+
+
+def photographs(mesh: trimesh.Trimesh, paint: object, gloss: float, noise: float) -> list[View]:
+    """What 40 cameras around see; gloss: of one lamp, mirrored and blurred; noise: its deviation, of 255."""
+    assert callable(paint)
+    caster, random, views = RayCaster(mesh.vertices, mesh.faces), np.random.default_rng(0), []
+    lamp = np.array([0.6, 0.2, 0.77])
+    for index, camera in enumerate(cameras_around(40, side=SIDE)):
+        hits, rays = caster.cast(camera), pixel_rays(camera)
+        points = camera.center + rays * hits.depth[..., None]
+        mirrored = rays - 2 * (rays * hits.normal).sum(-1, keepdims=True) * hits.normal
+        mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
+        shine = gloss * np.exp(5 * (mirrored @ lamp - 1))
+        light = (0.8 * paint(points) + shine[..., None]) * hits.mask[..., None]
+        image = np.clip(255 * light + random.normal(scale=noise, size=light.shape), 0, 255).round().astype(np.uint8)
+        views.append(View(str(index), camera, image, (255 * hits.mask).astype(np.uint8)))
+    return views
+
+
+def outlines_of(mesh: trimesh.Trimesh, views: list[View]) -> list[Outline]:
+    return [find_outline(one) for one in silhouettes_of(mesh, [view.camera for view in views])]
+
+
+def errors(vertices: np.ndarray, truth: trimesh.Trimesh) -> np.ndarray:
+    """Pixels [V] along the radius, of the vertices in the dent."""
+    inside = truth.vertices @ DENT > np.cos(0.4) * RADIUS
+    return (np.linalg.norm(vertices[inside], axis=1) - np.linalg.norm(truth.vertices[inside], axis=1)) / PIXEL
+
+
+@pytest.mark.parametrize(("gloss", "noise", "left"), [(0, 0, 0.15), (0.15, 3, 0.3)])
+def test_a_dent_comes_out(gloss: float, noise: float, left: float) -> None:
+    truth, full = dented(), ball(RADIUS)
+    views = photographs(truth, painted, gloss, noise)
+    found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
+    before, after = np.abs(errors(full.vertices, truth)).mean(), np.abs(errors(found, truth)).mean()
+    assert before > 0.7
+    assert after < left * before
+
+
+def test_what_is_true_stays() -> None:
+    truth = dented()
+    views = photographs(truth, painted, gloss=0, noise=0)
+    found = refine_by_parallax(truth.vertices, truth.faces, views, outlines_of(truth, views), reach=6.0)
+    moved = np.linalg.norm(found - truth.vertices, axis=1) / PIXEL
+    assert moved.mean() < 0.1
+
+
+def test_noise_without_paint_tells_nothing() -> None:
+    full = ball(RADIUS)
+    views = photographs(full, plain, gloss=0, noise=3)
+    found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(full, views), reach=6.0)
+    assert np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL < 0.15
+
+
+def test_no_more_rounds_when_told_so() -> None:
+    truth, full = dented(), ball(RADIUS)
+    views = photographs(truth, painted, gloss=0, noise=0)
+    found = refine_by_parallax(full.vertices, full.faces, views, [], reach=6.0, go_on=lambda: False)
+    np.testing.assert_array_equal(found, full.vertices)

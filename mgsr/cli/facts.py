@@ -62,6 +62,7 @@ def run_report(
         other={
             "input": _input(scene, start, path, config.output.scale),
             "light": str(mesh.light),
+            "parallax": mesh.parallax,
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {
                 "chosen": None if trained.volumes is None else trained.volumes.sh_degree,

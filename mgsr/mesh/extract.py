@@ -120,7 +120,7 @@ def _finish(
     outlines = [find_outline(silhouette) for silhouette in silhouettes]
     if outlines and config.outline_smoothing is not None:
         vertices = fit_outlines(vertices, faces, outlines, config.outline_smoothing)
-    light = Light.UNKNOWN
+    light, parallax = Light.UNKNOWN, False
     if photographs and config.shading_ratio is not None:
         refined = refine_by_shading(
             vertices,
@@ -135,6 +135,7 @@ def _finish(
         )
         vertices, light = refined.vertices, refined.light
         if outlines and config.parallax_reach is not None and light is not Light.FLASH:
+            parallax = True
             vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
@@ -143,7 +144,7 @@ def _finish(
     normals = vertex_normals(vertices, faces)
     tolerance = config.consistency or TOLERANCE
     colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
-    return SurfaceMesh(vertices, faces, normals, colors, light)
+    return SurfaceMesh(vertices, faces, normals, colors, light, parallax)
 
 
 # A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so

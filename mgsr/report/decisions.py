@@ -145,12 +145,25 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield Decision("Shading that refined the surface", "not tried", "as the settings have it (shading_ratio)")
     elif data.other.get("light") in LIGHTS:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
+        if "parallax" in data.other:
+            yield _about_parallax(data)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
         settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
         why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
         yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
         yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
+
+
+def _about_parallax(data: ReportData) -> Decision:
+    what = "Parallax that moved the surface"
+    if data.other["parallax"]:
+        return Decision(what, "used", "the light stands still, so photographs should agree about each place")
+    if data.other["light"] == "flash":
+        return Decision(what, "not used", "a flash on the camera moves what is fine on the surface as well")
+    if not (data.other.get("input") or {}).get("masked"):
+        return Decision(what, "not used", "it needs masks, whose outlines hold the surface meanwhile")
+    return Decision(what, "not used", "as the settings have it (parallax_reach)")
 
 
 def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:

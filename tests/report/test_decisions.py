@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from mgsr.report.data import Decision, StageRun
 from mgsr.report.decisions import tell_decisions, with_decisions
 from tests.report.samples import sample_report
@@ -24,6 +26,22 @@ def test_the_light_is_told() -> None:
     without = {"light": "unknown", "settings": {"mesh": {"shading_ratio": None}}}
     told = tell_decisions(replace(sample, other={**sample.other, **without}))
     assert [each.choice for each in told if each.what.startswith("Shading")] == ["not tried"]
+
+
+@pytest.mark.parametrize(
+    ("light", "masked", "moved", "choice", "why"),
+    [
+        ("surroundings", True, True, "used", "stands still"),
+        ("flash", True, False, "not used", "flash"),
+        ("unknown", False, False, "not used", "masks"),
+        ("unknown", True, False, "not used", "parallax_reach"),
+    ],
+)
+def test_parallax_is_told_with_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:
+    other = {"light": light, "input": {"masked": masked}, "parallax": moved}
+    told = {each.what: each for each in tell_decisions(replace(sample_report(), other=other))}
+    decision = told["Parallax that moved the surface"]
+    assert decision.choice == choice and why in decision.why
 
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:

@@ -81,7 +81,10 @@ PAPER_CHOICES = (
         ("parallax_reach=none",),
     ),
     AblationRow(
-        "paper-shading", "no shading in the mesh (ours where light explains it)", "mgsr", ("shading_ratio=none",)
+        "paper-shading",
+        "neither shading nor parallax in the mesh (ours where photographs tell them)",
+        "mgsr",
+        ("shading_ratio=none",),
     ),
 )
 

@@ -134,7 +134,7 @@ def _finish(
             go_on=go_on,
         )
         vertices, light = refined.vertices, refined.light
-        if outlines and config.parallax_reach is not None and light is not Light.FLASH:
+        if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
             parallax = True
             vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
     if config.close_holes:

@@ -25,7 +25,7 @@ from mgsr.geometry.outlines import Outline, outline_gaps
 from mgsr.geometry.raycast import RayCaster, interpolation
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.parallel import map_ahead
-from mgsr.shading.readings import CLIPPED, SOLID, some_of
+from mgsr.shading.readings import CLIPPED, SOLID, read_image, seen_frontal, some_of
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 COARSE = 4.0  # pixels; edges of the mesh on which displacements are found, as they are smooth
@@ -149,19 +149,14 @@ def _read_one(
     camera, column = photograph.camera, np.zeros((3, len(places)), np.float32)
     offsets = camera.center - places
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-    seen = np.flatnonzero(cosines > MIN_COS)
-    lifted = places[seen] + pixel * normals[seen]
-    seen = seen[caster.sees(camera, lifted, pixel)]
+    seen = seen_frontal(caster, camera, places, normals, cosines > MIN_COS, pixel)
     pixels, _ = camera.project(places[seen])
     moved, _ = camera.project(places[seen] + 0.1 * pixel * normals[seen])
     step = 10 * (moved - pixels)
-
-    def at(image: np.ndarray) -> np.ndarray:
-        return ndimage.map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
-
-    column[0, seen] = at(photograph.brightness)
-    column[1, seen] = at(photograph.across) * step[:, 0] + at(photograph.down) * step[:, 1]
-    column[2, seen] = cosines[seen] * (at(photograph.usable) > 0.99)
+    across, down = read_image(photograph.across, pixels), read_image(photograph.down, pixels)
+    column[0, seen] = read_image(photograph.brightness, pixels)
+    column[1, seen] = across * step[:, 0] + down * step[:, 1]
+    column[2, seen] = cosines[seen] * (read_image(photograph.usable, pixels) > 0.99)
     return column
 
 

@@ -163,7 +163,7 @@ def _about_parallax(data: ReportData) -> Decision:
         return Decision(what, "not used", "a flash on the camera moves what is fine on the surface as well")
     if not (data.other.get("input") or {}).get("masked"):
         return Decision(what, "not used", "it needs masks, whose outlines hold the surface meanwhile")
-    return Decision(what, "not used", "as the settings have it (parallax_reach)")
+    return Decision(what, "not used", "the settings (parallax_reach) or the time budget have it so")
 
 
 def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:

@@ -85,6 +85,26 @@ def read_photographs(
     return Readings(*(array[rows, best] for array in _arrays(readings)))
 
 
+def seen_frontal(
+    caster: RayCaster,
+    camera: Camera,
+    points: np.ndarray,
+    normals: np.ndarray,
+    frontal: np.ndarray,
+    gap: float,
+    known: np.ndarray | None = None,
+) -> np.ndarray:
+    """The indices of those of a mesh's points [P,3], with unit normals [P,3], that are frontal [P] bool and that the
+    camera sees. gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`."""
+    index = np.flatnonzero(frontal)
+    return index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
+
+
+def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """The image [H,W] at pixel coordinates [P,2] (centres at +0.5), between pixels in proportion."""
+    return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+
+
 def _linear(view: View) -> Photograph:
     srgb = view.image.astype(np.float32) / 255
     linear = srgb_to_linear(srgb).mean(axis=-1)
@@ -110,12 +130,10 @@ def _read(
     distances = np.linalg.norm(offsets, axis=1)
     towards = offsets / distances[:, None]
     cosines = (towards * normals).sum(1)
-    index = np.flatnonzero(cosines > MIN_COS)
-    index = index[caster.sees(camera, points[index] + normals[index] * gap, gap, photograph.known)]
+    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.known)
     pixels, _ = camera.project(points[index])
-    places = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
     brightness, weights = np.zeros((2, len(points)), np.float32)
-    brightness[index] = map_coordinates(photograph.brightness, places, order=1, mode="nearest")
-    usable = map_coordinates(photograph.usable, places, order=1, mode="nearest") > 0.99
+    brightness[index] = read_image(photograph.brightness, pixels)
+    usable = read_image(photograph.usable, pixels) > 0.99
     weights[index] = cosines[index] * usable
     return towards, distances, brightness, weights

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +12,10 @@ import trimesh
 from mgsr.config import MeshConfig
 from mgsr.data.scene import View
 from mgsr.geometry.outlines import Outline, find_outline
-from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.parallax import refine_by_parallax
+from mgsr.mesh.pixels import back_project
 from mgsr.shading.refine import Light
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of, views_of
 
@@ -21,6 +23,8 @@ RADIUS = 0.7
 SIDE = 128
 PIXEL = 3.0 / (1.3 * SIDE)  # what one covers at the ball's middle
 DENT = np.array([0.36, 0.48, 0.8])
+
+Paint = Callable[[np.ndarray], np.ndarray]  # points [...,3] -> colours [...,3]
 
 
 def true_radii(directions: np.ndarray) -> np.ndarray:
@@ -45,20 +49,17 @@ def plain(points: np.ndarray) -> np.ndarray:
     return np.full(points.shape, 0.5)
 
 
-def photographs(mesh: trimesh.Trimesh, paint: object, gloss: float, noise: float) -> list[View]:
+def photographs(mesh: trimesh.Trimesh, paint: Paint, gloss: float, noise: float) -> list[View]:
     """What 40 cameras around see; gloss: of one lamp, mirrored and blurred; noise: its deviation, of 255."""
-    assert callable(paint)
-    caster, random, views = RayCaster(mesh.vertices, mesh.faces), np.random.default_rng(0), []
-    lamp = np.array([0.6, 0.2, 0.77])
-    for index, camera in enumerate(cameras_around(40, side=SIDE)):
-        hits, rays = caster.cast(camera), pixel_rays(camera)
-        points = camera.center + rays * hits.depth[..., None]
-        mirrored = rays - 2 * (rays * hits.normal).sum(-1, keepdims=True) * hits.normal
+    random, views, lamp = np.random.default_rng(0), [], np.array([0.6, 0.2, 0.77])
+    for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
+        rays = pixel_rays(seen.camera)
+        mirrored = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
         shine = gloss * np.exp(5 * (mirrored @ lamp - 1))
-        light = (0.8 * paint(points) + shine[..., None]) * hits.mask[..., None]
+        light = (0.8 * paint(back_project(seen)) + shine[..., None]) * seen.alpha[..., None]
         image = np.clip(255 * light + random.normal(scale=noise, size=light.shape), 0, 255).round().astype(np.uint8)
-        views.append(View(str(index), camera, image, (255 * hits.mask).astype(np.uint8)))
+        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
     return views
 
 
@@ -94,6 +95,7 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     assert moved.light is Light.UNKNOWN and moved.parallax and not left.parallax
     assert error(moved.vertices) < 0.3 * error(left.vertices)
     assert not extract_mesh(rendered, replace(config, parallax_reach=None), masks, seen).parallax
+    assert not extract_mesh(rendered, config, masks, seen, go_on=lambda: False).parallax
 
 
 def test_what_is_true_stays() -> None:

@@ -26,7 +26,15 @@ CURVE_ROWS = 240
 AFTER_SECONDS = 15.0
 AFTER_SHARE = 0.1
 # Progress before training, of which nobody knows yet how long it will take.
-BEFORE = {"unpack": 0.0, "load": 0.01, "start": 0.02, "exposures": 0.05, "plan": 0.05, "train": 0.05}
+BEFORE = {
+    "unpack": 0.0,
+    "load": 0.01,
+    "outlines": 0.02,
+    "start": 0.03,
+    "exposures": 0.05,
+    "plan": 0.05,
+    "train": 0.05,
+}
 # Shares of the time after training that have passed when a step begins.
 AFTER = {"export": 0.0, "mesh": 0.0, "evaluate": 0.6, "render": 0.92, "report": 0.96}
 

@@ -13,12 +13,14 @@ from mgsr.config import MeshConfig
 
 USUAL_PIXELS = 256 * 256
 STEREO = 0.4  # a view
+LEARNED = 12.0  # masks that are learned from small photographs
 
 
 @dataclass(frozen=True)
 class Facts:
     """What the cost of a scene depends on: its training and test views, the mean pixels of one, whether the true
-    surface lies beside it, whether shading may refine its mesh, and whether there are masks."""
+    surface lies beside it, whether shading may refine its mesh, whether there are masks, and whether masks are learned
+    where there are none."""
 
     views: int
     tests: int
@@ -26,6 +28,7 @@ class Facts:
     truth: bool
     shiny: bool = True
     masked: bool = True
+    learned: bool = False
 
     @property
     def size(self) -> float:
@@ -40,9 +43,9 @@ def load_cost(facts: Facts) -> float:
 
 def start_cost(facts: Facts) -> float:
     """The starting points: on the hull, or of stereo, which looks at small photographs only."""
-    if not facts.masked:
+    if not facts.masked and not facts.learned:
         return STEREO * facts.views
-    return 2.0 + 10.0 * (facts.views / 48 * facts.size) ** 0.7
+    return LEARNED * facts.learned + 2.0 + 10.0 * (facts.views / 48 * facts.size) ** 0.7
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
@@ -61,7 +64,8 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
     if config.shading_ratio is None:
         return surface
-    refinement = (12.0 if facts.shiny else 0.0) + (7.0 if facts.masked and config.parallax_reach is not None else 0.0)
+    parallax = (facts.masked or facts.learned) and config.parallax_reach is not None
+    refinement = (12.0 if facts.shiny else 0.0) + (7.0 if parallax else 0.0)
     return surface + refinement * (facts.views / 48 * facts.size) ** 0.7
 
 

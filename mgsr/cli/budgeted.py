@@ -39,7 +39,8 @@ def facts_of(scene: Scene, start: StartingPoints | None = None) -> Facts:
     cameras = [view.camera for view in scene.train]
     pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
     shiny = start is None or start.shiny is not False
-    return Facts(len(cameras), len(scene.test), pixels, (scene.root / TRUTH).is_file(), shiny, scene.masked)
+    truth, learned = (scene.root / TRUTH).is_file(), scene.plain_backdrop is not None
+    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned)
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, clock: StepClock) -> Scene:
@@ -65,7 +66,7 @@ def planned_config(
     """The settings that fit the time that is left. clock: says how long the starting points took. Raises what training
     does."""
     facts = facts_of(scene, start)
-    budget.learn(start_cost(facts), clock.steps["start"])
+    budget.learn(start_cost(facts), clock.steps["start"] + clock.steps.get("outlines", 0.0))
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)
         budget.choose_place(facts, probed.seconds, probed.splats)

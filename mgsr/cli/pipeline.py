@@ -8,6 +8,8 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from mgsr.budget.budget import TimeBudget
 from mgsr.cli import outputs
 from mgsr.cli.budgeted import budget_report, fitted_scene, make_budget, most_points, plan_line, planned_config
@@ -18,10 +20,11 @@ from mgsr.cli.events import Event, EventCallback, ignore
 from mgsr.cli.facts import run_report, scene_line
 from mgsr.cli.gallery import draw_surface, report_pictures
 from mgsr.cli.models import Models
-from mgsr.cli.rendering import render_views, scene_silhouettes, surface_views
+from mgsr.cli.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
 from mgsr.config import Config, Exposure
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
+from mgsr.data.masks import with_masks
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import Cancelled, ConfigError
@@ -31,6 +34,7 @@ from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.exposure import find_exposures
+from mgsr.training.outlines import learned_outlines
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 
@@ -109,8 +113,7 @@ def run_scene(
     scene = _load(scene_path, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, step.clock)
-    start = _start(scene, config, step, budget)
-    scene, start = _at_one_exposure(scene, start, config, out, step, budget)
+    scene, start = _begin(scene, config, out, step, budget)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
@@ -162,7 +165,7 @@ def train_only(
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    scene, start = _at_one_exposure(scene, _start(scene, config, step), config, out, step)
+    scene, start = _begin(scene, config, out, step)
     return _Training(scene, start, config, out, step, chosen, resume).run()
 
 
@@ -170,7 +173,8 @@ def make_mesh(models: Models, scene: Scene, config: Config, go_on: Callable[[], 
     """The surface in the user's frame; go_on: whether there is time for another round of refinement. Raises MeshError,
     with the reason, where none comes out."""
     views = surface_views(models, scene, config)
-    mesh = extract_mesh(views, config.mesh, scene_silhouettes(scene), scene.train, go_on=go_on)
+    outlined = outlined_scene(models, scene, config)
+    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on)
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:
@@ -202,22 +206,19 @@ def _loading(done: int, total: int) -> Event:
     return Event("load", f"read {done} of {total} photographs", done=done / total)
 
 
-def _start(scene: Scene, config: Config, step: Steps, budget: TimeBudget | None = None) -> StartingPoints:
-    with step("start", "choosing starting points"):
-        return _points(scene, config, budget, step.share("start", "choosing starting points"))
-
-
-def _points(
-    scene: Scene, config: Config, budget: TimeBudget | None, progress: Callable[[float], None]
-) -> StartingPoints:
-    return starting_points(scene, most_points(config, budget), config.seed, progress, config.train.background)
-
-
-def _at_one_exposure(
-    scene: Scene, start: StartingPoints, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+def _begin(
+    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
 ) -> tuple[Scene, StartingPoints]:
-    """The scene with its photographs at a common exposure, where theirs differ, and the points to start from then."""
+    """The scene with its photographs at a common exposure, where theirs differ, and the points to start from."""
+    masks = _learn_masks(scene, config, step)
+
+    def points(of: Scene, during: str, text: str) -> StartingPoints:
+        count, progress = most_points(config, budget), step.share(during, text)
+        return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
+
     outputs.clear_exposures(out)
+    with step("start", "choosing starting points"):
+        start = points(scene, "start", "choosing starting points")
     if config.data.exposure is Exposure.KEEP:
         return scene, start
     with step("exposures", "comparing the photographs' exposures"):
@@ -228,7 +229,16 @@ def _at_one_exposure(
         outputs.write_exposures(out, scene, exposures)
         text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
         step.progress(Event("exposures", text))
-        return scene, _points(scene, config, budget, step.share("exposures", "choosing starting points anew"))
+        return scene, points(scene, "exposures", "choosing starting points anew")
+
+
+def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
+    """Masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
+    if not backdrop(scene, config.train.background).plain:
+        return None
+    text = "learning where the object ends"
+    with step("outlines", text):
+        return learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
 
 
 class _Training:

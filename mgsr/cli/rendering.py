@@ -14,6 +14,7 @@ from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.data.backdrop import Color, backdrop
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
+from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.export.renders import on_background, straight_color
@@ -91,6 +92,16 @@ def _as_photograph(models: Models, view: View, config: Config, behind: Color) ->
     return replace(view, image=pixels, alpha=to_uint8(images.alpha * 255))
 
 
+def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
+    """The scene with masks: its own, or else, where its photographs have a plain backdrop, the opacity that the
+    branches have learned, for before one they need cover nothing but the object. Without masks where it has neither."""
+    if not backdrop(scene, config.train.background).plain:
+        return scene
+    with torch.no_grad():
+        masks = [to_uint8(255 * _opacity(models, view.camera)) for view in scene.train]
+    return with_masks(scene, masks) if leave_borders_free(masks) else scene
+
+
 def scene_silhouettes(scene: Scene) -> list[Silhouette]:
     """The training photographs' masks; none where the scene has none."""
     if not scene.masked:
@@ -108,6 +119,14 @@ def _render_view(models: Models, view: View, config: Config) -> ViewImages:
     transmitted = None if full.reflected is None else _numpy(full.transmitted)
     images = (_numpy(full.color), _numpy(full.alpha), depth, normal, transmitted)
     return ViewImages(view.name, view.camera, *images, *light)
+
+
+def _opacity(models: Models, camera: Camera) -> np.ndarray:
+    """The alpha [H,W] of the branch that renders."""
+    flat, full = _see(models, camera, depth=False)
+    shape = full if full is not None else flat
+    assert shape is not None
+    return _numpy(shape.alpha)
 
 
 def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:

@@ -24,7 +24,7 @@ STARTS = {
     "capture": ("of the capture's own", "they came with the cameras"),
     "hull": (
         "on the visual hull, carved by the photographs",
-        "the masks bound the object; patches that agree on a deeper place, and shading, tell its hollows",
+        "its outlines bound the object; patches that agree on a deeper place, and shading, tell its hollows",
     ),
     "stereo": ("where the photographs agree", "without masks or points, stereo between neighbours finds the surface"),
     "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
@@ -103,10 +103,12 @@ def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decis
         choice = f"photographs show {given['shown']:.0%} of them"
         why = "undoing the lens leaves others at the borders: they are not trained on, and no figure counts them"
         yield Decision("Pixels", choice, why)
-    if given.get("backdrop") and train.get("background", "auto") == "auto":
+    if _before_plain_backdrop(given, train):
         color = "#" + "".join(f"{round(255 * value):02x}" for value in given["backdrop"])
         why = "the photographs' borders have this one colour: it lies behind the splats, which need not show it"
         yield Decision("Backdrop", f"plain, {color}", why)
+        why = "all that splats need cover is the object: where they are opaque shows where it ends"
+        yield Decision("Outlines", "learned, for the start and the surface", why)
     if given.get("exposures"):
         choice = f"differ, up to {given['exposures']:.2f} times the light"
         why = "photographs are brought to a common exposure, also those that figures come from; renders have it"
@@ -115,6 +117,10 @@ def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decis
         source, count = given["starting_points"]["source"], given["starting_points"]["count"]
         words, why = STARTS.get(source, (str(source), ""))
         yield Decision("Starting points", f"{count:,} {words}", why)
+
+
+def _before_plain_backdrop(given: dict[str, Any], train: dict[str, Any]) -> bool:
+    return bool(given.get("backdrop")) and train.get("background", "auto") == "auto"
 
 
 def _about_stages(data: ReportData) -> Iterator[Decision]:
@@ -161,8 +167,9 @@ def _about_parallax(data: ReportData) -> Decision:
         return Decision(what, "used", "the light stands still, so photographs should agree about each place")
     if data.other["light"] == "flash":
         return Decision(what, "not used", "a flash on the camera moves what is fine on the surface as well")
-    if not (data.other.get("input") or {}).get("masked"):
-        return Decision(what, "not used", "it needs masks, whose outlines hold the surface meanwhile")
+    given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}
+    if not given.get("masked") and not _before_plain_backdrop(given, train):
+        return Decision(what, "not used", "it needs outlines, of masks or before a plain backdrop, to hold the surface")
     return Decision(what, "not used", "the settings (parallax_reach) or the time budget have it so")
 
 

@@ -20,7 +20,20 @@ from mgsr.report.style import CSS, SCRIPT
 HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
 MOST_VIEWS = 8
 COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-STEPS = ("total", "load", "start", "exposures", "plan", "train", "export", "mesh", "evaluate", "render", "report")
+STEPS = (
+    "total",
+    "load",
+    "outlines",
+    "start",
+    "exposures",
+    "plan",
+    "train",
+    "export",
+    "mesh",
+    "evaluate",
+    "render",
+    "report",
+)
 
 
 def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -94,10 +94,27 @@ def starting_points(
     own = _own_points(scene.points, outlines) if scene.points is not None else None
     if outlines:
         if own is None or len(own) < MIN_POINTS:
-            return _hull_points(scene.train, outlines, count, generator, progress)
+            return _carved_points(scene.train, outlines, count, generator, progress)
         kept = own.rows(np.sort(_some(np.arange(len(own)), count, generator)))
         return StartingPoints(kept.positions, kept.colors, StartSource.CAPTURE)
-    return _unmasked_points(scene, own, count, generator, progress, background)
+    return _unmasked_points(scene, own, count, seed, progress, background)
+
+
+def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
+    """Points evenly through the ball, in the colour that the views show in their direction."""
+    generator = np.random.default_rng(seed)
+    directions = generator.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    positions = directions * np.cbrt(generator.random(count))[:, None]
+    return StartingPoints(positions, seen_colors(views, positions), StartSource.BALL)
+
+
+def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> StartingPoints:
+    """Points spread evenly over the visual hull of a scene with masks, on a grid of so many voxels a side, neither
+    carved nor bent. Raises SceneError if it is empty."""
+    vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution))
+    positions, normals = _sample(vertices, faces, count, np.random.default_rng(seed))
+    return _seen_on_hull(scene.train, positions, normals, resolution)
 
 
 def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +143,7 @@ def _unmasked_points(
     scene: Scene,
     own: PointCloud | None,
     count: int,
-    generator: np.random.Generator,
+    seed: int,
     progress: Callable[[float], None],
     background: Background,
 ) -> StartingPoints:
@@ -135,8 +152,9 @@ def _unmasked_points(
         points, source = own.joined(points), StartSource.CAPTURE
     points = without_backdrop(points, backdrop(scene, background))
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
-        return _ball_points(scene.train, count, generator)
+        return ball_points(scene.train, count, seed)
     points = _in_company(points)
+    generator = np.random.default_rng(seed)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
     before = _some(np.flatnonzero(~outside), count - len(behind), generator)
@@ -160,7 +178,7 @@ def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.nd
     return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
-def _hull_points(
+def _carved_points(
     views: Sequence[View],
     outlines: Sequence[Silhouette],
     count: int,
@@ -184,9 +202,14 @@ def _hull_points(
         progress=_between(progress, COLOR_CARVED, 1.0),
     )
     positions, normals = _sample(refined.vertices, faces, count, generator)
+    shiny = refined.light is not Light.UNKNOWN
+    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny)
+
+
+def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
-    return StartingPoints(positions, colors, StartSource.HULL, normals, refined.light is not Light.UNKNOWN)
+    return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 
 def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:
@@ -209,11 +232,3 @@ def _sample(
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     positions = a[chosen] + u[:, None] * (b - a)[chosen] + v[:, None] * (c - a)[chosen]
     return positions, across[chosen] / np.maximum(area[chosen], 1e-20)[:, None]
-
-
-def _ball_points(views: Sequence[View], count: int, generator: np.random.Generator) -> StartingPoints:
-    """Evenly through the ball, in the colour that the views show in their direction."""
-    directions = generator.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    positions = directions * np.cbrt(generator.random(count))[:, None]
-    return StartingPoints(positions, seen_colors(views, positions), StartSource.BALL)

@@ -7,28 +7,21 @@ the branch explains by direction, and what is left of that seldom is the same in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from mgsr.config import Reflection, make_config
+from mgsr.config import Background
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
-from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.parallel import one_torch_thread
-from mgsr.start.view_colors import seen_colors
 from mgsr.training.evaluate import volume_picture
-from mgsr.training.parts import StartingPoints, make_parts, seeded
-from mgsr.training.plan import Plan
-from mgsr.training.stages import Stage, volumes_alone
-from mgsr.training.trainer import Trainer
-from mgsr.training.views import CPU, ViewCycle, prepare_views
+from mgsr.training.parts import StartingPoints
+from mgsr.training.scout import small_view, train_scout
 
-SIDE, POINTS = 128, 4000  # pixels of the photographs, and Gaussians
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
 FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from training
@@ -51,7 +44,7 @@ def find_exposures(
     """
     if len(scene.train) < FEWEST or brightness_jumps(scene.train) < JUMPS:
         return None
-    small = [_small(view) for view in scene.train]
+    small = [small_view(view) for view in scene.train]
     seen = [view for index, view in enumerate(small) if index % HELD_BACK != 1]
     held_back = [view for index, view in enumerate(small) if index % HELD_BACK == 1]
     with one_torch_thread():
@@ -69,49 +62,17 @@ def find_exposures(
             factors = np.stack([_factor(view, picture(view)) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
-        tests = [_factor(view, picture(view)) / mean for view in map(_small, scene.test)]
+        tests = [_factor(view, picture(view)) / mean for view in map(small_view, scene.test)]
     # As exposures.json has them, so that later steps see the same photographs.
     return Exposures(factors.round(DIGITS), np.reshape(tests, (-1, 3)).round(DIGITS))
-
-
-def _small(view: View) -> View:
-    return reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
-
-
-@dataclass(frozen=True)
-class _Few:
-    """Some of the starting points, for few Gaussians, in the colours of some views."""
-
-    positions: np.ndarray
-    normals: np.ndarray | None
-    colors: np.ndarray
-    shiny: bool | None = None
-
-
-def _few(start: StartingPoints, views: Sequence[View], seed: int) -> _Few:
-    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
-    positions = start.positions[rows]
-    normals = None if start.normals is None else start.normals[rows]
-    return _Few(positions, normals, seen_colors(views, positions, normals))
 
 
 def _trained(
     scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
     """How Gaussians that are trained on these views render a view: linear light [H,W,3]."""
-    settings = make_config(
-        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
-    )
-    parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
-    branch = parts.volumes
-    assert branch is not None
-    cycle = ViewCycle(len(views), seeded(settings, 7))
-    compute = volumes_alone(branch, settings.train, warming=False)
-    prepared = prepare_views(views, scene.masked)
-    stage = Stage("exposures", [branch], ITERATIONS, prepared, cycle, compute, lambda _: (1, 0), lambda *_: 0.2)
-    behind = backdrop(scene, settings.train.background)
-    Trainer(Plan(parts, [stage], [], behind), settings.train, {}, should_stop=should_stop).run()
-    picture = volume_picture(branch.model, None, None)
+    model = train_scout(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
+    picture, behind = volume_picture(model, None, None), backdrop(scene, Background.AUTO)
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:

@@ -124,5 +124,5 @@ def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> 
         other = {**sample.other, "input": given, "settings": {"train": {"background": background}}}
         return {each.what: each for each in tell_decisions(replace(sample, other=other))}
 
-    assert told("auto")["Backdrop"].choice == "plain, #0080ff"
-    assert "Backdrop" not in told("white")
+    assert told("auto")["Backdrop"].choice == "plain, #0080ff" and "learned" in told("auto")["Outlines"].choice
+    assert not {"Backdrop", "Outlines"} & set(told("white"))

@@ -1,0 +1,72 @@
+"""Where the object ends in photographs before a plain backdrop that come without masks, told by small 3D branches.
+
+The backdrop's colour lies behind the splats and needs none, so what they come to cover is the object. No pixel is
+compared with that colour: splats have to explain all photographs at once, so a highlight or a patch that looks like the
+backdrop makes no hole, as it would in a mask by colour.
+
+A first branch begins anywhere in the ball. Its splats that show nothing have the backdrop's colour, which no photograph
+tells from being transparent, so opacity costs something there, and its outlines are rough. A second begins on the hull
+of these, where no splat is idle, and opacity is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from mgsr.data.images import to_uint8
+from mgsr.data.masks import leave_borders_free, with_masks
+from mgsr.data.scene import Scene, View
+from mgsr.errors import SceneError
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.parallel import one_torch_thread
+from mgsr.render.volumes import render_volumes
+from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
+from mgsr.training.scout import POINTS, small_view, train_scout
+
+DEGREE = 2  # of the colours' harmonics
+ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # of the first branch and of the second
+ROUGH_SIDE = 64  # pixels of the first branch's photographs
+OPACITY_COST = 0.4  # there: half of it leaves fog about a shiny object, twice as much eats what is thin
+VOXELS = 64  # a side, of the rough hull
+
+
+def learned_outlines(
+    scene: Scene,
+    seed: int,
+    should_stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda done: None,
+) -> list[np.ndarray] | None:
+    """Masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks; None where what splats
+    cover is no object: nothing that all views show, or all that they show. The same seed gives the same masks, on any
+    number of cores. progress: told of the share that is done, 0..1.
+
+    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    """
+
+    def learned(
+        start: StartingPoints, views: list[View], iterations: int, cost: float, told: Callable[[float], None]
+    ) -> VolumeModel:
+        return train_scout(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
+
+    share = ROUGH_ITERATIONS / (ROUGH_ITERATIONS + ITERATIONS)
+    with one_torch_thread():
+        views = [small_view(view, ROUGH_SIDE) for view in scene.train]
+        start = ball_points(views, POINTS, seed)
+        rough = learned(start, views, ROUGH_ITERATIONS, OPACITY_COST, lambda done: progress(share * done))
+        try:
+            start = hull_points(with_masks(replace(scene, train=views), _opacities(rough, views)), POINTS, seed, VOXELS)
+        except SceneError:
+            return None
+        views = [small_view(view) for view in scene.train]
+        fine = learned(start, views, ITERATIONS, 0.0, lambda done: progress(share + (1 - share) * done))
+        masks = _opacities(fine, scene.train)
+    return masks if leave_borders_free(masks) else None
+
+
+@torch.no_grad()
+def _opacities(model: VolumeModel, views: Sequence[View]) -> list[np.ndarray]:
+    return [to_uint8(255 * render_volumes(model, view.camera, depth=False).alpha.numpy()) for view in views]

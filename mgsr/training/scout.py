@@ -1,0 +1,85 @@
+"""A small 3D branch that is trained on small photographs before the real training, to learn something about them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsr.config import Reflection, make_config
+from mgsr.data.backdrop import backdrop
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Scene, View
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.start.view_colors import seen_colors
+from mgsr.training.parts import StartingPoints, make_parts, seeded
+from mgsr.training.plan import Plan
+from mgsr.training.stages import Stage, Step, volumes_alone
+from mgsr.training.trainer import Trainer
+from mgsr.training.views import CPU, Color, TrainingView, ViewCycle, prepare_views
+
+SIDE, POINTS = 128, 4000  # pixels of the photographs, unless asked otherwise, and Gaussians
+RATES = 0.2  # where on the way from a warm-up's first to its last learning rates it stays
+
+
+def small_view(view: View, side: int = SIDE) -> View:
+    """The view as a scout is trained on it."""
+    return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
+
+
+def train_scout(
+    scene: Scene,
+    start: StartingPoints,
+    views: list[View],
+    degree: int,
+    iterations: int,
+    seed: int,
+    name: str,
+    should_stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda done: None,
+    opacity_cost: float = 0.0,
+) -> VolumeModel:
+    """Some of the starting points as Gaussians of one colour with harmonics up to `degree`, trained on small views of
+    the scene; none are added or dropped. name: what its stage is called; progress: told of the share that is done;
+    opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The same seed gives
+    the same Gaussians.
+
+    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    """
+    settings = make_config(
+        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
+    )
+    parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
+    branch = parts.volumes
+    assert branch is not None
+    cycle = ViewCycle(len(views), seeded(settings, 7))
+    see = volumes_alone(branch, settings.train, warming=False)
+
+    def compute(view: TrainingView, background: Color, iteration: int) -> Step:
+        step = see(view, background, iteration)
+        cost = {"opacity": opacity_cost * branch.model.opacities().mean()} if opacity_cost else {}
+        return replace(step, terms=step.terms | cost)
+
+    prepared = prepare_views(views, scene.masked)
+    stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
+    plan = Plan(parts, [stage], [], backdrop(scene, settings.train.background))
+    Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
+    return branch.model
+
+
+@dataclass(frozen=True)
+class _Few:
+    """Some of the starting points, in the colours of some views."""
+
+    positions: np.ndarray
+    normals: np.ndarray | None
+    colors: np.ndarray
+    shiny: bool | None = None
+
+
+def _few(start: StartingPoints, views: Sequence[View], seed: int) -> _Few:
+    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
+    positions = start.positions[rows]
+    normals = None if start.normals is None else start.normals[rows]
+    return _Few(positions, normals, seen_colors(views, positions, normals))

@@ -1,0 +1,46 @@
+"""A capture without masks before a plain backdrop, from the command to the results."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from tests.cli.spheres import SPHERES, write_spheres
+from tests.cli.test_run import SHORT
+from worker.cli import app as worker_app
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Plain spheres, on which stereo finds nothing."""
+    folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", train=24)
+    (folder / "mesh_gt.ply").unlink()
+    return folder
+
+
+def run(scene: Path, out: Path, *more: str) -> tuple[dict, trimesh.Trimesh]:
+    result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "masks=off", *more])
+    assert result.exit_code == 0, result.output
+    return json.loads((out / "report.json").read_text()), trimesh.load(out / "mesh.ply", force="mesh")
+
+
+def off_by(mesh: trimesh.Trimesh) -> float:
+    """The mean distance of a mesh's vertices to the spheres."""
+    distances = [np.linalg.norm(mesh.vertices - center, axis=1) - radius for center, radius, _ in SPHERES]
+    return float(np.abs(np.min(distances, axis=0)).mean())
+
+
+def test_the_start_and_the_surface_keep_to_what_the_splats_cover(scene: Path, tmp_path: Path) -> None:
+    report, mesh = run(scene, tmp_path / "learned")
+    assert not report["input"]["masked"] and report["input"]["starting_points"]["source"] == "hull"
+    assert report["seconds"]["outlines"] > 0
+    assert off_by(mesh) < 0.03, "pixels are 0.05 wide there"
+    # That there is no backdrop: the start is anywhere in the ball, and nothing holds the surface.
+    report, mesh = run(scene, tmp_path / "without", "--set", "background=white")
+    assert report["input"]["starting_points"]["source"] == "ball" and "outlines" not in report["seconds"]
+    assert off_by(mesh) > 0.05

@@ -159,7 +159,7 @@ class SurfaceDepth(StrEnum):
 
 class Background(StrEnum):
     """What lies behind the splats in training. auto: random where there are masks, else the colour of a plain backdrop
-    where photographs have one, and white."""
+    where photographs have one (outlines are then learned), and white."""
 
     AUTO = "auto"
     RANDOM = "random"

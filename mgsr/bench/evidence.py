@@ -184,18 +184,24 @@ def _beside_the_hull(row: Row, fact: SceneFacts) -> list[str]:
 def _with_one_change(evidence: Evidence) -> list[str]:
     """Runs without masks, and those before shading refined the surface."""
     told, runs = [], plain_runs(evidence.rows)
-    for scene, row in plain_runs(evidence.rows, variant="masks=off").items():
-        beside = f" (with them {runs[scene].chamfer:.2f})" if scene in runs else ""
-        told.append(
-            f"Without masks, which is how it is for most photographs, {scene} has Chamfer {number(row.chamfer, '.2f')}"
-            f"{beside}, F {number(row.f_score, '.3f')}, normal error {number(row.normal_error, '.1f')}°, PSNR "
-            f"{number(row.psnr, '.1f')} dB."
-        )
+    unmasked = plain_runs(evidence.rows, variant="masks=off")
+    if unmasked:
+        head = ["scene", "Chamfer (with masks)", "F (with masks)", "normal error (with masks)", "PSNR"]
+        cells = [[scene, *_beside_masks(row, runs.get(scene))] for scene, row in unmasked.items()]
+        told += ["Without masks (`masks=off`), before the plain white that they then have:", markdown(head, cells)]
     shading = compare(runs, plain_runs(evidence.rows, variant=BEFORE_SHADING), "chamfer")
     if shading is not None:
         each = ", ".join(f"{scene} {gain:+z.2f}" for scene, gain in shading.gains.items())
         told.append(f"What came with refining the surface by shading (and with all else since): Chamfer gains {each}.")
     return told
+
+
+def _beside_masks(row: Row, masked: Row | None) -> list[str]:
+    """Cells of a scene without masks, beside those with them."""
+    pairs = [("chamfer", ".2f"), ("f_score", ".3f"), ("normal_error", ".1f")]
+    beside = ["" if masked is None else f" ({number(getattr(masked, name), form)})" for name, form in pairs]
+    own = [number(getattr(row, name), form) + other for (name, form), other in zip(pairs, beside, strict=True)]
+    return [*own, number(row.psnr, ".1f")]
 
 
 def _methods_section(evidence: Evidence) -> str:

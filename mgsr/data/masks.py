@@ -45,8 +45,8 @@ def with_masks(scene: Scene, masks: Sequence[np.ndarray] | None) -> Scene:
 
 
 def leave_borders_free(masks: Sequence[np.ndarray]) -> bool:
-    """Whether masks [H,W] uint8 leave the images' borders to what lies behind: before a plain backdrop, those that don't
-    are no object's."""
+    """Whether masks [H,W] uint8 leave the images' borders to what lies behind, as an object's before a plain backdrop
+    do."""
     borders = [np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]) for mask in masks]
     return float((np.concatenate(borders) < 128).mean()) >= FREE
 

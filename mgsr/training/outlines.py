@@ -25,7 +25,7 @@ from mgsr.gaussians.volumes import VolumeModel
 from mgsr.parallel import one_torch_thread
 from mgsr.render.volumes import render_volumes
 from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
-from mgsr.training.scout import POINTS, small_view, train_scout
+from mgsr.training.scout import POINTS, SIDE, small_view, train_scout
 
 DEGREE = 2  # of the colours' harmonics
 ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # of the first branch and of the second
@@ -58,15 +58,23 @@ def learned_outlines(
         start = ball_points(views, POINTS, seed)
         rough = learned(start, views, ROUGH_ITERATIONS, OPACITY_COST, lambda done: progress(share * done))
         try:
-            start = hull_points(with_masks(replace(scene, train=views), _opacities(rough, views)), POINTS, seed, VOXELS)
+            masks = _opacities(rough, views, ROUGH_SIDE)
+            start = hull_points(with_masks(replace(scene, train=views), masks), POINTS, seed, VOXELS)
         except SceneError:
             return None
         views = [small_view(view) for view in scene.train]
         fine = learned(start, views, ITERATIONS, 0.0, lambda done: progress(share + (1 - share) * done))
-        masks = _opacities(fine, scene.train)
+        masks = _opacities(fine, scene.train, SIDE)
     return masks if leave_borders_free(masks) else None
 
 
 @torch.no_grad()
-def _opacities(model: VolumeModel, views: Sequence[View]) -> list[np.ndarray]:
-    return [to_uint8(255 * render_volumes(model, view.camera, depth=False).alpha.numpy()) for view in views]
+def _opacities(model: VolumeModel, views: Sequence[View], side: int) -> list[np.ndarray]:
+    """What the model, trained on photographs of `side` pixels, covers of views [H,W] uint8: its edges are as soft as
+    those pixels, and are drawn in to the views'."""
+    masks = []
+    for view in views:
+        steeper = max(1.0, max(view.camera.width, view.camera.height) / side)
+        alpha = render_volumes(model, view.camera, depth=False).alpha.numpy()
+        masks.append(to_uint8(255 * (0.5 + steeper * (alpha - 0.5))))
+    return masks

@@ -238,7 +238,10 @@ def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] 
         return None
     text = "learning where the object ends"
     with step("outlines", text):
-        return learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
+        masks = learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
+    if masks is None:
+        step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
+    return masks
 
 
 class _Training:

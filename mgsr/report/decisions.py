@@ -107,6 +107,7 @@ def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decis
         color = "#" + "".join(f"{round(255 * value):02x}" for value in given["backdrop"])
         why = "the photographs' borders have this one colour: it lies behind the splats, which need not show it"
         yield Decision("Backdrop", f"plain, {color}", why)
+    if _outlines_learned(given, train):
         why = "all that splats need cover is the object: where they are opaque shows where it ends"
         yield Decision("Outlines", "learned, for the start and the surface", why)
     if given.get("exposures"):
@@ -121,6 +122,12 @@ def _about_input(given: dict[str, Any], train: dict[str, Any]) -> Iterator[Decis
 
 def _before_plain_backdrop(given: dict[str, Any], train: dict[str, Any]) -> bool:
     return bool(given.get("backdrop")) and train.get("background", "auto") == "auto"
+
+
+def _outlines_learned(given: dict[str, Any], train: dict[str, Any]) -> bool:
+    """Outlines that come to nothing leave a start without them."""
+    source = (given.get("starting_points") or {}).get("source")
+    return _before_plain_backdrop(given, train) and source not in ("stereo", "ball")
 
 
 def _about_stages(data: ReportData) -> Iterator[Decision]:

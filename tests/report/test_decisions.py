@@ -119,10 +119,13 @@ def test_a_time_budget_is_told() -> None:
 def test_a_plain_backdrop_is_told_unless_the_settings_say_what_lies_behind() -> None:
     sample = sample_report()
 
-    def told(background: str) -> dict[str, Decision]:
-        given = {**sample.other["input"], "masked": False, "backdrop": [0.0, 0.502, 1.0]}
+    def told(background: str, source: str = "hull") -> dict[str, Decision]:
+        points = {"source": source, "count": 9000}
+        given = {"masked": False, "backdrop": [0.0, 0.502, 1.0], "starting_points": points}
+        given = {**sample.other["input"], **given}
         other = {**sample.other, "input": given, "settings": {"train": {"background": background}}}
         return {each.what: each for each in tell_decisions(replace(sample, other=other))}
 
     assert told("auto")["Backdrop"].choice == "plain, #0080ff" and "learned" in told("auto")["Outlines"].choice
     assert not {"Backdrop", "Outlines"} & set(told("white"))
+    assert "Outlines" not in told("auto", "stereo"), "those that come to nothing"

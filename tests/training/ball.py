@@ -66,17 +66,22 @@ def _camera(direction: np.ndarray, size: int) -> Camera:
     return Camera(K, pose, size, size)
 
 
-def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 3) -> View:
-    """One view with samples x samples rays a pixel."""
-    fine = camera.resized(camera.width * samples, camera.height * samples)
-    rows, columns = np.mgrid[: fine.height, : fine.width] + 0.5
-    local = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(fine.K).T
+def surface_points(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each pixel's ray first meets the ball [H,W,3], the ray's unit direction [H,W,3], and whether it does."""
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    local = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
     rays = local @ camera.cam_from_world[:3, :3]
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     along = -(rays @ camera.center)
     inside = RADIUS**2 - (camera.center @ camera.center - along**2)
-    hit = inside > 0
     points = camera.center + rays * (along - np.sqrt(np.maximum(inside, 0)))[..., None]
+    return points, rays, inside > 0
+
+
+def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 3) -> View:
+    """One view with samples x samples rays a pixel."""
+    fine = camera.resized(camera.width * samples, camera.height * samples)
+    points, rays, hit = surface_points(fine)
     blocks = (camera.height, samples, camera.width, samples)
     alpha = hit.reshape(blocks).mean(axis=(1, 3))
     towards = np.einsum("...i,...i", points, -rays) / RADIUS
@@ -91,10 +96,10 @@ def _bytes(image: np.ndarray) -> np.ndarray:
     return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)
 
 
-def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False) -> Scene:
-    """The ball before a backdrop, photographed with noise, with or without its masks."""
+def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False, scene: Scene | None = None) -> Scene:
+    """A masked scene, by default the ball, before a backdrop, photographed with noise, with or without its masks."""
     random = np.random.default_rng(0)
-    scene = ball_scene(48, train=6)
+    scene = ball_scene(48, train=6) if scene is None else scene
 
     def placed(view: View) -> View:
         cover = view.alpha[..., None] / 255.0

@@ -13,24 +13,13 @@ from mgsr.errors import Cancelled
 from mgsr.native import runtime
 from mgsr.training import outlines
 from mgsr.training.outlines import learned_outlines
-from tests.training.ball import ball_scene
+from tests.training.ball import ball_scene, before, surface_points
 
 
 def overlaps(masks: Sequence[np.ndarray], truth: Scene) -> np.ndarray:
     """Of each view, the share of the pixels in the mask or in the true one that are in both."""
     pairs = [(mask > 127, view.alpha > 127) for mask, view in zip(masks, truth.train, strict=True)]
     return np.array([(mask & true).sum() / (mask | true).sum() for mask, true in pairs])
-
-
-def before(scene: Scene, color: tuple[int, int, int]) -> Scene:
-    """The masked scene before a backdrop of this colour, without its masks."""
-
-    def placed(view: View) -> View:
-        cover = view.alpha[..., None] / 255
-        image = view.image * cover + np.array(color) * (1 - cover)
-        return replace(view, image=image.round().astype(np.uint8), alpha=None)
-
-    return replace(scene, train=[placed(view) for view in scene.train])
 
 
 @pytest.fixture(autouse=True)
@@ -48,7 +37,7 @@ def truth() -> Scene:
 def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int, int, int]) -> None:
     """The ball's paint has both light and dark patches, and a highlight that clips."""
     told: list[float] = []
-    masks = learned_outlines(before(truth, color), seed=0, progress=told.append)
+    masks = learned_outlines(before(color, noise=0, scene=truth), seed=0, progress=told.append)
     assert masks is not None and all(mask.shape == (64, 64) and mask.dtype == np.uint8 for mask in masks)
     assert overlaps(masks, truth).min() > 0.96 and overlaps(masks, truth).mean() > 0.975
     assert told == sorted(told) and told[-1] == pytest.approx(1) and any(0 < done < 0.5 for done in told)
@@ -58,18 +47,11 @@ def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
     """A white disk painted around the ball's pole: a mask by colour has a hole there, seen from above."""
 
     def painted(view: View) -> View:
-        camera = view.camera
-        rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-        local = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
-        rays = local @ camera.cam_from_world[:3, :3]
-        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        along = -(rays @ camera.center)
-        depth = along - np.sqrt(np.maximum(0.25 - (camera.center @ camera.center - along**2), 0))
-        disk = (camera.center + rays * depth[..., None])[..., 2] > 0.45
+        disk = surface_points(view.camera)[0][..., 2] > 0.45
         image = np.where((disk & (view.alpha > 127))[..., None], 255, view.image).astype(np.uint8)
         return replace(view, image=image)
 
-    white = before(replace(truth, train=[painted(view) for view in truth.train]), (255, 255, 255))
+    white = before((255, 255, 255), noise=0, scene=replace(truth, train=[painted(view) for view in truth.train]))
     by_colour = [255 * (view.image < 250).any(axis=-1).astype(np.uint8) for view in white.train]
     masks = learned_outlines(white, seed=0)
     assert masks is not None
@@ -78,7 +60,7 @@ def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
 
 def test_the_same_seed_gives_the_same_masks(truth: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outlines, "ITERATIONS", 60)
-    scene, found = before(truth, (0, 0, 0)), []
+    scene, found = before((0, 0, 0), noise=0, scene=truth), []
     try:
         for threads in (1, 2):
             runtime.set_threads(threads)
@@ -91,11 +73,11 @@ def test_the_same_seed_gives_the_same_masks(truth: Scene, monkeypatch: pytest.Mo
 
 def test_none_where_photographs_contradict_each_other(truth: Scene) -> None:
     """Every other one shows the backdrop alone: splats fill all of space with its colour."""
-    scene = before(truth, (255, 255, 255))
+    scene = before((255, 255, 255), noise=0, scene=truth)
     gone = [replace(view, image=np.full_like(view.image, 255)) for view in scene.train[::2]]
     assert learned_outlines(replace(scene, train=gone + scene.train[1::2]), seed=0) is None
 
 
 def test_a_wish_to_stop_is_heeded(truth: Scene) -> None:
     with pytest.raises(Cancelled, match="stopped on request in outlines after 0 iterations"):
-        learned_outlines(before(truth, (0, 0, 0)), seed=0, should_stop=lambda: True)
+        learned_outlines(before((0, 0, 0), noise=0, scene=truth), seed=0, should_stop=lambda: True)

@@ -82,6 +82,8 @@ class MeshConfig:
     shading_reach: float = 40.0  # pixels; the shape larger than this is not shading's
     parallax_reach: float | None = 12.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at, no flash is found and masks hold the outlines; none is off
+    smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
+    # noise, by much more for a crease; none is off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen

@@ -86,6 +86,9 @@ PAPER_CHOICES = (
         "mgsr",
         ("shading_ratio=none",),
     ),
+    AblationRow(
+        "paper-smoothing", "noise stays in the mesh (ours takes it, but not creases)", "mgsr", ("smoothing_angle=none",)
+    ),
 )
 
 # What the paper found, as comparisons of the method E with another row: the finding, the row, and the scores that

@@ -1,12 +1,10 @@
-"""Vertices moved to where data wants them, and smoothly in between; and vertices smoothed."""
+"""Vertices moved to where data wants them, and smoothly in between."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
-
-from mgsr.geometry.triangles import boundary_loops, vertex_normals
 
 
 def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
@@ -64,20 +62,6 @@ def smooth_displacements(
     carry = sparse.identity(len(wanted), format="csr") if carry is None else carry
     matrix = carry.T @ sparse.diags(weights) @ carry + reach**4 * (laplacian.T @ laplacian)
     return _solve(matrix.tocsr(), carry.T @ (weights * wanted))
-
-
-def smooth_vertices(vertices: np.ndarray, faces: np.ndarray, reach: float) -> np.ndarray:
-    """The vertices [V,3] moved along their normals until what is finer than about `reach` edges is gone; the coarser
-    shape does not shrink (a thin plate). The rims of open surfaces are free."""
-    laplacian = umbrella(faces, len(vertices))
-    inner = np.ones(len(vertices))
-    inner[boundary_loops(faces)[0]] = 0
-    laplacian = (sparse.diags(inner) @ laplacian).tocsr()
-    normals = vertex_normals(vertices, faces).astype(np.float64)
-    bumps = ((laplacian @ vertices) * normals).sum(1)
-    plate = sparse.identity(len(vertices), format="csr") + reach**4 * (laplacian.T @ laplacian)
-    moves = _solve(plate, -(reach**4) * (laplacian.T @ bumps))
-    return vertices + moves[:, None] * normals
 
 
 def bend_to_normals(

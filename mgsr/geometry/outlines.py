@@ -16,7 +16,7 @@ from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.known import known_inside
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, smooth_displacements, smooth_vertices, umbrella
+from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
 from mgsr.geometry.raycast import RayCaster, interpolation
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.parallel import map_ahead
@@ -25,7 +25,6 @@ SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is 
 STEP = 0.25  # pixels between two rays
 FACING = 0.5  # least cosine between a vertex normal and the outline's direction
 COARSE = 2.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
-ROUGHNESS = 2.0  # edges; outlines found at single vertices leave it, and it is smoothed away
 STAY = 0.02  # a vertex that no outline touches follows its surroundings, but not for ever
 
 
@@ -75,7 +74,7 @@ def fit_outlines(
         moves = carry @ smooth_displacements(laplacian, wanted * held / (held + STAY), held + STAY, reach, carry)
         limit = SEARCH * pixel
         vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
-    return smooth_vertices(vertices, faces, ROUGHNESS)
+    return vertices
 
 
 def outline_gaps(

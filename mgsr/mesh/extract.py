@@ -11,6 +11,7 @@ from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
 from mgsr.geometry.decimate import decimate
+from mgsr.geometry.fairing import smooth_noise
 from mgsr.geometry.outlines import find_outline, fit_outlines
 from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.mesh import cleanup
@@ -137,6 +138,8 @@ def _finish(
         if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
             parallax = True
             vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
+    if config.smoothing_angle is not None:
+        vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:

@@ -51,4 +51,4 @@ def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
 def test_what_no_outline_reaches_stays() -> None:
     mesh = ball(RADIUS - 0.3)  # far more than the search reaches
     fitted = fit_outlines(mesh.vertices, mesh.faces, [find_outline(one) for one in covered(RADIUS)], smoothing=2.0)
-    np.testing.assert_allclose(fitted, mesh.vertices, atol=1e-3)  # but for the smoothing
+    np.testing.assert_allclose(fitted, mesh.vertices, atol=1e-12)

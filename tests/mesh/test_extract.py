@@ -10,7 +10,7 @@ import trimesh
 
 from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
-from mgsr.geometry.triangles import topology
+from mgsr.geometry.triangles import face_crosses, topology
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.views import SurfaceView
@@ -48,6 +48,22 @@ def test_the_result_does_not_depend_on_the_run(views: list[SurfaceView]) -> None
     np.testing.assert_array_equal(first.faces, second.faces)
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.colors, second.colors)
+
+
+@BOTH
+def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extractor: Extractor) -> None:
+    random = np.random.default_rng(0)
+    noisy = [replace(view, depth=view.depth + random.normal(scale=0.004, size=view.depth.shape)) for view in views]
+
+    def tilt(angle: float | None) -> float:
+        """Mean angle to the ball's own normal, over the surface."""
+        mesh = extract_mesh(noisy, replace(CONFIG, extractor=extractor, smoothing_angle=angle))
+        crosses, middles = face_crosses(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces].mean(axis=1)
+        areas = np.linalg.norm(crosses, axis=1)
+        cosines = (crosses * middles).sum(1) / (areas * np.linalg.norm(middles, axis=1))
+        return float(np.average(np.arccos(np.clip(cosines, -1, 1)), weights=areas))
+
+    assert tilt(CONFIG.smoothing_angle) < 0.6 * tilt(None)
 
 
 def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:

@@ -83,7 +83,7 @@ class MeshConfig:
     parallax_reach: float | None = 12.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at, no flash is found and masks hold the outlines; none is off
     smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
-    # noise, by much more for a crease; none is off
+    # noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen
@@ -496,8 +496,8 @@ def validate(config: Config) -> None:
     train = config.train
     for path in field_types(config):
         value = _value(config, path)
-        if isinstance(value, (int, float)) and value < 0:
-            raise ConfigError(f"{path}: expected 0 or more, got {value}")
+        if isinstance(value, (int, float)) and not 0 <= value < math.inf:
+            raise ConfigError(f"{path}: expected a finite number, 0 or more, got {value}")
     _validate_output(config.output)
     for path, degree in (
         ("train.surfels.sh_degree", train.surfels.sh_degree),

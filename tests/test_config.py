@@ -73,6 +73,8 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("reflection=perhaps", "auto, off, own, shared, both"),
         ("mutual.iterations", "key=value"),
         ("mutual.iterations=-1", "0 or more"),
+        ("smoothing_angle=nan", "a finite number"),
+        ("smoothing_angle=inf", "a finite number"),
         ("surfels.sh_degree=4", "0 to 3"),
         ("surfels.densify.drop_carrying=1", "share below 1"),
         ("start_weight=1", "between 0 and 1"),

@@ -138,7 +138,7 @@ def _finish(
         if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
             parallax = True
             vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
-    if config.smoothing_angle is not None:
+    if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)

@@ -18,60 +18,71 @@ def smooth_noise(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.nd
     """The vertices [V,3] moved so that each facet's normal comes near the mean of those around it.
 
     angle: degrees; normals that differ by this weigh 0.6 in that mean, by three times as much next to nothing, so that
-    creases stay. A facet's surroundings are those that share a vertex with it.
+    creases stay. A facet's surroundings are those that share a vertex with it. Vertices that would fold a facet stay.
 
     Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin,
     Martin and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
     """
     if len(faces) == 0:
         return vertices
+    vertices = vertices.astype(np.float64)
     corners = np.repeat(np.arange(len(faces)), 3)
     touches = sparse.csr_matrix(
         (np.ones(faces.size, np.float32), (corners, faces.ravel())), (len(faces), len(vertices))
     )
-    given = _facet_normals(vertices, faces)
-    areas = np.linalg.norm(face_crosses(vertices, faces), axis=1).astype(np.float32)
-    middles = vertices[faces].mean(axis=1).astype(np.float32)
-    reach, normals = edge_length(vertices, faces), given.astype(np.float32)
+    areas, given = _areas_and_normals(vertices, faces)
+    surroundings = _surroundings(touches, vertices[faces].mean(axis=1), areas, edge_length(vertices, faces))
+    normals = given.astype(np.float32)
     for _ in range(ROUNDS):
-        normals = _mean_normals(touches, normals, middles, areas, reach, np.deg2rad(angle))
-    moved = _follow(vertices, faces, touches, normals.astype(np.float64))
+        own = np.array_split(normals, range(CHUNK, len(faces), CHUNK))
+        normals = np.concatenate(
+            [
+                _mean_normals(around, part, normals, np.deg2rad(angle))
+                for around, part in zip(surroundings, own, strict=True)
+            ]
+        )
+    moved = _follow(vertices, touches, normals.astype(np.float64))
     return _unfold(moved, vertices, faces, normals, (given * normals).sum(1))
 
 
-def _facet_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _areas_and_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twice the areas [F], and the unit normals [F,3]; 0 for a facet without area."""
     crosses = face_crosses(vertices, faces)
-    return crosses / np.maximum(np.linalg.norm(crosses, axis=1), 1e-20)[:, None]
+    areas = np.linalg.norm(crosses, axis=1)
+    return areas, crosses / np.maximum(areas, 1e-20)[:, None]
 
 
-def _mean_normals(
-    touches: sparse.csr_matrix,
-    normals: np.ndarray,
-    middles: np.ndarray,
-    areas: np.ndarray,
-    reach: float,
-    angle: float,
-) -> np.ndarray:
-    """Each facet's normal [F,3] as the mean over its surroundings, by area, nearness and likeness; angle: radians."""
+def _surroundings(
+    touches: sparse.csr_matrix, middles: np.ndarray, areas: np.ndarray, reach: float
+) -> list[sparse.csr_matrix]:
+    """The facets around each, itself among them: parts [CHUNK,F] whose numbers are weights by area and nearness."""
     parts = []
-    for start in range(0, len(normals), CHUNK):
-        around = (touches[start : start + CHUNK] @ touches.T).tocoo()
-        here, there = around.row + start, around.col
-        apart = ((middles[here] - middles[there]) ** 2).sum(1) / reach**2
-        unlike = (2 - 2 * (normals[here] * normals[there]).sum(1)) / angle**2
-        weights = areas[there] * np.exp(-(apart + unlike) / 2)
-        sums = sparse.csr_matrix((weights, (around.row, there)), around.shape) @ normals
-        parts.append(sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20))
-    return np.concatenate(parts)
+    for start in range(0, len(middles), CHUNK):
+        around = touches[start : start + CHUNK] @ touches.T
+        here = start + np.repeat(np.arange(around.shape[0]), np.diff(around.indptr))
+        ways = middles[around.indices] - middles[here]
+        nearness = np.exp(-np.einsum("ij,ij->i", ways, ways) / (2 * reach**2))
+        around.data = (areas[around.indices] * nearness).astype(np.float32)
+        parts.append(around)
+    return parts
 
 
-def _follow(vertices: np.ndarray, faces: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray) -> np.ndarray:
+def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
+    """A part's normals [C,3] as the means over its surroundings, which weigh by their likeness too; angle: radians."""
+    sizes = np.diff(around.indptr)
+    unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
+    weights = around.data * np.exp(-unlike / angle**2)
+    sums = sparse.csr_matrix((weights, around.indices, around.indptr), around.shape) @ normals
+    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+
+
+def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray) -> np.ndarray:
     """The vertices [V,3], stepwise moved to the planes through their facets' middles across the normals [F,3]."""
-    counts = np.maximum(np.bincount(faces.ravel(), minlength=len(vertices)), 1)
+    counts = np.maximum(touches.getnnz(axis=0), 1)
     mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the facets around a vertex
     projections = (mean @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
     for _ in range(STEPS):
-        heights = (normals * vertices[faces].mean(axis=1)).sum(1)
+        heights = np.einsum("fi,fi->f", normals, touches @ vertices) / 3
         vertices = vertices + mean @ (normals * heights[:, None]) - np.einsum("vij,vj->vi", projections, vertices)
     return vertices
 
@@ -84,7 +95,7 @@ def _unfold(
     given: cosines [F] between the facets as they were and their normals [F,3]; what was no better then stays moved.
     """
     while True:
-        likeness = (_facet_normals(moved, faces) * normals).sum(1)
+        likeness = (_areas_and_normals(moved, faces)[1] * normals).sum(1)
         folded = (likeness < FOLDED) & (likeness < given)
         if not folded.any():
             return moved

@@ -65,7 +65,7 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     if config.shading_ratio is None:
         return surface
     parallax = (facts.masked or facts.learned) and config.parallax_reach is not None
-    refinement = (12.0 if facts.shiny else 0.0) + (7.0 if parallax else 0.0)
+    refinement = (16.0 if facts.shiny else 0.0) + (7.0 if parallax else 0.0)
     return surface + refinement * (facts.views / 48 * facts.size) ** 0.7
 
 

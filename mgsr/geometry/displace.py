@@ -78,10 +78,11 @@ def bend_to_normals(
     [V,3].
 
     They minimise sum hold (x - offsets)^2 + strength * sum over edges (component of the edge along its mean wanted
-    normal)^2; edges count where both ends are sure [V] bool. hold, offsets [V]: what the positions themselves want, and
-    how much, which must be more than nothing.
+    normal)^2; an edge counts as much as the less sure [V], 0..1, of its ends. hold, offsets [V]: what the positions
+    themselves want, and how much, which must be more than nothing.
     """
-    first, second = edges[sure[edges].all(axis=1)].T
+    trust = sure[edges].min(axis=1)
+    first, second = edges[trust > 0].T
     across = wanted[first] + wanted[second]
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     row = np.arange(len(first))
@@ -89,8 +90,9 @@ def bend_to_normals(
     places = (np.concatenate([row, row]), np.concatenate([first, second]))
     slopes = sparse.coo_matrix((shares, places), (len(first), len(vertices))).tocsr()
     tilt = ((vertices[second] - vertices[first]) * across).sum(1)
-    matrix = (sparse.diags(hold) + strength * (slopes.T @ slopes)).tocsr()
-    return _solve(matrix, hold * offsets - strength * (slopes.T @ tilt))
+    weighed = slopes.T @ sparse.diags(strength * trust[trust > 0])
+    matrix = (sparse.diags(hold) + weighed @ slopes).tocsr()
+    return _solve(matrix, hold * offsets - weighed @ tilt)
 
 
 def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:

@@ -94,18 +94,21 @@ class RayCaster:
 
         Each ray ends `gap` before its point, so that the surface which the point lies on does not hide it.
         """
-        core = load_open3d().core
         pixels, depths = camera.project(points)
         inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
         if known is not None:
             inside[inside] = known_at(known, pixels[inside])
-        offsets = (points - camera.center)[inside]
-        lengths = np.linalg.norm(offsets, axis=1)
-        rays = np.concatenate([np.broadcast_to(camera.center, offsets.shape), offsets / lengths[:, None]], axis=1)
-        first = self._scene.cast_rays(core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()
         seen = np.zeros(len(points), bool)
-        seen[inside] = first >= lengths - gap
+        seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen
+
+    def reached(self, place: np.ndarray, points: np.ndarray, gap: float) -> np.ndarray:
+        """Which of the points [P,3] have nothing between them and a place [3], but for the last `gap`; [P] bool."""
+        offsets = points - place
+        lengths = np.linalg.norm(offsets, axis=1)
+        rays = np.concatenate([np.broadcast_to(place, offsets.shape), offsets / lengths[:, None]], axis=1)
+        first = self._scene.cast_rays(load_open3d().core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()
+        return np.asarray(first >= lengths - gap)
 
 
 def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:

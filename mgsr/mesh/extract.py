@@ -129,7 +129,6 @@ def _finish(
             photographs,
             outlines,
             config.shading_ratio,
-            config.shading_reach,
             _PASSES,
             threads,
             go_on=go_on,
@@ -153,8 +152,8 @@ def _finish(
 # A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
 # that only shape over some pixels is bettered by them: the trained details are better than theirs.
 _PASSES = {
-    Light.FLASH: (Pass(edge=1.0, rounds=3),),
-    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, smoothing=8.0),),
+    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=160.0),),
+    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, reach=80.0, smoothing=8.0),),
 }
 
 

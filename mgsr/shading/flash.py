@@ -1,72 +1,130 @@
-"""Normals from a flash: where the light sits on the camera, how bright a point is tells how it is tilted.
+"""Normals from a flash: where the light sits beside the lens, how bright a point is tells how it is tilted.
 
-For a matte surface lit from the camera's place, brightness times the squared distance is albedo x cosine of the tilt
-(Lambert), in linear light. Several views of a point give three unknowns, its normal times its albedo, by least squares
-(photometric stereo, Woodham 1980); highlights are brighter than that and lose their weight in rounds.
+For a matte surface lit from one place, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
+in linear light. Several views of a point give three unknowns, its normal times its albedo, by least squares
+(photometric stereo, Woodham 1980); highlights are brighter than that and lose their weight in rounds. A mesh that is
+off its surface reads another place in each view: what then can't be explained tells that the normal is not to be
+trusted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from mgsr.data.camera import Camera
+from mgsr.parallel import map_ahead
 from mgsr.shading.explained import MIN_READINGS, Explained
+from mgsr.shading.hollows import Hollows
 from mgsr.shading.readings import Readings
 
-OWN = 0.02  # weight of the surface's own normal beside the photographs'
+OWN = 0.005  # weight of the surface's own normal beside the photographs'
 ROUNDS = 5  # of least squares with new weights
 ABOVE, BELOW = 0.5, 1.5  # deviations at which a reading that is too bright, or too dark, counts half
+KNOWN = 0.03  # radians; a normal that is known to this is half trusted
+CHUNK = 4096  # points at a time
+
+
+@dataclass(frozen=True)
+class Flash:
+    """A lamp that moves with the camera, and what lights a surface besides it.
+
+    right, down: where the lamp is in the camera's frame, from the lens, in the scene's units. ambient: the light from
+    everywhere, where the lamp gives 1 at a distance of 1; bounced: how much of the light that arrives from the surface
+    itself is sent back, in the same measure.
+    """
+
+    right: float = 0.0
+    down: float = 0.0
+    ambient: float = 0.0
+    bounced: float = 0.0
+
+    def lamps(self, cameras: Sequence[Camera]) -> np.ndarray:
+        """Where the lamp is in each photograph, [N,3]."""
+        sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])
+        return np.stack([camera.center for camera in cameras]) + np.array([self.right, self.down]) @ sides
 
 
 def flash_ratio(readings: Readings, normals: np.ndarray) -> float:
-    """How far the readings are from a flash's shading of a surface with these normals [P,3], against how far they are
-    from one brightness a point: the median over the points; infinite if there are none."""
-    brightness, weights, cosines = _lambert(readings, normals)
-    shaded = _deviation(brightness - cosines * _scale(brightness, cosines, weights)[:, None], weights)
-    plain = _deviation(brightness - _scale(brightness, np.ones_like(cosines), weights)[:, None], weights)
+    """How far the readings are from the shading by a flash at the lens of a surface with these normals [P,3], against
+    how far they are from one brightness a point: the median over the points; infinite if there are none."""
+    brightness, weights = readings.brightness * readings.distances**2, readings.weights**2
+    cosines = np.maximum(np.einsum("pki,pi->pk", readings.towards, normals), 0)
+    shaded = deviation(brightness - cosines * scale(brightness, cosines, weights)[:, None], weights)
+    plain = deviation(brightness - scale(brightness, np.ones_like(cosines), weights)[:, None], weights)
     sure = readings.counts >= MIN_READINGS
     return float(np.median(shaded[sure] / np.maximum(plain[sure], 1e-9))) if sure.any() else np.inf
 
 
-def explain_by_flash(readings: Readings, normals: np.ndarray) -> Explained:
-    """What a light on the camera says of the normals [P,3] of the points that were read."""
-    brightness, weights, cosines = _lambert(readings, normals)
-    solved = _solve(readings.towards, brightness, weights, normals, cosines)
-    return Explained(solved, readings.counts >= MIN_READINGS)
+def explain_by_flash(
+    readings: Readings,
+    points: np.ndarray,
+    normals: np.ndarray,
+    flash: Flash,
+    cameras: Sequence[Camera],
+    hollows: Hollows,
+    threads: int | None = None,
+) -> Explained:
+    """What the flash says of the normals [P,3] of the points [P,3] that were read in the cameras' photographs."""
+    lamps = flash.lamps(cameras)
+    sky, thrown = hollows.at(points, readings.photographs)
 
+    def explain(part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        some = readings.at(part)
+        towards = (lamps[some.photographs] - points[part, None]).astype(np.float32)
+        distances = np.linalg.norm(towards, axis=-1)
+        besides = (flash.ambient * sky[part, None] + flash.bounced * thrown[part]) * distances**2
+        brightness, weights = some.brightness * distances**2, some.weights**2
+        return _solve(towards / distances[..., None], brightness, besides, weights, normals[part])
 
-def _lambert(readings: Readings, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Brightness without the flash's falloff, weights, and cosines of the tilt, all [P,K]."""
-    cosines = np.maximum(np.einsum("pki,pi->pk", readings.towards, normals), 0)
-    return readings.brightness * readings.distances**2, readings.weights**2, cosines
+    parts = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
+    solved, known = (np.concatenate(column) for column in zip(*map_ahead(explain, parts, threads), strict=True))
+    return Explained(solved, np.where(readings.counts >= MIN_READINGS, 1 / (1 + (known / KNOWN) ** 2), 0))
 
 
 def _solve(
-    towards: np.ndarray, brightness: np.ndarray, weights: np.ndarray, normals: np.ndarray, cosines: np.ndarray
-) -> np.ndarray:
-    """Unit normals [P,3] by least squares whose weights fall for readings that don't fit."""
-    current = weights
+    towards: np.ndarray, brightness: np.ndarray, besides: np.ndarray, weights: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals [P,3] by least squares whose weights fall for readings that don't fit, and to how many radians they
+    are known [P].
+
+    Without the lamp's falloff, brightness [P,K] = albedo * (cosine of the tilt + besides [P,K]).
+    """
+    current, solved = weights, normals
     products = np.stack([towards[..., i] * towards[..., j] for i, j in _PAIRS], axis=1)
     for _ in range(ROUNDS):
         own = OWN * current.sum(axis=1)
-        albedo = _scale(brightness, cosines, current)
+        cosines = np.maximum(np.einsum("pki,pi->pk", towards, solved), 0)
+        albedo = scale(brightness, cosines + besides, current)
+        lit = brightness - albedo[:, None] * besides
         matrix = (products @ current[..., None])[:, _PLACES, 0] + (own + 1e-9)[:, None, None] * np.eye(3)
-        right = np.einsum("pki,pk->pi", towards, brightness * current) + (own * albedo)[:, None] * normals
-        solved = np.linalg.solve(matrix, right[..., None])[..., 0]
-        left = brightness - np.einsum("pki,pi->pk", towards, solved)
-        spread = _deviation(left, current)[:, None] + 1e-6
-        current = weights / (1 + (np.maximum(left, 0) / (ABOVE * spread)) ** 2)
-        current /= 1 + (np.minimum(left, 0) / (BELOW * spread)) ** 2
-    return solved / np.maximum(np.linalg.norm(solved, axis=1, keepdims=True), 1e-9)
+        right = np.einsum("pki,pk->pi", towards, lit * current) + (own * albedo)[:, None] * normals
+        tilted = np.linalg.solve(matrix, right[..., None])[..., 0]
+        left = lit - np.einsum("pki,pi->pk", towards, tilted)
+        current = trusted(left, weights, current)
+        solved = tilted / np.maximum(np.linalg.norm(tilted, axis=1, keepdims=True), 1e-9)
+    spread = np.trace(np.linalg.inv(matrix), axis1=1, axis2=2)
+    return solved, deviation(left, current) / np.maximum(albedo, 1e-9) * np.sqrt(spread)
 
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of a symmetric matrix's entries
 _PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among them
 
 
-def _scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The factor [P] that brings shape [P,K] closest to the brightness."""
     return (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
 
 
-def _deviation(left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def deviation(left: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The mean square of what is left [P,K], under its root, [P]."""
     return np.sqrt((weights * left * left).sum(1) / np.maximum(weights.sum(1), 1e-9))
+
+
+def trusted(left: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
+    """The weights [P,K], less for readings off which more is left than by the current weights is usual."""
+    spread = deviation(left, current)[:, None] + 1e-6
+    high, low = np.maximum(left, 0) / (ABOVE * spread), np.minimum(left, 0) / (BELOW * spread)
+    return weights / ((1 + high**2) * (1 + low**2))

@@ -1,5 +1,6 @@
 """Normals from gloss: each point is tilted until what it mirrors of the surroundings explains how it changes from view
-to view. The tilts are searched on a grid, as lamps make the surroundings too uneven for steps along a slope."""
+to view. The tilts are searched on a grid, as lamps make the surroundings too uneven for steps along a slope. How fast
+what is left unexplained rises around the best tilt, against how much of it there is, tells how well it is known."""
 
 from __future__ import annotations
 
@@ -16,6 +17,7 @@ from mgsr.shading.surroundings import Surroundings, fit_surroundings, look_up
 LIMIT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
 OUTLIER = 3.0  # deviations at which a reading counts half
 OWN = 0.02  # cost of a tilt by 10 degrees, in mean costs of the readings
+KNOWN = 2.0  # degrees; a normal that is known to this is half trusted
 CHUNK = 1000  # points at a time, so that their readings stay in the cache
 
 
@@ -34,17 +36,19 @@ def explain_by_mirroring(
     """
     own = mean_normals(normals, laplacian, rounds=1)
     surroundings = fit_surroundings(readings, own)
-    sure = readings.counts >= MIN_READINGS
     tilts = np.tan(np.radians(np.arange(-LIMIT, LIMIT + STEP / 2, STEP)))
     first, second = tangents(own)
     costs = _costs(readings, surroundings, np.stack([first, second, own], axis=1), tilts, threads)
     costs = spread(costs, laplacian, reach)
     squares = tilts[:, None] ** 2 + tilts[None] ** 2
     costs += OWN * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
-    across, along = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
+    across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
     change = across[:, None] * first + along[:, None] * second
     wanted = normals + (1 - still)[:, None] * change
-    return Explained(wanted / np.linalg.norm(wanted, axis=1, keepdims=True).clip(1e-9), sure)
+    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True).clip(1e-9)
+    weights = spread(readings.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
+    variance = 2 * cost / np.maximum(weights, 1e-6) * (STEP**2 / np.maximum(bends, 1e-9)).sum(axis=0)
+    return Explained(wanted, np.where(readings.counts >= MIN_READINGS, 1 / (1 + variance / KNOWN**2), 0))
 
 
 def _costs(
@@ -74,8 +78,10 @@ def _part(readings: Readings, table: np.ndarray, frames: np.ndarray, tilts: np.n
     return costs
 
 
-def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The tilts [P] along both axes where costs [P,T,T] are lowest, between the steps by a parabola."""
+def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The tilts [P] along both axes where costs [P,T,T] are lowest, between the steps by a parabola; the cost at the
+    lowest step [P], and by how much the steps before and after it are higher together, along both axes [2,P]: 0 at the
+    search's limits, beyond which it may be lower."""
     count, side = len(costs), len(tilts)
     place = costs.reshape(count, -1).argmin(axis=1)
     row, column, index = place // side, place % side, np.arange(count)
@@ -83,10 +89,12 @@ def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarra
     rows = [costs[index, np.clip(row + shift, 0, side - 1), column] for shift in (-1, 1)]
     columns = [costs[index, row, np.clip(column + shift, 0, side - 1)] for shift in (-1, 1)]
     steps = np.arange(side)
-    return tuple(
+    across, along = (
         np.interp(steps[at] + _vertex(before, here, after), steps, tilts)
         for at, (before, after) in ((row, rows), (column, columns))
     )
+    within = (row % (side - 1) > 0) & (column % (side - 1) > 0)
+    return across, along, here, within * (np.stack([sum(rows), sum(columns)]) - 2 * here)
 
 
 def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:

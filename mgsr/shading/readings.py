@@ -26,12 +26,13 @@ KEPT = 24  # readings of a point, those that see it most frontal
 class Readings:
     """At P points, each in at most K photographs, float32: towards [P,K,3], unit directions to the camera; distances
     [P,K] to it; brightness [P,K], the mean of the channels in linear light; weights [P,K], the cosine of the tilt where
-    the point is seen and the pixel is of use, else 0."""
+    the point is seen and the pixel is of use, else 0. photographs [P,K] int: which they are."""
 
     towards: np.ndarray
     distances: np.ndarray
     brightness: np.ndarray
     weights: np.ndarray
+    photographs: np.ndarray
 
     @property
     def counts(self) -> np.ndarray:
@@ -40,7 +41,7 @@ class Readings:
 
     def at(self, points: np.ndarray) -> Readings:
         """The readings of some of the points, by their indices."""
-        return Readings(self.towards[points], self.distances[points], self.brightness[points], self.weights[points])
+        return Readings(*(array[points] for array in _arrays(self)))
 
 
 @dataclass(frozen=True)
@@ -73,10 +74,20 @@ def read_photographs(
     photographs: Sequence[Photograph],
     gap: float,
     threads: int | None = None,
+    lamps: np.ndarray | None = None,
 ) -> Readings:
-    """The photographs' brightness at the vertices [V,3] of a mesh. gap: how far a vertex may lie behind the mesh."""
+    """The photographs' brightness at the vertices [V,3] of a mesh.
+
+    gap: how far a vertex may lie behind the mesh. lamps [N,3]: the place of each photograph's; a vertex in its shadow
+    counts as unseen.
+    """
     caster = RayCaster(vertices, faces)
-    parts = list(map_ahead(lambda each: _read(caster, each, vertices, normals, gap), photographs, threads))
+
+    def read(index: int) -> tuple[np.ndarray, ...]:
+        lamp = None if lamps is None else lamps[index]
+        return *_read(caster, photographs[index], lamp, vertices, normals, gap), np.full(len(vertices), index)
+
+    parts = list(map_ahead(read, range(len(photographs)), threads))
     readings = Readings(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
     if len(photographs) <= KEPT:
         return readings
@@ -118,19 +129,26 @@ def _linear(view: View) -> Photograph:
 
 
 def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
-    return readings.towards, readings.distances, readings.brightness, readings.weights
+    return readings.towards, readings.distances, readings.brightness, readings.weights, readings.photographs
 
 
 def _read(
-    caster: RayCaster, photograph: Photograph, points: np.ndarray, normals: np.ndarray, gap: float
+    caster: RayCaster,
+    photograph: Photograph,
+    lamp: np.ndarray | None,
+    points: np.ndarray,
+    normals: np.ndarray,
+    gap: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One photograph's column of the readings."""
+    """One photograph's column of the readings, but for its number."""
     camera = photograph.camera
     offsets = (camera.center - points).astype(np.float32)
     distances = np.linalg.norm(offsets, axis=1)
     towards = offsets / distances[:, None]
     cosines = (towards * normals).sum(1)
     index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.known)
+    if lamp is not None:
+        index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])
     brightness, weights = np.zeros((2, len(points)), np.float32)
     brightness[index] = read_image(photograph.brightness, pixels)

@@ -26,11 +26,12 @@ RESOLUTION = 128
 # Masks are reduced to this side: a grid of RESOLUTION voxels then has about two pixels a voxel.
 MASK_SIDE = 400
 
-# A hull's large shape is wrong too, so shading may change more of it than of a trained surface.
-SHADING_RATIO, SHADING_REACH = 0.85, 80.0
+# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
+# rounds.
+SHADING_RATIO = 0.85
 SHADING_PASSES = {
-    Light.FLASH: (Pass(edge=2.0, rounds=6),),
-    Light.SURROUNDINGS: (Pass(edge=4.0, rounds=4), Pass(edge=2.0, rounds=3)),  # deep hollows need many rounds
+    Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0),),
+    Light.SURROUNDINGS: (Pass(edge=4.0, rounds=4, reach=160.0), Pass(edge=2.0, rounds=3, reach=160.0)),
 }
 
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
@@ -197,7 +198,6 @@ def _carved_points(
         views,
         rims,
         SHADING_RATIO,
-        SHADING_REACH,
         SHADING_PASSES,
         progress=_between(progress, COLOR_CARVED, 1.0),
     )

@@ -48,10 +48,17 @@ def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
     wave, slope = 0.02 * np.sin(4 * np.pi * across), 0.08 * np.pi * np.cos(4 * np.pi * across)
     wanted = np.stack([-slope, 0 * slope, np.ones_like(slope)], axis=1) / np.sqrt(1 + slope**2)[:, None]
     up = np.tile([0.0, 0.0, 1.0], (len(flat), 1))
-    sure = np.ones(len(flat), bool)
+    sure = np.ones(len(flat))
     hold, still = np.ones(len(flat)), np.zeros(len(flat))
     moves = bend_to_normals(flat, edges(faces), up, wanted, sure, 1e4, hold, still)
     assert np.abs(moves - wave).max() < 0.002
-    assert not bend_to_normals(flat, edges(faces), up, wanted, ~sure, 1e4, hold, still).any()
+    assert not bend_to_normals(flat, edges(faces), up, wanted, 0 * sure, 1e4, hold, still).any()
     lifted = bend_to_normals(flat, edges(faces), up, wanted, sure, 1e4, hold, still + 0.3)
     np.testing.assert_allclose(lifted, moves + 0.3, atol=0.002)  # slopes say nothing of the height
+    # Half as sure of everything is as half the strength; where little is sure, the sheet stays nearly flat.
+    half = bend_to_normals(flat, edges(faces), up, wanted, 0.5 * sure, 1e4, hold, still)
+    np.testing.assert_allclose(half, bend_to_normals(flat, edges(faces), up, wanted, sure, 5e3, hold, still), atol=1e-5)
+    doubtful = np.where(across > 0.5, 1e-6, 1)
+    left = bend_to_normals(flat, edges(faces), up, wanted, doubtful, 1e4, hold, still)
+    assert np.abs(left[across > 0.7]).max() < 0.002
+    assert np.abs(left - wave)[across < 0.3].max() < 0.002

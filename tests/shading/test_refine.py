@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,8 +58,9 @@ def lamps(directions: np.ndarray) -> np.ndarray:
     return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
 
 
-def photographs(mesh: trimesh.Trimesh, shade: Shade) -> list[View]:
-    """What cameras around see of the mesh in two paints, in sRGB of 8 bits."""
+def photographs(mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0)) -> list[View]:
+    """What cameras around see of the mesh in two paints, in sRGB of 8 bits; aside: how far to the right of the lens and
+    below it the eye is put, as a lamp may be."""
     normals, views = vertex_normals(mesh.vertices, mesh.faces), []
     caster = RayCaster(mesh.vertices, mesh.faces)
     for index, camera in enumerate(cameras_around(40, side=SIDE)):
@@ -68,19 +70,20 @@ def photographs(mesh: trimesh.Trimesh, shade: Shade) -> list[View]:
         normal = (normals[corners] * hits.barycentric[..., None]).sum(2)
         offsets = -pixel_rays(camera) * hits.depth[..., None]
         paint = np.where(np.sin(9 * (camera.center - offsets)[..., :1]) > 0, [0.6, 0.4, 0.2], [0.2, 0.4, 0.5])
-        light = np.clip(shade(paint, normal, offsets), 0, 1) * hits.mask[..., None]
+        eye = offsets + np.array(aside) @ camera.cam_from_world[:2, :3]
+        light = np.clip(shade(paint, normal, eye), 0, 1) * hits.mask[..., None]
         srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
         image, alpha = np.round(255 * srgb).astype(np.uint8), (hits.mask * 255).astype(np.uint8)
         views.append(View(str(index), camera, image, alpha))
     return views
 
 
-def refine(shade: Shade) -> Refined:
+def refine(shade: Shade, aside: tuple[float, float] = (0, 0)) -> Refined:
     """The smooth ball held against photographs of the rippled one."""
-    smooth, views = ball(RADIUS), photographs(rippled(), shade)
+    smooth, views = ball(RADIUS), photographs(rippled(), shade, aside)
     outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
-    passes = {light: (Pass(edge=1.0, rounds=3),) for light in Light}
-    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, reach=20.0, passes=passes)
+    passes = {light: (Pass(edge=1.0, rounds=3, reach=20.0),) for light in Light}
+    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, passes=passes)
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
@@ -89,10 +92,13 @@ def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
     return float(np.degrees(np.arccos(np.clip((found * true).sum(1), -1, 1))).mean())
 
 
-@pytest.mark.parametrize(("shade", "light"), [(flash, Light.FLASH), (glossy, Light.SURROUNDINGS)])
-def test_ripples_come_out(shade: Shade, light: Light) -> None:
+@pytest.mark.parametrize(
+    ("shade", "aside", "light"),
+    [(flash, (0, 0), Light.FLASH), (flash, (0.2, -0.3), Light.FLASH), (glossy, (0, 0), Light.SURROUNDINGS)],
+)
+def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light) -> None:
     truth, smooth = rippled(), ball(RADIUS)
-    refined = refine(shade)
+    refined = refine(shade, aside)
     assert refined.light is light
     assert tilt_error(smooth.vertices, truth) > 2.5
     assert tilt_error(refined.vertices, truth) < 0.75 * tilt_error(smooth.vertices, truth)
@@ -134,3 +140,17 @@ def test_tilted_normals_are_turned_back() -> None:
     assert errors[1].mean() < 0.6 * errors[0].mean()
     kept = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
     np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)
+
+
+def test_what_no_tilt_explains_is_not_trusted() -> None:
+    mesh = ball(RADIUS)
+    true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
+    readings = read_photographs(
+        mesh.vertices, mesh.faces, true, linear_photographs(photographs(mesh, glossy)), gap=0.01
+    )
+    odd = mesh.vertices[:, 0] > 0
+    noise = np.random.default_rng(0).normal(scale=0.2, size=readings.brightness.shape)
+    spoilt = replace(readings, brightness=readings.brightness + odd[:, None] * noise.astype(np.float32))
+    laplacian, still = umbrella(mesh.faces, len(true)), np.zeros(len(true))
+    sure = explain_by_mirroring(spoilt, true, laplacian, reach=2.0, still=still, threads=1).sure
+    assert sure[~odd].mean() > 2 * sure[odd].mean() > 0

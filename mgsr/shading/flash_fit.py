@@ -1,0 +1,104 @@
+"""Where a flash sits beside the lens, and what lights the surface besides it: four numbers for a whole capture.
+
+A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and what
+hollows throw back, flatten them. All points' readings together tell these apart (Gauss-Newton, each point's albedo
+being solved for on the way: variable projection, Golub and Pereyra 1973).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.shading.explained import MIN_READINGS
+from mgsr.shading.flash import Flash, deviation, scale, trusted
+from mgsr.shading.hollows import Hollows
+from mgsr.shading.readings import Readings
+
+POINTS = 3000  # whose readings tell of the light
+STEPS = 40  # at most
+STILL = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
+ROUNDS = 4  # of new weights in a step
+DAMPING = 1e-3  # of a step, where the capture hardly tells of a number (Levenberg and Marquardt)
+FARTHEST = 0.25  # of the distance to the surface; how far off the lens a lamp may be
+
+
+def fit_flash(
+    readings: Readings,
+    points: np.ndarray,
+    normals: np.ndarray,
+    cameras: Sequence[Camera],
+    hollows: Hollows,
+    start: Flash,
+) -> Flash:
+    """The flash that explains the readings of a surface's points [P,3], with normals [P,3], in the cameras'
+    photographs; `start`, from which it is looked for, if too few photographs see them."""
+    seen = np.flatnonzero(readings.counts >= MIN_READINGS)
+    seen = seen[:: max(1, len(seen) // POINTS)]
+    if len(seen) == 0:
+        return start
+    readings = readings.at(seen)
+    equations = _equations(readings, points[seen], normals[seen], cameras, hollows)
+    brightness, weights = readings.brightness.astype(float), readings.weights.astype(float) ** 2
+    values = np.array([start.right, start.down, start.ambient, start.bounced])
+    distance = float(np.median(readings.distances))
+    for _ in range(STEPS):
+        before, values = values, values + _step(*equations.shade(values), brightness, weights)
+        values[:2] *= min(1, FARTHEST * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
+        values[2:] = np.maximum(values[2:], 0)
+        if np.abs(values - before)[:2].max() < STILL * distance:
+            break
+    return Flash(*values.tolist())
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Of P points in K photographs each: to_lens [P,K,3], the way there; sides [P,K,2,3], the camera's axes to the
+    right and down; cosines [P,K] and tilts [P,K,2], the components of both along the normal; besides [P,K,2], the open
+    share of the sky, and what the surface throws there."""
+
+    to_lens: np.ndarray
+    sides: np.ndarray
+    cosines: np.ndarray
+    tilts: np.ndarray
+    besides: np.ndarray
+
+    def shade(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How bright an albedo of 1 is [P,K] at the four values of a `Flash`, and its slopes along them [P,K,4]."""
+        to_lamp = self.to_lens + np.einsum("s,pksi->pki", values[:2], self.sides)
+        square = (to_lamp**2).sum(axis=-1)
+        lamp = np.maximum(self.cosines + self.tilts @ values[:2], 0) / square**1.5
+        aside = np.einsum("pki,pksi->pks", to_lamp, self.sides)
+        moved = (lamp > 0)[..., None] * self.tilts / square[..., None] ** 1.5 - 3 * (lamp / square)[..., None] * aside
+        return lamp + self.besides @ values[2:], np.concatenate([moved, self.besides], axis=-1)
+
+
+def _equations(
+    readings: Readings, points: np.ndarray, normals: np.ndarray, cameras: Sequence[Camera], hollows: Hollows
+) -> _Equations:
+    to_lens = readings.towards.astype(float) * readings.distances[..., None]
+    sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])[readings.photographs]
+    sky, thrown = hollows.at(points, readings.photographs)
+    besides = np.stack([np.broadcast_to(sky[:, None], thrown.shape), thrown], axis=-1)
+    cosines, tilts = np.einsum("pki,pi->pk", to_lens, normals), np.einsum("pksi,pi->pks", sides, normals)
+    return _Equations(to_lens, sides, cosines, tilts, besides)
+
+
+def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """By how much to change the values [4] so that the shade [P,K], times each point's albedo, fits the brightness."""
+    current = weights
+    for _ in range(ROUNDS):
+        albedo = scale(brightness, shade, current)
+        left = brightness - albedo[:, None] * shade
+        current = trusted(left, weights, current)
+    # What a change of albedo would do as well is no reason for a change of the light.
+    total = np.maximum((current * shade**2).sum(axis=1), 1e-12)
+    along = np.einsum("pk,pkv->pv", current * shade, slopes) / total[:, None]
+    slopes = albedo[:, None, None] * (slopes - shade[..., None] * along[:, None])
+    current = current / (deviation(left, current)[:, None] ** 2 + 1e-12)
+    matrix = np.einsum("pk,pku,pkv->uv", current, slopes, slopes)
+    matrix += np.diag(DAMPING * matrix.diagonal() + 1e-9)
+    return np.linalg.solve(matrix, np.einsum("pk,pkv->v", current * left, slopes))

@@ -1,0 +1,92 @@
+"""What a surface hides from itself, and the light that it throws back into its own hollows.
+
+A matte point shines alike to all sides. So what a photograph shows of the surface around a point, weighed by how much
+of the point's sky it fills and by its tilt, is what arrives from there: the first of the bounces (radiosity). Both
+change slowly along a surface, so a coarse copy of it is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import face_crosses, tangents, vertex_normals
+from mgsr.parallel import map_ahead
+from mgsr.shading.readings import Photograph, read_image, seen_frontal
+
+RAYS = 64  # from a point into its sky
+GRAZING = 0.05  # cosine of the tilt under which a photograph tells too little of how bright a point is
+TURN = np.pi * (3 - np.sqrt(5))  # from ray to ray: the golden angle spreads them evenly
+
+
+@dataclass(frozen=True)
+class Hollows:
+    """open [V], the share of its sky that a vertex of the coarse copy sees, and thrown [V,N], the brightness that
+    arrives there from the surface itself in N photographs, both by the cosine of the tilt."""
+
+    caster: RayCaster
+    faces: np.ndarray
+    open: np.ndarray
+    thrown: np.ndarray
+
+    def at(self, points: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is open [P], and thrown [P,K] in these photographs [P,K], at points [P,3] beside the surface."""
+        face, shares = self.caster.nearest(points)
+        corners = self.faces[face]
+        thrown = sum(self.thrown[corners[:, i, None], photographs] * shares[:, i, None] for i in range(3))
+        return (self.open[corners] * shares).sum(axis=1), np.asarray(thrown)
+
+
+def find_hollows(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    photographs: Sequence[Photograph],
+    gap: float,
+    threads: int | None = None,
+) -> Hollows:
+    """Those of a mesh. gap: how far a vertex may lie behind its facets."""
+    caster = RayCaster(vertices, faces)
+    normals = vertex_normals(vertices, faces).astype(np.float64)
+    columns = map_ahead(lambda each: _shown(caster, each, vertices, normals, gap), photographs, threads)
+    around = _around(caster, vertices, faces, normals, gap)
+    hidden = np.asarray(around.sum(axis=1)).ravel()
+    return Hollows(caster, faces, 1 - hidden, around @ np.stack(list(columns), axis=1))
+
+
+def _shown(
+    caster: RayCaster, photograph: Photograph, vertices: np.ndarray, normals: np.ndarray, gap: float
+) -> np.ndarray:
+    """How bright each vertex is in a photograph, [V]; 0 where it is not seen."""
+    offsets = photograph.camera.center - vertices
+    cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
+    seen = seen_frontal(caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.known)
+    pixels, _ = photograph.camera.project(vertices[seen])
+    brightness = np.zeros(len(vertices), np.float32)
+    brightness[seen] = read_image(photograph.brightness, pixels)
+    return brightness
+
+
+def _around(
+    caster: RayCaster, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, gap: float
+) -> sparse.csr_matrix:
+    """The share of each vertex's sky (row) that each other fills, [V,V]: rays by the cosine, on a spiral that is turned
+    from vertex to vertex."""
+    first, second = tangents(normals)
+    outwards = face_crosses(vertices, faces)
+    turned = 2 * np.pi * np.random.default_rng(0).random(len(vertices))
+    places, shares = [], []
+    for ray in range(RAYS):
+        square, angle = (ray + 0.5) / RAYS, ray * TURN + turned
+        level = np.sqrt(square) * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
+        directions = level + np.sqrt(1 - square) * normals
+        hits = caster.cast_rays(vertices + gap * normals, directions)
+        met = np.flatnonzero(hits.mask)
+        met = met[(outwards[hits.face[met]] * directions[met]).sum(axis=1) < 0]
+        places.append(np.stack([np.repeat(met, 3), faces[hits.face[met]].ravel()]))
+        shares.append(hits.barycentric[met].ravel() / RAYS)
+    size = (len(vertices), len(vertices))
+    return sparse.coo_matrix((np.concatenate(shares), np.concatenate(places, axis=1)), size).tocsr()

@@ -153,7 +153,7 @@ def _finish(
 # that only shape over some pixels is bettered by them: the trained details are better than theirs.
 _PASSES = {
     Light.FLASH: (Pass(edge=1.0, rounds=4, reach=160.0),),
-    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, reach=80.0, smoothing=8.0),),
+    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, reach=60.0, smoothing=8.0),),
 }
 
 

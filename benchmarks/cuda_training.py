@@ -63,8 +63,9 @@ def pack(path: Path, packed: Path, preset: str) -> None:
         arrays[f"{part}_images"] = np.stack([view.image for view in views])
         arrays[f"{part}_K"] = np.stack([view.camera.K for view in views])
         arrays[f"{part}_poses"] = np.stack([view.camera.cam_from_world for view in views])
-        if all(view.alpha is not None for view in views):
-            arrays[f"{part}_alphas"] = np.stack([view.alpha for view in views if view.alpha is not None])
+        for name, images in (("alphas", [view.alpha for view in views]), ("lit", [view.lit for view in views])):
+            if all(image is not None for image in images):
+                arrays[f"{part}_{name}"] = np.stack([image for image in images if image is not None])
     np.savez_compressed(packed, **arrays)
     print(f"{packed}: {packed.stat().st_size / 2**20:.1f} MiB")
 
@@ -72,11 +73,13 @@ def pack(path: Path, packed: Path, preset: str) -> None:
 def read(path: Path, config: Config) -> tuple[Scene, StartingPoints]:
     """A scene and its starting points, as a run has them."""
     from mgsr.data.readers import load_scene
+    from mgsr.shading.lighting import lit_scene
     from mgsr.start.starting_points import starting_points
 
     scene = load_scene(path, config.data)
     most = max(config.train.surfels.max_start, config.train.volumes.max_start)
-    return scene, starting_points(scene, most, config.seed, background=config.train.background)
+    start = starting_points(scene, most, config.seed, background=config.train.background)
+    return lit_scene(scene, start.lighting if config.train.flash else None), start
 
 
 def ball() -> tuple[Scene, StartingPoints]:
@@ -96,7 +99,8 @@ def unpack(packed: Path) -> tuple[Scene, PackedPoints]:
 
 
 def _views(arrays: dict[str, np.ndarray], part: str) -> list[View]:
-    images, alphas = arrays[f"{part}_images"], arrays.get(f"{part}_alphas")
+    images, alphas, lit = (arrays.get(f"{part}_{name}") for name in ("images", "alphas", "lit"))
+    assert images is not None
     height, width = images.shape[1:3]
     return [
         View(
@@ -104,6 +108,7 @@ def _views(arrays: dict[str, np.ndarray], part: str) -> list[View]:
             Camera(arrays[f"{part}_K"][i], arrays[f"{part}_poses"][i], width, height),
             images[i],
             None if alphas is None else alphas[i],
+            lit=None if lit is None else lit[i],
         )
         for i, name in enumerate(arrays[f"{part}_names"])
     ]

@@ -360,6 +360,7 @@ class TrainConfig:
     branches: Branches = Branches.BOTH
     l1_weight: float = 0.8  # lambda_1 on L1; the rest is on 1 - SSIM
     tv: bool = True  # off: every TV weight counts as zero (Model N)
+    flash: bool = True  # where the start finds one, splats hold colours as under even light, which it then lights
     background: Background = Background.AUTO
     alpha_loss: AlphaLoss = AlphaLoss.L1
     crop_margin: int | None = 16  # pixels around the mask's box that the photographic losses see; none is the image
@@ -398,6 +399,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "volumes.max_start": "5000",
+        "volumes.sh_degree": "1",  # to which a trial comes, where there is time for one
         "surfels.densify.max_count": "10000",
         "volumes.densify.max_count": "8000",
         "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
@@ -418,10 +420,11 @@ PRESETS: dict[str, dict[str, str]] = {
 
 METHODS: dict[str, dict[str, str]] = {
     "mgsr": {},
-    "2dgs": {"branches": "surfels"},
+    "2dgs": {"branches": "surfels", "flash": "off"},
     "3dgs": {
         "branches": "volumes",
         "reflection": "off",
+        "flash": "off",
         "volumes.sh_degree": "3",
         "transmitted_tv_weight": "0",
         "volumes.densify.drop_carrying": "0",

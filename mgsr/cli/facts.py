@@ -119,6 +119,10 @@ def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict
         "scale": float(scene.user_from_scene.scale * unit),
         "offset": [float(x) * unit for x in scene.user_from_scene.offset],
     }
+    flash = start.lighting
+    if flash is not None and scene.train[0].lit is not None:
+        across = scene.user_from_scene.scale * unit
+        facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
     return facts | {"starting_points": begun}
 
 

@@ -102,4 +102,5 @@ def _view_pictures(
         depth_picture(images.depth, images.alpha),
         shaded,
         psnr,
+        None if images.even is None else light(images.even),
     )

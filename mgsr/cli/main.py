@@ -121,7 +121,7 @@ def render(
     with refusals():
         config = make_config(overrides=settings or [])
         from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import RENDERS, read_models, write_renders
+        from mgsr.cli.outputs import RENDERS, as_lit, read_models, write_renders
         from mgsr.cli.rendering import render_views, rendered_scene
         from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
         from mgsr.data.readers import load_scene
@@ -129,7 +129,7 @@ def render(
         chosen = pick_device(device)
         if as_scene is not None:
             require_new_folder(as_scene)
-        loaded = load_scene(scene, config.data)
+        loaded = as_lit(out, load_scene(scene, config.data))
         models = read_models(out, loaded).to(chosen.torch)
         if as_scene is not None:
             write_scene_folder(as_scene, rendered_scene(models, loaded, config), config.output.scale)
@@ -149,14 +149,14 @@ def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto"
 def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, Any]:
     from mgsr.cli.device import pick_device
     from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
-    from mgsr.cli.outputs import MESH, at_known_exposures, read_mesh, read_models
+    from mgsr.cli.outputs import MESH, as_lit, at_known_exposures, read_mesh, read_models
     from mgsr.cli.rendering import render_views
     from mgsr.data.backdrop import backdrop
     from mgsr.data.readers import load_scene
     from mgsr.report.data import finite
 
     chosen = pick_device(device)
-    loaded = at_known_exposures(out, load_scene(scene, config.data))
+    loaded = as_lit(out, at_known_exposures(out, load_scene(scene, config.data)))
     models = read_models(out, loaded).to(chosen.torch)
     behind = backdrop(loaded, config.train.background)
     scores = image_scores(list(render_views(models, loaded.test, config)), loaded, behind.color)

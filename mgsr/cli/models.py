@@ -29,6 +29,13 @@ class Models:
         )
 
     @property
+    def device(self) -> torch.device:
+        """Where they are."""
+        model = self.volumes if self.volumes is not None else self.surfels
+        assert model is not None
+        return model.means.device
+
+    @property
     def counts(self) -> dict[str, int]:
         """Splats by branch."""
         named = {"surfels": self.surfels, "volumes": self.volumes}

@@ -18,6 +18,7 @@ from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import MgsrError
+from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
@@ -34,6 +35,7 @@ from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
 from mgsr.report.shading import up_direction
+from mgsr.shading.lighting import Lighting, lit_scene
 
 MESH = "mesh.ply"
 MESH_GLB = "mesh.glb"
@@ -42,6 +44,7 @@ MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
 VOLUMES = "splats_3d.ply"
 LIGHT = "mirrored_light.npz"
+FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
 RENDERS = "renders/test"
 REPORT = "report.json"
@@ -59,9 +62,10 @@ def clear_reports(out: Path) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def clear_exposures(out: Path) -> None:
+def clear_findings(out: Path) -> None:
     """Remove what an earlier run found of its photographs."""
-    (out / EXPOSURES).unlink(missing_ok=True)
+    for name in (EXPOSURES, FLASH):
+        (out / name).unlink(missing_ok=True)
 
 
 def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
@@ -95,6 +99,20 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
     if not (np.isfinite(factors) & (factors > 0)).all():
         raise MgsrError(f"{out / EXPOSURES}: expected factors above 0; run `mgsr train SCENE -o {out}` again")
     return evened(scene, Exposures(train, test))
+
+
+def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
+    """flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
+    with whole(out / FLASH) as path:
+        write_flash(path, lighting.moved(scene.user_from_scene))
+
+
+def as_lit(out: Path, scene: Scene) -> Scene:
+    """The scene with what the flash that the run in `out` found makes of its views, if it found one. Raises SceneError
+    for a file that is damaged."""
+    if not (out / FLASH).is_file():
+        return scene
+    return lit_scene(scene, load_flash(out / FLASH).moved(scene.user_from_scene.inverse))
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
@@ -188,15 +206,12 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 def _export_form(view: ViewImages, unit: float) -> RenderedView:
     """With straight colours, and depth in the files' unit, of which the scene's is `unit`."""
-    return RenderedView(
-        straight_color(view.color, view.alpha),
-        view.alpha,
-        None if view.transmitted is None else straight_color(view.transmitted, view.alpha),
-        view.reflected,
-        view.weight,
-        view.depth * unit,
-        view.normal,
+    transmitted, even = (
+        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
     )
+    color = straight_color(view.color, view.alpha)
+    light = (transmitted, view.reflected, view.weight)
+    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, even)
 
 
 def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:

@@ -2,86 +2,34 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from mgsr.budget.budget import TimeBudget
 from mgsr.cli import outputs
-from mgsr.cli.budgeted import budget_report, fitted_scene, make_budget, most_points, plan_line, planned_config
+from mgsr.cli.beginning import begin, load
+from mgsr.cli.budgeted import budget_report, fitted_scene, make_budget, plan_line, planned_config
 from mgsr.cli.clock import StepClock
 from mgsr.cli.device import Device, pick_device
 from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
 from mgsr.cli.events import Event, EventCallback, ignore
-from mgsr.cli.facts import run_report, scene_line
+from mgsr.cli.facts import run_report
 from mgsr.cli.gallery import draw_surface, report_pictures
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
-from mgsr.config import Config, Exposure
+from mgsr.cli.steps import Steps, StopCheck, always, never
+from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
-from mgsr.data.exposure import evened
-from mgsr.data.masks import with_masks
-from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.errors import Cancelled, ConfigError
+from mgsr.errors import ConfigError
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.report.data import ReportData
-from mgsr.start.starting_points import StartingPoints, starting_points
-from mgsr.training.exposure import find_exposures
-from mgsr.training.outlines import learned_outlines
+from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
-
-StopCheck = Callable[[], bool]
-
-# Seconds between two words of how far a long step is.
-SELDOM = 2.0
-
-
-def never() -> bool:
-    """For callers that will not stop a run."""
-    return False
-
-
-def always() -> bool:
-    """For callers that have all the time there is."""
-    return True
-
-
-class Steps:
-    """Announces each step, times it, and heeds the wish to stop before it begins."""
-
-    def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
-        self.clock = clock
-        self.progress = progress
-        self.should_stop = should_stop
-
-    def __call__(self, step: str, text: str) -> AbstractContextManager[None]:
-        if self.should_stop():
-            raise Cancelled(f"stopped on request before the step {step}")
-        self.progress(Event(step, text))
-        return self.clock.step(step)
-
-    def share(self, step: str, text: str) -> Callable[[float], None]:
-        """What a long step calls with the share of it that is done, 0..1: passed on now and then; heeds the wish to
-        stop, too."""
-        told = time.monotonic()
-
-        def tell(done: float) -> None:
-            nonlocal told
-            if self.should_stop():
-                raise Cancelled(f"stopped on request in the step {step}")
-            if time.monotonic() - told > SELDOM:
-                told = time.monotonic()
-                self.progress(Event(step, f"{text}: {done:.0%}", done=done))
-
-        return tell
 
 
 def run_scene(
@@ -110,10 +58,10 @@ def run_scene(
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / outputs.CHECKPOINT if resume else None)
-    scene = _load(scene_path, out, config, step)
+    scene = load(scene_path, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, step.clock)
-    scene, start = _begin(scene, config, out, step, budget)
+    scene, start = begin(scene, config, out, step, budget)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
@@ -164,8 +112,8 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = _load(scene_path, out, config, step)
-    scene, start = _begin(scene, config, out, step)
+    scene = load(scene_path, out, config, step)
+    scene, start = begin(scene, config, out, step)
     return _Training(scene, start, config, out, step, chosen, resume).run()
 
 
@@ -191,57 +139,6 @@ def result_line(report: ReportData) -> str:
     if report.psnr_test is not None:
         parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
     return ", ".join(parts)
-
-
-def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
-    with step("load", f"reading {path}"):
-        scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
-        outputs.clear_reports(out)
-    for text in (scene_line(scene), *scene.notes):
-        step.progress(Event("load", text))
-    return scene
-
-
-def _loading(done: int, total: int) -> Event:
-    return Event("load", f"read {done} of {total} photographs", done=done / total)
-
-
-def _begin(
-    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
-) -> tuple[Scene, StartingPoints]:
-    """The scene with its photographs at a common exposure, where theirs differ, and the points to start from."""
-    masks = _learn_masks(scene, config, step)
-
-    def points(of: Scene, during: str, text: str) -> StartingPoints:
-        count, progress = most_points(config, budget), step.share(during, text)
-        return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
-
-    outputs.clear_exposures(out)
-    with step("start", "choosing starting points"):
-        start = points(scene, "start", "choosing starting points")
-    if config.data.exposure is Exposure.KEEP:
-        return scene, start
-    with step("exposures", "comparing the photographs' exposures"):
-        exposures = find_exposures(scene, start, config.seed, step.should_stop)
-        if exposures is None:
-            return scene, start
-        scene = evened(scene, exposures)
-        outputs.write_exposures(out, scene, exposures)
-        text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
-        step.progress(Event("exposures", text))
-        return scene, points(scene, "exposures", "choosing starting points anew")
-
-
-def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
-    """Masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
-    if not backdrop(scene, config.train.background).plain:
-        return None
-    text = "learning where the object ends"
-    with step("outlines", text):
-        masks = learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
-    if masks is None:
-        step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
-    return masks
 
 
 class _Training:

@@ -34,7 +34,8 @@ class ViewImages:
 
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
     frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
-    a light split.
+    a light split; even [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
+    known.
     """
 
     name: str
@@ -46,6 +47,7 @@ class ViewImages:
     transmitted: np.ndarray | None = None
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
+    even: np.ndarray | None = None
 
 
 def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
@@ -110,15 +112,17 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
 
 
 def _render_view(models: Models, view: View, config: Config) -> ViewImages:
-    flat, full = _see(models, view.camera, depth=True)
+    lit = None if view.lit is None else torch.from_numpy(view.lit).to(models.device) / 255
+    flat, full = _see(models, view.camera, depth=True, lit=lit)
     depth, normal = _surface(flat, full, view.camera, config)
     if full is None:
         assert flat is not None
-        return ViewImages(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal)
-    light = [None if image is None else _numpy(image) for image in (full.reflected, full.weight)]
-    transmitted = None if full.reflected is None else _numpy(full.transmitted)
-    images = (_numpy(full.color), _numpy(full.alpha), depth, normal, transmitted)
-    return ViewImages(view.name, view.camera, *images, *light)
+        even = None if flat.even is None else _numpy(flat.even)
+        return ViewImages(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal, even=even)
+    transmitted = None if full.reflected is None else full.transmitted
+    lights = (transmitted, full.reflected, full.weight, full.even)
+    images = (_numpy(full.color), _numpy(full.alpha), depth, normal)
+    return ViewImages(view.name, view.camera, *images, *(None if each is None else _numpy(each) for each in lights))
 
 
 def _opacity(models: Models, camera: Camera) -> np.ndarray:
@@ -146,8 +150,10 @@ def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarr
     return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)
 
 
-def _see(models: Models, camera: Camera, depth: bool) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    return render_both(models.surfels, models.volumes, models.light, camera, depth=depth)
+def _see(
+    models: Models, camera: Camera, depth: bool, lit: Tensor | None = None
+) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
+    return render_both(models.surfels, models.volumes, models.light, camera, depth=depth, lit=lit)
 
 
 def _surface(
@@ -162,7 +168,8 @@ def _surface(
 
 
 def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind: MeshColor) -> np.ndarray:
-    """Straight colour, so that the mesh gets no dark rim where the splats thin out."""
+    """Straight colour, so that the mesh gets no dark rim where the splats thin out; under even light, where a flash is
+    known."""
     outputs = full if full is not None else flat
     assert outputs is not None
     color = full.transmitted if full is not None and kind is MeshColor.TRANSMITTED else outputs.color

@@ -17,6 +17,8 @@ class View:
     """One photograph: name (unique, without extension), camera, image [H,W,3] uint8 sRGB (straight, not
     premultiplied) and alpha [H,W] uint8 (255 is the object), or None without a mask; known [H,W] bool: the pixels that
     the photograph shows, None where it shows all. What image and alpha hold at others means nothing (see `known.py`).
+    lit [H,W] uint8: the light that a flash on the camera throws on what each pixel shows, a share of the most, as
+    255 light^(1/2.4); None where no flash is known.
     """
 
     name: str
@@ -24,6 +26,7 @@ class View:
     image: np.ndarray
     alpha: np.ndarray | None = None
     known: np.ndarray | None = None
+    lit: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,11 @@ class Similarity:
     def to_scene(self, points: np.ndarray) -> np.ndarray:
         """Points [P,3] of the user's frame, in the normalised frame."""
         return (points - self.offset) / self.scale
+
+    @property
+    def inverse(self) -> Similarity:
+        """scene = inverse.to_user(user)."""
+        return Similarity(1 / self.scale, -self.offset / self.scale)
 
     def camera_to_user(self, camera: Camera) -> Camera:
         """The camera with its pose in the user's frame."""

@@ -40,7 +40,8 @@ def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray
     """The view as a smaller `camera` has it: each pixel the area mean, [H,W,C] to [h,w,C] float, of those that it
     covers. Colours count as alpha says, and unknown pixels not at all."""
     pixels, known = known_mean(stack(view, premultiply=True), view.known, mean)
-    return replace(unstack(view.name, camera, pixels, premultiplied=True), known=known)
+    lit = None if view.lit is None else _bytes(mean(view.lit[..., None])[..., 0])
+    return replace(unstack(view.name, camera, pixels, premultiplied=True), known=known, lit=lit)
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:

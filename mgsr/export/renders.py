@@ -1,9 +1,10 @@
 """Rendered views as image files.
 
-Per view: `<name>.png` and `<name>_transmitted.png`, 8-bit RGBA with straight alpha; `<name>_reflected.png`, 8-bit RGB;
-`<name>_weight.png`, 8-bit grey, 255 is 1; `<name>_depth.png`, 16-bit grey, 0 where nothing is, else camera z in the
-user's unit after multiplication with the number in the file's text field `depth_scale`; `<name>_normal.png`, 8-bit
-RGBA, world normal n as 255 (n + 1) / 2 with straight alpha.
+Per view: `<name>.png`, `<name>_transmitted.png` and, where a flash is known, `<name>_even.png`, the transmitted colour
+under even light, 8-bit RGBA with straight alpha; `<name>_reflected.png`, 8-bit RGB; `<name>_weight.png`, 8-bit grey,
+255 is 1; `<name>_depth.png`, 16-bit grey, 0 where nothing is, else camera z in the user's unit after multiplication
+with the number in the file's text field `depth_scale`; `<name>_normal.png`, 8-bit RGBA, world normal n as
+255 (n + 1) / 2 with straight alpha.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mgsr.errors import MgsrError, SceneError
 
 @dataclass(frozen=True)
 class RenderedView:
-    """One view's images, float. color [H,W,3] and transmitted [H,W,3]: sRGB 0..1, straight (`straight_color`); alpha
+    """One view's images, float. color, transmitted and even [H,W,3]: sRGB 0..1, straight (`straight_color`); alpha
     [H,W] 0..1; reflected [H,W,3] sRGB; weight [H,W] 0..1; depth [H,W] camera z in the user's unit, 0 where nothing
     is; normal [H,W,3] world frame, of any length. What is None is not written."""
 
@@ -30,6 +31,7 @@ class RenderedView:
     weight: np.ndarray | None = None
     depth: np.ndarray | None = None
     normal: np.ndarray | None = None
+    even: np.ndarray | None = None
 
 
 def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -50,8 +52,9 @@ def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
     """
     images: dict[str, np.ndarray] = {"": _rgba(view.color, view.alpha)}
     notes: dict[str, str] = {}
-    if view.transmitted is not None:
-        images["_transmitted"] = _rgba(view.transmitted, view.alpha)
+    for suffix, color in (("_transmitted", view.transmitted), ("_even", view.even)):
+        if color is not None:
+            images[suffix] = _rgba(color, view.alpha)
     if view.reflected is not None:
         images["_reflected"] = _bytes(view.reflected)
     if view.weight is not None:

@@ -21,10 +21,12 @@ def render_both(
     camera: Camera,
     background: Tensor | None = None,
     depth: bool = True,
+    lit: Tensor | None = None,
 ) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    """What each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time."""
-    flat = None if surfels is None else render_surfels(surfels, camera, background)
+    """What each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time; lit:
+    as for `render_volumes`."""
+    flat = None if surfels is None else render_surfels(surfels, camera, background, lit=lit)
     if volumes is None:
         return flat, None
     mirrored = None if light is None or flat is None else mirrored_light(light, flat.normal, camera)
-    return flat, render_volumes(volumes, camera, background, depth=depth, mirrored=mirrored)
+    return flat, render_volumes(volumes, camera, background, depth=depth, mirrored=mirrored, lit=lit)

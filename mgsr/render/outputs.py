@@ -17,7 +17,8 @@ class SurfelOutputs:
 
     color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
     where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked
-    for; stats: screen-space figures of each surfel (see mgsr/ops).
+    for; stats: screen-space figures of each surfel (see mgsr/ops); even [H,W,3]: the colour as it is under even light,
+    None where no flash lit it.
     """
 
     color: Tensor
@@ -27,6 +28,7 @@ class SurfelOutputs:
     normal: Tensor
     distortion: Tensor | None
     stats: Any
+    even: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,9 @@ class VolumeOutputs:
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
     weight [H,W], None without a light split; mirrored [H,W,3]: the share of reflected that is the shared light's, None
-    without one; depth [H,W] camera z, 0 where nothing is, None if not asked for; alpha
-    [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    without one; even [H,W,3]: transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z,
+    0 where nothing is, None if not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each
+    Gaussian (see mgsr/ops).
     """
 
     color: Tensor
@@ -47,6 +50,7 @@ class VolumeOutputs:
     alpha: Tensor
     stats: Any
     mirrored: Tensor | None = None
+    even: Tensor | None = None
 
 
 def camera_center(camera: Camera, device: torch.device) -> Tensor:

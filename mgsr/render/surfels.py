@@ -8,6 +8,7 @@ from torch import Tensor
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
+from mgsr.render.lit import light_up
 from mgsr.render.outputs import SurfelOutputs, camera_center
 
 
@@ -17,13 +18,16 @@ def render_surfels(
     background: Tensor | None = None,
     degree: int | None = None,
     distortion: bool = False,
+    lit: Tensor | None = None,
 ) -> SurfelOutputs:
     """The surfels seen by any camera, at its size.
 
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
-    stored. Gradients flow to the model's tensors where these ask for them.
+    stored; lit [H,W]: what a flash makes of the colour (see `mgsr.render.lit`), which without it is that under even
+    light. Gradients flow to the model's tensors where these ask for them.
     """
     center = camera_center(camera, model.means.device)
+    behind = torch.zeros(3, device=model.means.device) if background is None else background
     raster = rasterize_surfels(
         model.means,
         model.quats,
@@ -31,15 +35,17 @@ def render_surfels(
         model.opacities(),
         model.colors(center, degree),
         camera,
-        torch.zeros(3, device=model.means.device) if background is None else background,
+        behind,
         options=SurfelOptions(distortion=distortion),
     )
+    color = raster.color if lit is None else light_up(raster.color, raster.alpha, behind, lit)
     return SurfelOutputs(
-        raster.color,
+        color,
         raster.alpha,
         raster.depth,
         raster.median_depth,
         raster.normal,
         raster.distortion,
         raster.stats,
+        None if lit is None else raster.color,
     )

@@ -11,6 +11,7 @@ from torch.autograd.function import once_differentiable
 from mgsr.data.camera import Camera
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
+from mgsr.render.lit import light_up
 from mgsr.render.outputs import VolumeOutputs, camera_center
 
 
@@ -22,15 +23,18 @@ def render_volumes(
     refl_degree: int | None = None,
     depth: bool = True,
     mirrored: Tensor | None = None,
+    lit: Tensor | None = None,
 ) -> VolumeOutputs:
     """The Gaussians seen by any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
     the reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.render.mirrored`). Gradients flow to the model's tensors, and to the
-    mirrored light, where these ask for them.
+    added to the reflected colour (see `mgsr.render.mirrored`); lit [H,W]: what a flash makes of the transmitted colour
+    (see `mgsr.render.lit`), which without it is that under even light. Gradients flow to the model's tensors, and to
+    the mirrored light, where these ask for them.
     """
     center = camera_center(camera, model.means.device)
+    behind = torch.zeros(3, device=model.means.device) if background is None else background
     raster = rasterize_volumes(
         model.means,
         model.quats,
@@ -38,17 +42,19 @@ def render_volumes(
         model.opacities(),
         model.colors(center, degree),
         camera,
-        torch.zeros(3, device=model.means.device) if background is None else background,
+        behind,
         reflected=_reflected(model, center, refl_degree),
         options=VolumeOptions(low_pass=model.low_pass, depth=depth),
     )
-    color, reflected, weight = raster.color, mirrored, raster.alpha
+    transmitted = raster.color if lit is None else light_up(raster.color, raster.alpha, behind, lit)
+    color, reflected, weight = transmitted, mirrored, raster.alpha
     if raster.reflected is not None and raster.weight is not None:
         reflected, weight = raster.reflected if mirrored is None else raster.reflected + mirrored, raster.weight
     if reflected is not None:
-        color = add_reflection(raster.color, reflected, weight)
-    lights = (color, raster.color, reflected, None if reflected is None else weight)
-    return VolumeOutputs(*lights, raster.depth, raster.alpha, raster.stats, mirrored)
+        color = add_reflection(transmitted, reflected, weight)
+    lights = (color, transmitted, reflected, None if reflected is None else weight)
+    even = None if lit is None else raster.color
+    return VolumeOutputs(*lights, raster.depth, raster.alpha, raster.stats, mirrored, even)
 
 
 def add_reflection(transmitted: Tensor, reflected: Tensor, weight: Tensor) -> Tensor:

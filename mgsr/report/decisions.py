@@ -69,6 +69,7 @@ def tell_decisions(data: ReportData) -> list[Decision]:
         *_about_input(given, (data.other.get("settings") or {}).get("train") or {}),
         *_about_stages(data),
         *_about_surface(data, mesh),
+        *_about_flash(given.get("flash")),
         *_about_light(data),
     ]
 
@@ -150,6 +151,15 @@ def _about_surface(data: ReportData, mesh: dict[str, Any]) -> Iterator[Decision]
     if data.mesh is not None and data.mesh.boundary_edges:
         left = "left open" if not mesh.get("close_holes") else "some could not be closed"
         yield Decision("Holes", left, "where no view showed a surface, none is invented")
+
+
+def _about_flash(flash: dict[str, float] | None) -> Iterator[Decision]:
+    if not flash:
+        return
+    across = f"{abs(flash['right']):.2g} to the {'right' if flash['right'] >= 0 else 'left'}"
+    choice = f"a lamp {across} of the lens and {abs(flash['down']):.2g} {'below' if flash['down'] >= 0 else 'above'} it"
+    why = "its shading and shadows are computed for each view: the splats' own colours are those under even light"
+    yield Decision("Flash on the camera", choice, why)
 
 
 def _about_light(data: ReportData) -> Iterator[Decision]:

@@ -19,7 +19,7 @@ from mgsr.report.style import CSS, SCRIPT
 
 HERO_SIDE, TILE_SIDE = 512, 320  # longest sides in pixels: a report stays small enough to send
 MOST_VIEWS = 8
-COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
+COLUMNS = {1: "two", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "four", 8: "four"}
 STEPS = (
     "total",
     "load",
@@ -89,12 +89,13 @@ def _view_row(view: TestViewPictures, side: int, extra: str = "") -> str:
         ("render", view.render),
         ("transmitted light", view.transmitted),
         ("weight × reflected light", view.reflected),
+        ("even light, no flash", view.even),
         ("normals", view.normal),
-        ("depth", view.depth if view.mesh is None else None),
+        ("depth", view.depth if view.mesh is None or view.even is not None else None),
         ("mesh", view.mesh),
     )
     tiles = [_tile(f"{view.name}: {name}", name, pixels, side) for name, pixels in named if pixels is not None]
-    return f'<div class="row {COLUMNS[min(len(tiles), 6)]} {extra}">{"".join(tiles)}</div>'
+    return f'<div class="row {COLUMNS[len(tiles)]} {extra}">{"".join(tiles)}</div>'
 
 
 def _tile(alt: str, caption: str, pixels: np.ndarray, side: int) -> str:

@@ -21,6 +21,7 @@ class TestViewPictures:
     """One test view. Each picture is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
 
     reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
+    even: the transmitted light as it would be without the flash, all sides lit alike.
     """
 
     name: str
@@ -32,6 +33,7 @@ class TestViewPictures:
     depth: np.ndarray | None = None
     mesh: np.ndarray | None = None
     psnr: float | None = None
+    even: np.ndarray | None = None
 
     # The name begins with "Test", but this is no test case.
     __test__ = False

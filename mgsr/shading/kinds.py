@@ -8,18 +8,22 @@ from typing import Protocol
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import csgraph
 
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, mean_normals, spread
+from mgsr.geometry.displace import edge_length, edges, mean_normals, spread
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import Flash, explain_by_flash
 from mgsr.shading.flash_fit import fit_flash
-from mgsr.shading.hollows import find_hollows
+from mgsr.shading.hollows import Hollows, find_hollows
+from mgsr.shading.lighting import Lighting, lamp_light
 from mgsr.shading.mirroring import explain_by_mirroring
 from mgsr.shading.readings import Photograph, Readings, read_photographs
 
 HOLLOWS_EDGE = 4.0  # pixels; of the mesh on which hollows are found
+LIT_EDGE = 1.5  # pixels; of the mesh that carries a flash's light
+BRIGHTEST = 0.995  # of the places that photographs show; one that is brighter counts as bright as these
 POOL = 2.5  # pixels over which the readings of neighbours are put together
 CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it shows too little of each of its tilts
 
@@ -49,6 +53,9 @@ class Shading(Protocol):
     ) -> tuple[np.ndarray, Explained]:
         """The normals [V,3] that a mesh's vertices have, and what the light says of them. laplacian: `umbrella`."""
 
+    def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> Lighting | None:
+        """What the light makes of a mesh, where it comes with the camera."""
+
 
 class ByFlash:
     """A lamp that moves with the camera. With each call its place is better known, as the mesh is."""
@@ -59,8 +66,7 @@ class ByFlash:
         """readings, normals: of the mesh, with which the lamp's place is first looked for."""
         self._shot = shot
         self._cameras = [photograph.camera for photograph in shot.photographs]
-        coarse = coarser(vertices, faces, HOLLOWS_EDGE * shot.pixel)
-        self._hollows = find_hollows(*coarse, shot.photographs, shot.pixel, shot.threads)
+        self._hollows = self._find_hollows(vertices, faces)
         self._flash = fit_flash(readings, vertices, normals, self._cameras, self._hollows, Flash())
 
     def explain(
@@ -70,6 +76,25 @@ class ByFlash:
         self._flash = fit_flash(readings, vertices, normals, self._cameras, self._hollows, self._flash)
         light = self._flash, self._cameras, self._hollows
         return normals, explain_by_flash(readings, vertices, normals, *light, self._shot.threads)
+
+    def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> Lighting:
+        vertices, faces = coarser(vertices, faces, LIT_EDGE * self._shot.pixel)
+        lamps, hollows = self._flash.lamps(self._cameras), self._find_hollows(vertices, faces)
+        readings, normals = self._shot.read(vertices, faces, lamps)
+        flash = fit_flash(readings, vertices, normals, self._cameras, hollows, self._flash)
+        sky, thrown = hollows.at(vertices, readings.photographs)
+        # What hollows throw back is as the photographs that show the place have it, on average: it changes little.
+        seen = readings.weights > 0
+        bounced = (thrown * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+        besides = flash.ambient * sky + flash.bounced * bounced
+        light = lamp_light(lamps[readings.photographs] - vertices[:, None], normals[:, None]) + besides[:, None]
+        most = float(np.quantile(light[seen], BRIGHTEST)) if seen.any() else 1.0
+        like = _nearest(np.asarray(seen.any(axis=1)), vertices, edges(faces))
+        return Lighting(vertices, faces, besides / most, like, flash.right, flash.down, 1 / most)
+
+    def _find_hollows(self, vertices: np.ndarray, faces: np.ndarray) -> Hollows:
+        coarse = coarser(vertices, faces, HOLLOWS_EDGE * self._shot.pixel)
+        return find_hollows(*coarse, self._shot.photographs, self._shot.pixel, self._shot.threads)
 
 
 class ByMirroring:
@@ -86,6 +111,23 @@ class ByMirroring:
         reach = POOL * pixel / edge_length(vertices, faces)
         still = _near_sharp_edges(vertices, laplacian, normals, pixel, reach)
         return normals, explain_by_mirroring(readings, normals, laplacian, reach, still, self._shot.threads)
+
+    def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        return None
+
+
+def _nearest(wanted: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """The vertex of those that are wanted [V] bool that is nearest to each [V,3] along the edges [E,2]; itself where no
+    way leads to one."""
+    own = np.arange(len(vertices))
+    if not wanted.any():
+        return own
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    ways = sparse.coo_matrix((lengths, edges.T), (len(vertices), len(vertices))).tocsr()
+    sources = csgraph.dijkstra(
+        ways, directed=False, indices=np.flatnonzero(wanted), min_only=True, return_predecessors=True
+    )[2]
+    return np.asarray(np.where(sources >= 0, sources, own))
 
 
 def _near_sharp_edges(

@@ -55,10 +55,11 @@ class Pass:
 
 @dataclass(frozen=True)
 class Refined:
-    """vertices [V,3], moved where the light is known."""
+    """vertices [V,3], moved where the light is known; shading: what knows it, None for an unknown light."""
 
     vertices: np.ndarray
     light: Light
+    shading: Shading | None = None
 
 
 def refine_by_shading(
@@ -99,7 +100,7 @@ def refine_by_shading(
             progress(done / rounds)
         moves = interpolation(before, triangles, vertices) @ (after - before)
         vertices = vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel)
-    return Refined(vertices, light)
+    return Refined(vertices, light, shading)
 
 
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:

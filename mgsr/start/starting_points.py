@@ -16,6 +16,7 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
+from mgsr.shading.lighting import Lighting
 from mgsr.shading.refine import Light, Pass, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.plane_sweep import sweep_planes
@@ -65,13 +66,15 @@ class StartSource(StrEnum):
 class StartingPoints:
     """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
     the surface is known, else None; shiny: whether a flash, or mirrored surroundings, explain how brightness changes
-    from view to view, None where that was not looked at."""
+    from view to view, None where that was not looked at; lighting: what a flash makes of the surface, None without
+    one."""
 
     positions: np.ndarray
     colors: np.ndarray
     source: StartSource
     normals: np.ndarray | None = None
     shiny: bool | None = None
+    lighting: Lighting | None = None
 
 
 def starting_points(
@@ -203,7 +206,8 @@ def _carved_points(
     )
     positions, normals = _sample(refined.vertices, faces, count, generator)
     shiny = refined.light is not Light.UNKNOWN
-    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny)
+    lighting = None if refined.shading is None else refined.shading.lighting(refined.vertices, faces)
+    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=lighting)
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:

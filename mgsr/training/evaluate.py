@@ -16,20 +16,26 @@ from mgsr.render.both import render_both
 from mgsr.render.surfels import render_surfels
 from mgsr.training.views import Color, TrainingView, color_tensor
 
-Picture = Callable[[Camera, Color], Tensor]  # a branch's image [H,W,3] of a camera on a background
+# A branch's image [H,W,3] of a camera, on a background, lit as `TrainingView.light` says.
+Picture = Callable[[Camera, Color, Tensor | None], Tensor]
 
 
 def surfel_picture(model: SurfelModel) -> Picture:
     """The 2D branch's colours."""
-    return lambda camera, background: render_surfels(model, camera, color_tensor(background, model.means.device)).color
+
+    def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
+        return render_surfels(model, camera, color_tensor(background, model.means.device), lit=light).color
+
+    return picture
 
 
-def volume_picture(model: VolumeModel, surfels: SurfelModel | None, light: MirroredLight | None) -> Picture:
+def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
     """The 3D branch's colours, with what the surface mirrors."""
 
-    def picture(camera: Camera, background: Color) -> Tensor:
+    def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
         color = color_tensor(background, model.means.device)
-        _, full = render_both(None if light is None else surfels, model, light, camera, color, depth=False)
+        mirror = None if mirrored is None else surfels
+        _, full = render_both(mirror, model, mirrored, camera, color, depth=False, lit=light)
         assert full is not None
         return full.color
 
@@ -42,7 +48,7 @@ def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) ->
     `background` where there are masks."""
     values = []
     for view in views:
-        image = picture(view.camera, background).clamp(0, 1)
+        image = picture(view.camera, background, view.light()).clamp(0, 1)
         target = view.target(background)
         squares = (image - target.color).square()
         if target.unknown is not None:

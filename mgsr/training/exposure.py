@@ -76,7 +76,7 @@ def _trained(
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:
-        return srgb_to_linear(picture(view.camera, behind.color).clamp(0, 1).numpy().astype(np.float64))
+        return srgb_to_linear(picture(view.camera, behind.color, None).clamp(0, 1).numpy().astype(np.float64))
 
     return light
 

@@ -224,7 +224,8 @@ def _see_surfels(
     branch: SurfelBranch, view: TrainingView, background: Color, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
     distortion = config.surfels.distortion_weight > 0
-    return render_surfels(branch.model, view.camera, color_tensor(background, branch.device), degree, distortion)
+    color = color_tensor(background, branch.device)
+    return render_surfels(branch.model, view.camera, color, degree, distortion, view.light())
 
 
 def _see_volumes(
@@ -237,4 +238,5 @@ def _see_volumes(
     mirrored: Tensor | None,
 ) -> VolumeOutputs:
     color = color_tensor(background, branch.device)
-    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth, mirrored)
+    light = (mirrored, view.light())
+    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth, *light)

@@ -25,7 +25,7 @@ class TrainingView:
     image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: where the photographic losses look (see
     Target); off_edge [H,W] bool: what lies off the mask's outline; covered [P] int64: the pixels that the mask touches,
     row x W + column, None without masks; unknown [P] int64: likewise those that the photograph does not show, None
-    where it shows all. The mask is 0 there, and the image anything.
+    where it shows all. The mask is 0 there, and the image anything. lit [H,W] uint8: as in `View`.
     """
 
     name: str
@@ -36,6 +36,11 @@ class TrainingView:
     off_edge: Tensor | None = None
     covered: Tensor | None = None
     unknown: Tensor | None = None
+    lit: Tensor | None = None
+
+    def light(self) -> Tensor | None:
+        """`lit` for `render_volumes`."""
+        return None if self.lit is None else self.lit / 255
 
     def target(self, background: Color) -> Target:
         """The photograph on a background, for the losses."""
@@ -80,13 +85,15 @@ def _prepared(
     image = torch.from_numpy(view.image).to(device)
     # Found on the host, so that a card is never waited for.
     unknown = None if view.known is None else torch.from_numpy(np.flatnonzero(~view.known)).to(device)
+    lit = None if view.lit is None else torch.from_numpy(view.lit).to(device)
     if view.alpha is None:
-        return TrainingView(view.name, view.camera, image, None, unknown=unknown)
+        return TrainingView(view.name, view.camera, image, None, unknown=unknown, lit=lit)
     alpha = view.alpha if view.known is None else np.where(view.known, view.alpha, np.uint8(0))
     mask, covered = torch.from_numpy(alpha), torch.from_numpy(np.flatnonzero(alpha))
     region = None if margin is None else bounding_region(alpha, margin)
     off_edge = off_outline(mask, edge_band, view.known).to(device) if edge_band else None
-    return TrainingView(view.name, view.camera, image, mask.to(device), region, off_edge, covered.to(device), unknown)
+    outline = (mask.to(device), region, off_edge, covered.to(device))
+    return TrainingView(view.name, view.camera, image, *outline, unknown, lit)
 
 
 def _reduced(view: View, by: int) -> View:

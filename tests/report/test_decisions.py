@@ -28,6 +28,15 @@ def test_the_light_is_told() -> None:
     assert [each.choice for each in told if each.what.startswith("Shading")] == ["not tried"]
 
 
+def test_a_flash_is_told_with_its_place() -> None:
+    sample = sample_report()
+    other = {**sample.other, "input": {**sample.other["input"], "flash": {"right": -0.1041, "down": -0.23}}}
+    told = {each.what: each for each in tell_decisions(replace(sample, other=other))}
+    flash = told["Flash on the camera"]
+    assert flash.choice == "a lamp 0.1 to the left of the lens and 0.23 above it" and "even light" in flash.why
+    assert "Flash on the camera" not in {each.what for each in tell_decisions(sample)}
+
+
 @pytest.mark.parametrize(
     ("light", "masked", "moved", "choice", "why"),
     [

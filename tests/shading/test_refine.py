@@ -58,13 +58,15 @@ def lamps(directions: np.ndarray) -> np.ndarray:
     return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
 
 
-def photographs(mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0)) -> list[View]:
+def photographs(
+    mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0), side: int = SIDE
+) -> list[View]:
     """What cameras around see of the mesh in two paints, in sRGB of 8 bits; aside: how far to the right of the lens and
     below it the eye is put, as a lamp may be."""
     normals, views = vertex_normals(mesh.vertices, mesh.faces), []
     caster = RayCaster(mesh.vertices, mesh.faces)
-    for index, camera in enumerate(cameras_around(40, side=SIDE)):
-        y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    for index, camera in enumerate(cameras_around(40, side=side)):
+        y, x = np.mgrid[:side, :side] + 0.5
         hits = caster.cast_pixels(camera, np.stack([x, y], axis=-1))
         corners = mesh.faces[np.where(hits.mask, hits.face, 0)]
         normal = (normals[corners] * hits.barycentric[..., None]).sum(2)

@@ -1,0 +1,99 @@
+"""What a run finds out before training: the scene, its exposures, and where splats begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.budget.budget import TimeBudget
+from mgsr.cli import outputs
+from mgsr.cli.budgeted import most_points
+from mgsr.cli.events import Event
+from mgsr.cli.facts import scene_line
+from mgsr.cli.steps import Steps
+from mgsr.config import Config, Exposure
+from mgsr.data.backdrop import backdrop
+from mgsr.data.exposure import evened
+from mgsr.data.masks import with_masks
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
+from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.training.exposure import find_exposures
+from mgsr.training.outlines import learned_outlines
+
+
+def load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
+    """The scene of a folder or archive, told of; an earlier run's reports in `out` are gone then."""
+    with step("load", f"reading {path}"):
+        scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
+        outputs.clear_reports(out)
+    for text in (scene_line(scene), *scene.notes):
+        step.progress(Event("load", text))
+    return scene
+
+
+def _loading(done: int, total: int) -> Event:
+    return Event("load", f"read {done} of {total} photographs", done=done / total)
+
+
+def begin(
+    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+) -> tuple[Scene, StartingPoints]:
+    """The scene with its photographs at a common exposure, where theirs differ, and what a flash makes of them, where
+    there is one; and the points to start from. What is found is left in `out`."""
+    masks = _learn_masks(scene, config, step)
+
+    def points(of: Scene, during: str, text: str) -> StartingPoints:
+        count, progress = most_points(config, budget), step.share(during, text)
+        return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
+
+    outputs.clear_findings(out)
+    with step("start", "choosing starting points"):
+        start = points(scene, "start", "choosing starting points")
+    if config.data.exposure is not Exposure.KEEP:
+        scene, start = _at_one_exposure(scene, start, config, out, step, points)
+    return _as_lit(scene, start.lighting, config, out, step), start
+
+
+def _at_one_exposure(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    out: Path,
+    step: Steps,
+    points: Callable[[Scene, str, str], StartingPoints],
+) -> tuple[Scene, StartingPoints]:
+    """Both as they are, where exposures do not differ; points: chooses them anew during a step."""
+    with step("exposures", "comparing the photographs' exposures"):
+        exposures = find_exposures(scene, start, config.seed, step.should_stop)
+        if exposures is None:
+            return scene, start
+        scene = evened(scene, exposures)
+        outputs.write_exposures(out, scene, exposures)
+        text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
+        step.progress(Event("exposures", text))
+        return scene, points(scene, "exposures", "choosing starting points anew")
+
+
+def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
+    """The scene with what a flash makes of its views, where one was found and training shall know of it."""
+    if lighting is None or not config.train.flash:
+        return scene
+    with step("start", "computing what the flash makes of each view"):
+        outputs.write_lighting(out, lighting, scene)
+        return lit_scene(scene, lighting)
+
+
+def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
+    """Masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
+    if not backdrop(scene, config.train.background).plain:
+        return None
+    text = "learning where the object ends"
+    with step("outlines", text):
+        masks = learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
+    if masks is None:
+        step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
+    return masks

@@ -1,0 +1,56 @@
+"""The steps of a run, one after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
+from mgsr.cli.clock import StepClock
+from mgsr.cli.events import Event, EventCallback
+from mgsr.errors import Cancelled
+
+StopCheck = Callable[[], bool]
+
+# Seconds between two words of how far a long step is.
+SELDOM = 2.0
+
+
+def never() -> bool:
+    """For callers that will not stop a run."""
+    return False
+
+
+def always() -> bool:
+    """For callers that have all the time there is."""
+    return True
+
+
+class Steps:
+    """Announces each step, times it, and heeds the wish to stop before it begins."""
+
+    def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
+        self.clock = clock
+        self.progress = progress
+        self.should_stop = should_stop
+
+    def __call__(self, step: str, text: str) -> AbstractContextManager[None]:
+        if self.should_stop():
+            raise Cancelled(f"stopped on request before the step {step}")
+        self.progress(Event(step, text))
+        return self.clock.step(step)
+
+    def share(self, step: str, text: str) -> Callable[[float], None]:
+        """What a long step calls with the share of it that is done, 0..1: passed on now and then; heeds the wish to
+        stop, too."""
+        told = time.monotonic()
+
+        def tell(done: float) -> None:
+            nonlocal told
+            if self.should_stop():
+                raise Cancelled(f"stopped on request in the step {step}")
+            if time.monotonic() - told > SELDOM:
+                told = time.monotonic()
+                self.progress(Event(step, f"{text}: {done:.0%}", done=done))
+
+        return tell

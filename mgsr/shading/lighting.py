@@ -1,0 +1,134 @@
+"""How a flash lights a surface, seen by any camera: the part of the brightness that is not the object's own.
+
+A lamp on the camera moves with it, and with it move shading and shadows. Once lamp and surface are known both can be
+computed for each photograph; what is left to be learned of it changes little from view to view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import to_uint8
+from mgsr.data.pixels import PixelStore
+from mgsr.data.scene import Scene, Similarity, View
+from mgsr.geometry.displace import edge_length
+from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import vertex_normals
+from mgsr.parallel import map_ahead
+
+GAMMA = 2.4  # of sRGB, away from black
+RAYS = 512  # along an image's longer side at least: small images take several rays a pixel
+BAND = 1 << 18  # rays at a time, about
+DIMMEST = 0.02  # light under which splats could hardly learn what colour lies there
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """A surface, vertices [V,3] and outward faces [F,3], and the lamp that lights it.
+
+    right, down: where the lamp is in the camera's frame, from the lens. lamp: the light that it sends to a surface that
+    faces it at a distance of 1; besides [V]: the light that each vertex gets otherwise. Both are shares of the
+    brightest light in the photographs. like [V]: the vertex as which each is lit: itself where photographs confirm the
+    surface; elsewhere it may be folded, and is lit as the nearest that they confirm.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    besides: np.ndarray
+    like: np.ndarray
+    right: float
+    down: float
+    lamp: float
+
+    def seen_by(self, camera: Camera) -> np.ndarray:
+        """`View.lit` of what a camera sees, [H,W] uint8; beside the surface as at its nearest pixel."""
+        light, seen = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width), np.intp)
+        for part, pixels in self._parts(camera):
+            light[part], seen[part] = self._light_at(camera, pixels)
+        if not seen.any():
+            return np.full(light.shape, 255, np.uint8)
+        nearest = distance_transform_edt(seen == 0, return_distances=False, return_indices=True)
+        mean = (light / np.maximum(seen, 1))[tuple(nearest)]
+        return to_uint8(255 * np.clip(mean, DIMMEST, 1) ** (1 / GAMMA))
+
+    def moved(self, to: Similarity) -> Lighting:
+        """The same in the frame that `to` leads to."""
+        longer = to.scale
+        return replace(
+            self,
+            vertices=to.to_user(self.vertices),
+            right=longer * self.right,
+            down=longer * self.down,
+            lamp=longer**2 * self.lamp,
+        )
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        return RayCaster(self.vertices, self.faces)
+
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        return vertex_normals(self.vertices, self.faces).astype(np.float64)
+
+    @cached_property
+    def _gap(self) -> float:
+        """How far a point may lie behind its facets."""
+        return edge_length(self.vertices, self.faces)
+
+    def _parts(self, camera: Camera) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
+        """Where the surface may be in the image, some rows at a time, with the places [H,n,W,n,2] of n x n rays in each
+        pixel."""
+        size, fine = (camera.width, camera.height), max(1, round(RAYS / max(camera.width, camera.height)))
+        places, depths = camera.project(self.vertices)
+        first, last = np.zeros(2, np.intp), np.array(size)
+        if (depths > 0).all():
+            first = np.clip(np.floor(places.min(axis=0)), 0, size).astype(np.intp)
+            last = np.clip(np.ceil(places.max(axis=0)), first, size).astype(np.intp)
+        wide = last[0] - first[0]
+        across = (np.arange(first[0] * fine, last[0] * fine) + 0.5) / fine
+        high = max(1, BAND // max(1, wide * fine**2))
+        for top in range(first[1], last[1], high):
+            end = min(top + high, last[1])
+            down = (np.arange(top * fine, end * fine) + 0.5) / fine
+            pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(end - top, fine, wide, fine, 2)
+            yield (slice(top, end), slice(first[0], last[0])), pixels
+
+    def _light_at(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The sum of the light over each pixel's rays [H,n,W,n,2] that meet the surface, and their number."""
+        hits = self._caster.cast_pixels(camera, pixels)
+        met = hits.mask
+        corners, shares = self.like[self.faces[hits.face[met]]], hits.barycentric[met][..., None]
+        points, normals = ((each[corners] * shares).sum(axis=1) for each in (self.vertices, self._normals))
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        place = camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3]
+        reached = self._caster.reached(place, points + self._gap * normals, self._gap)
+        light = np.zeros(met.shape)
+        light[met] = self.lamp * reached * lamp_light(place - points, normals)
+        light[met] += (self.besides[corners] * shares[..., 0]).sum(axis=1)
+        return light.sum(axis=(1, 3)), met.sum(axis=(1, 3))
+
+
+def lamp_light(to_lamp: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The light [...] that a lamp sends to surfaces with unit normals [...,3], to_lamp [...,3] away: 1 to one that
+    faces it at a distance of 1 (Lambert)."""
+    cosines = np.maximum((to_lamp * normals).sum(axis=-1), 0)
+    return np.asarray(cosines / (to_lamp**2).sum(axis=-1) ** 1.5)
+
+
+def lit_scene(scene: Scene, lighting: Lighting | None, threads: int | None = None) -> Scene:
+    """The scene with what the flash makes of each of its views; as it is without one."""
+    if lighting is None:
+        return scene
+    pixels = PixelStore()
+
+    def lit(view: View) -> View:
+        return replace(view, lit=pixels.hold(lighting.seen_by(view.camera)))
+
+    train, test = (list(map_ahead(lit, views, threads)) for views in (scene.train, scene.test))
+    return replace(scene, train=train, test=test)

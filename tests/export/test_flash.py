@@ -1,0 +1,65 @@
+"""A flash's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.errors import SceneError
+from mgsr.export.flash import load_flash, write_flash
+from mgsr.shading.lighting import Lighting
+from tests.mesh.shapes import looking_at_origin
+
+
+def lighting() -> Lighting:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.7)
+    count = len(ball.vertices)
+    besides = 0.1 + 0.05 * np.asarray(ball.vertices)[:, 2]
+    return Lighting(np.asarray(ball.vertices), np.asarray(ball.faces), besides, np.arange(count)[::-1], 0.2, -0.1, 4.0)
+
+
+def arrays() -> dict[str, np.ndarray]:
+    full = lighting()
+    lamp = np.array([full.right, full.down, full.lamp])
+    return {"vertices": full.vertices, "faces": full.faces, "besides": full.besides, "like": full.like, "lamp": lamp}
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    write_flash(tmp_path / "flash.npz", lighting())
+    found, view = load_flash(tmp_path / "flash.npz"), looking_at_origin(np.array([1.0, 2.0, 2.0]))
+    assert np.array_equal(found.faces, lighting().faces) and np.array_equal(found.like, lighting().like)
+    assert (found.right, found.down, found.lamp) == (0.2, -0.1, 4.0)
+    assert np.abs(found.seen_by(view).astype(int) - lighting().seen_by(view)).max() <= 1
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
+def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "flash.npz").write_bytes(content)
+    with pytest.raises(SceneError, match=r"flash\.npz: not a flash"):
+        load_flash(tmp_path / "flash.npz")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"besides": np.zeros(3)},
+        {"faces": np.zeros((0, 3))},
+        {"faces": np.full((5, 3), 10**6)},
+        {"like": np.full(642, -1)},
+        {"lamp": np.zeros(2)},
+        {"vertices": np.full((642, 3), np.nan)},
+    ],
+)
+def test_other_arrays_are_refused(tmp_path: Path, other: dict[str, np.ndarray]) -> None:
+    np.savez(tmp_path / "flash.npz", **(arrays() | other))
+    with pytest.raises(SceneError, match=r"flash\.npz: expected vertices"):
+        load_flash(tmp_path / "flash.npz")
+
+
+def test_a_missing_array_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "flash.npz", **{name: array for name, array in arrays().items() if name != "like"})
+    with pytest.raises(SceneError, match="like"):
+        load_flash(tmp_path / "flash.npz")

@@ -23,7 +23,7 @@ METRICS = {
 # Far from the origin, as maps have it: the viewer must bring mesh and splats together there.
 MIDDLE = np.array([5.0, -3.0, 2.0])
 RED, SIZE = (0.85, 0.1, 0.1), 48
-TRANSMITTED, REFLECTED, WEIGHT = 0.5, 0.4, 0.5
+TRANSMITTED, REFLECTED, WEIGHT, EVEN = 0.5, 0.4, 0.5, 0.8
 REPORT = (
     "<!doctype html><style>p{color:green}</style><p id=text>before</p>"
     "<script>document.getElementById('text').textContent='made-up report'</script>"
@@ -60,7 +60,7 @@ def _splats() -> dict[str, np.ndarray]:
 
 
 def _view() -> RenderedView:
-    """A grey square with a reflection on its right half."""
+    """A grey square with a reflection on its right half; brighter under even light."""
     flat = np.ones((SIZE, SIZE, 3))
     right = np.zeros((SIZE, SIZE))
     right[:, SIZE // 2 :] = WEIGHT
@@ -72,4 +72,5 @@ def _view() -> RenderedView:
         reflected=reflected,
         weight=right,
         normal=flat,
+        even=flat * EVEN,
     )

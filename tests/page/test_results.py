@@ -13,7 +13,7 @@ from playwright.sync_api import Locator, Page, expect
 from tests.page.browser import until
 from tests.page.conftest import Opener
 from tests.page.puppet import Puppet
-from tests.page.results import METRICS, RED, REFLECTED, SIZE, TRANSMITTED, WEIGHT
+from tests.page.results import EVEN, METRICS, RED, REFLECTED, SIZE, TRANSMITTED, WEIGHT
 from tests.service.stack import Stack
 from tests.worker.archives import zip_of
 
@@ -148,8 +148,10 @@ def test_a_still_viewer_draws_nothing(visit: Opener, done: str) -> None:
 
 def test_the_light_split_is_the_sum_of_its_halves(visit: Opener, done: str) -> None:
     """Pixels of the left half, where nothing is reflected, and of the right, against the numbers put in."""
-    added = WEIGHT * REFLECTED
+    added, halfway = WEIGHT * REFLECTED, (EVEN + TRANSMITTED) / 2
     expected = {
+        -200: (EVEN, EVEN),
+        -150: (halfway, halfway),
         -100: (TRANSMITTED, TRANSMITTED),
         -50: (TRANSMITTED, TRANSMITTED + added / 2),
         0: (TRANSMITTED, TRANSMITTED + added),
@@ -165,6 +167,8 @@ def test_the_light_split_is_the_sum_of_its_halves(visit: Opener, done: str) -> N
             premultiplied = [red * alpha for red, alpha in canvas.evaluate(RED_AND_ALPHA)]
             assert premultiplied == pytest.approx([left, right], abs=3 / 255), at
         assert [alpha for _, alpha in canvas.evaluate(RED_AND_ALPHA)] == [1, 1]  # on black
+        page.get_by_role("button", name="Even light", exact=True).click()
+        assert slider.input_value() == "-200" and slider.get_attribute("aria-valuetext") == "Even light"
         page.get_by_role("button", name="Full", exact=True).click()
         assert slider.input_value() == "0" and slider.get_attribute("aria-valuetext") == "Full"
 

@@ -1,4 +1,5 @@
-// The light of a view, taken apart: what shows the object's own colour, what its surface mirrors, and their sum.
+// The light of a view, taken apart: what shows the object's own colour, what its surface mirrors, and their sum; and the
+// own colour under even light, where the photographs were taken with a flash.
 
 import type { Service } from "../api/service";
 import type { Artifact, Job } from "../api/types";
@@ -6,16 +7,19 @@ import { h, newId, setText } from "../parts/dom";
 import { errorBox } from "../parts/notice";
 
 const PARTS = ["", "_transmitted", "_reflected", "_weight"];
+const EVEN = "_even";
+const EVEN_STOP = { at: -200, name: "Even light", note: "The object's own colour without the camera's flash: no shading and no shadows." };
 const STOPS = [
   { at: -100, name: "Own colour", note: "The object's own colour, the same from every side." },
   { at: 0, name: "Full", note: "The render: own colour, and reflections added." },
   { at: 100, name: "Reflections", note: "What the surface mirrors, times the learnt weight that lets it through." },
 ];
 
-/** Shows one view at a time; the slider goes from own colour over the sum to the reflections. */
+/** Shows one view at a time; the slider goes from own colour (first under even light) over the sum to the reflections. */
 export class LightSplit {
   readonly element: HTMLElement;
   private readonly canvas = h("canvas", { role: "img" });
+  private readonly stops: typeof STOPS;
   private readonly slider: HTMLInputElement;
   private readonly note = h("p", { class: "note", "aria-live": "polite" });
   private readonly trouble = h("div");
@@ -39,9 +43,10 @@ export class LightSplit {
     views: string[],
   ) {
     const id = newId();
-    this.slider = h("input", { type: "range", id, min: -100, max: 100, step: 5, value: 0 });
+    this.stops = views.every((view) => held.has(`${view}${EVEN}.png`)) ? [EVEN_STOP, ...STOPS] : STOPS;
+    this.slider = h("input", { type: "range", id, min: this.stops[0]!.at, max: 100, step: 5, value: 0 });
     this.slider.addEventListener("input", () => this.draw());
-    const stops = STOPS.map(({ at, name }) => h("button", { type: "button", class: "quiet", onclick: () => this.go(at) }, name));
+    const stops = this.stops.map(({ at, name }) => h("button", { type: "button", class: "quiet", onclick: () => this.go(at) }, name));
     this.element = h(
       "section",
       { class: "light", "aria-labelledby": "light-title" },
@@ -86,9 +91,10 @@ export class LightSplit {
 
   private async load(view: string): Promise<void> {
     try {
-      const [full, transmitted, reflected, weight] = await Promise.all(PARTS.map((part) => this.picture(`${view}${part}.png`)));
+      const parts = this.stops.includes(EVEN_STOP) ? [...PARTS, EVEN] : PARTS;
+      const [full, transmitted, reflected, weight, even] = await Promise.all(parts.map((part) => this.picture(`${view}${part}.png`)));
       if (this.left) return;
-      this.layers = { full: full!, transmitted: transmitted!, reflected: weighted(reflected!, weight!) };
+      this.layers = { full: full!, transmitted: transmitted!, reflected: weighted(reflected!, weight!), even: even ?? null };
       this.canvas.width = full!.width;
       this.canvas.height = full!.height;
       this.draw();
@@ -103,23 +109,29 @@ export class LightSplit {
 
   private draw(): void {
     const at = this.slider.valueAsNumber;
-    const stop = STOPS[at < -50 ? 0 : at > 50 ? 2 : 1]!;
-    const share = at === 0 ? "" : at < 0 ? `, reflections at ${100 + at} %` : `, own colour at ${100 - at} %`;
-    this.slider.setAttribute("aria-valuetext", STOPS.some((one) => one.at === at) ? stop.name : `Own colour and reflections${share}`);
+    const stop = this.stops.reduce((best, one) => (Math.abs(one.at - at) <= Math.abs(best.at - at) ? one : best));
+    this.slider.setAttribute("aria-valuetext", stop.at === at ? stop.name : between(at));
     this.canvas.setAttribute("aria-label", `A held-back view: ${stop.name.toLowerCase()}`);
     setText(this.note, stop.note);
     if (this.layers !== null) paint(this.canvas.getContext("2d")!, this.layers, at / 100);
   }
 }
 
-/** Pictures of one view, of one size. reflected: times the weight, to be added. */
+/** What is shown between two stops, in words. */
+function between(at: number): string {
+  if (at < -100) return `Own colour, even light at ${-100 - at} %`;
+  return `Own colour and reflections, ${at < 0 ? `reflections at ${100 + at} %` : `own colour at ${100 - at} %`}`;
+}
+
+/** Pictures of one view, of one size. reflected: times the weight, to be added; even: null where there was no flash. */
 interface Layers {
+  even: ImageBitmap | null;
   full: ImageBitmap;
   transmitted: ImageBitmap;
   reflected: HTMLCanvasElement;
 }
 
-/** Draw the own colour at -1, the sum at 0, the reflections at 1, and what lies between. */
+/** Draw the own colour under even light at -2, as it is at -1, the sum at 0, the reflections at 1, and what lies between. */
 function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): void {
   const { width, height } = context.canvas;
   context.globalCompositeOperation = "source-over";
@@ -131,6 +143,15 @@ function paint(context: CanvasRenderingContext2D, layers: Layers, at: number): v
   }
   context.globalAlpha = Math.min(1, 1 - at);
   context.drawImage(layers.transmitted, 0, 0);
+  if (at < -1 && layers.even !== null) {
+    // A part of the one taken away, and as much of the other added: edges keep their opacity.
+    context.globalCompositeOperation = "destination-out";
+    context.globalAlpha = -1 - at;
+    context.fillRect(0, 0, width, height);
+    context.globalCompositeOperation = "lighter";
+    context.drawImage(layers.even, 0, 0);
+    return;
+  }
   context.globalCompositeOperation = "lighter";
   context.globalAlpha = Math.min(1, 1 + at);
   context.drawImage(layers.reflected, 0, 0);

@@ -433,8 +433,8 @@ METHODS: dict[str, dict[str, str]] = {
 
 # The supplement's rows. E, I and M are the method itself; the published weights of C, D and F are not known.
 ABLATIONS: dict[str, dict[str, str]] = {
-    "A": {"branches": "volumes", "reflection": "own"},
-    "B": {"branches": "surfels"},
+    "A": {"branches": "volumes", "reflection": "own", "flash": "off"},
+    "B": {"branches": "surfels", "flash": "off"},
     "C": {"surfel_weight": "0.25", "volume_weight": "0.75"},
     "D": {"surfel_weight": "0.75", "volume_weight": "0.25"},
     "E": {},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mgsr.config import ABLATIONS
+from mgsr.config import ABLATIONS, METHODS
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class AblationRow:
 
 def _paper_row(name: str, meaning: str, paper: PaperMeans) -> AblationRow:
     settings = tuple(f"{key}={value}" for key, value in ABLATIONS[name].items())
-    if settings == ("branches=surfels",):
+    if ABLATIONS[name] == METHODS["2dgs"]:
         return AblationRow(name, meaning, "2dgs", (), paper)
     return AblationRow(name, meaning, "mgsr", settings, paper)
 
@@ -58,6 +58,7 @@ PAPER_CHOICES = (
     AblationRow(
         "paper-light", "each splat has its own reflection (ours what a trial finds)", "mgsr", ("reflection=own",)
     ),
+    AblationRow("paper-flash", "colours as a flash shows them (ours as under even light)", "mgsr", ("flash=off",)),
     AblationRow(
         "paper-rates",
         "rates do not fade (ours do in the second half)",

@@ -2,7 +2,8 @@
 
     python scripts/result_picture.py examples/glossy_knot out/demo r_1 docs/images/result.png
 
-From left to right, one test view: photograph, render, transmitted light, weight x reflected light, normals, mesh.
+From left to right, one test view: photograph, render, transmitted light, weight x reflected light, the transmitted
+light without the flash, normals, mesh.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ def main() -> None:
     full, transmitted = on_white(renders / f"{name}.png"), on_white(renders / f"{name}_transmitted.png")
     added = np.clip(full.astype(int) - transmitted, 0, 255).astype(np.uint8)
     row = [on_white(scene / "test" / f"{name}.png"), full, transmitted, added]
+    row += [on_white(renders / f"{name}_even.png")]
     row += [on_white(renders / f"{name}_normal.png"), mesh_picture(scene, out / "mesh.ply", name)]
     Image.fromarray(np.concatenate(row, axis=1)).save(target, optimize=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -76,18 +77,15 @@ class RayCaster:
 
     def cast_rays(self, origins: np.ndarray, directions: np.ndarray) -> PixelHits:
         """What rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their lengths."""
-        rays = np.concatenate([np.broadcast_to(origins, directions.shape), directions], axis=-1)
-        hits = self._scene.cast_rays(load_open3d().core.Tensor(rays.astype(np.float32)))
+        hits = self._scene.cast_rays(_rays(origins, directions))
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
-        shares = np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
-        return PixelHits(np.where(face != NO_FACE, depth, 0), face, shares)
+        return PixelHits(np.where(face != NO_FACE, depth, 0), face, _shares(uv))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32, the
         shares of its corners."""
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(np.ascontiguousarray(points, np.float32)))
-        uv = found["primitive_uvs"].numpy()
-        return found["primitive_ids"].numpy(), np.concatenate([1 - uv.sum(-1, keepdims=True), uv], axis=-1)
+        return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
         """Which of the points [P,3] lie inside the camera's image, at its known pixels, with nothing between; [P] bool.
@@ -106,9 +104,23 @@ class RayCaster:
         """Which of the points [P,3] have nothing between them and a place [3], but for the last `gap`; [P] bool."""
         offsets = points - place
         lengths = np.linalg.norm(offsets, axis=1)
-        rays = np.concatenate([np.broadcast_to(place, offsets.shape), offsets / lengths[:, None]], axis=1)
-        first = self._scene.cast_rays(load_open3d().core.Tensor(rays.astype(np.float32)))["t_hit"].numpy()
+        first = self._scene.cast_rays(_rays(place, offsets / lengths[:, None]))["t_hit"].numpy()
         return np.asarray(first >= lengths - gap)
+
+
+def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
+    """Open3D's tensor [...,6] of rays from origins [...,3], or [3] for all, along directions [...,3]."""
+    rays = np.empty((*directions.shape[:-1], 6), np.float32)
+    rays[..., :3], rays[..., 3:] = origins, directions
+    return load_open3d().core.Tensor(rays)
+
+
+def _shares(uv: np.ndarray) -> np.ndarray:
+    """The shares [...,3] of a face's corners, from Embree's [...,2] of the second and third."""
+    shares = np.empty((*uv.shape[:-1], 3), np.float32)
+    shares[..., 1:] = uv
+    shares[..., 0] = 1 - uv[..., 0] - uv[..., 1]
+    return shares
 
 
 def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:

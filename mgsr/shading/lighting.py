@@ -73,8 +73,11 @@ class Lighting:
         return RayCaster(self.vertices, self.faces)
 
     @cached_property
-    def _normals(self) -> np.ndarray:
-        return vertex_normals(self.vertices, self.faces).astype(np.float64)
+    def _carried(self) -> np.ndarray:
+        """What each vertex is lit by, [V,7] float32: place, normal, and the light besides the lamp's."""
+        normals = vertex_normals(self.vertices, self.faces)
+        carried = np.concatenate([self.vertices, normals, self.besides[:, None]], axis=1)
+        return carried[self.like].astype(np.float32)
 
     @cached_property
     def _gap(self) -> float:
@@ -103,14 +106,13 @@ class Lighting:
         """The sum of the light over each pixel's rays [H,n,W,n,2] that meet the surface, and their number."""
         hits = self._caster.cast_pixels(camera, pixels)
         met = hits.mask
-        corners, shares = self.like[self.faces[hits.face[met]]], hits.barycentric[met][..., None]
-        points, normals = ((each[corners] * shares).sum(axis=1) for each in (self.vertices, self._normals))
+        there = np.einsum("pki,pk->pi", self._carried[self.faces[hits.face[met]]], hits.barycentric[met])
+        points, normals, besides = there[:, :3], there[:, 3:6], there[:, 6]
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        place = camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3]
+        place = (camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3]).astype(np.float32)
         reached = self._caster.reached(place, points + self._gap * normals, self._gap)
         light = np.zeros(met.shape)
-        light[met] = self.lamp * reached * lamp_light(place - points, normals)
-        light[met] += (self.besides[corners] * shares[..., 0]).sum(axis=1)
+        light[met] = self.lamp * reached * lamp_light(place - points, normals) + besides
         return light.sum(axis=(1, 3)), met.sum(axis=(1, 3))
 
 

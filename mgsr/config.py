@@ -71,7 +71,7 @@ class MeshConfig:
     consistency: float | None = 3.0  # footprints in front of another view's surface that are forgiven; none is off
     hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
-    outline_smoothing: float | None = 2.0  # pixels over which a correction of the outlines spreads; none is off
+    outline_smoothing: float | None = 1.0  # pixels over which a correction of the outlines spreads; none is off
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut

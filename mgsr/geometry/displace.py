@@ -34,8 +34,7 @@ def edge_length(vertices: np.ndarray, faces: np.ndarray) -> float:
 def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int) -> np.ndarray:
     """Unit normals [V,3], `rounds` times averaged over the neighbours."""
     for _ in range(rounds):
-        normals = normals + laplacian @ normals
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        normals = _unit(normals + laplacian @ normals)
     return normals
 
 
@@ -74,25 +73,30 @@ def bend_to_normals(
     hold: np.ndarray,
     offsets: np.ndarray,
 ) -> np.ndarray:
-    """The displacements [V] along the vertex normals [V,3] after which the edges [E,2] lie across the wanted normals
-    [V,3].
+    """The displacements [V] along the vertex normals [V,3] after which the edges [E,2] have turned as far as these
+    normals are to turn to be the wanted ones [V,3].
 
     They minimise sum hold (x - offsets)^2 + strength * sum over edges (component of the edge along its mean wanted
-    normal)^2; an edge counts as much as the less sure [V], 0..1, of its ends. hold, offsets [V]: what the positions
-    themselves want, and how much, which must be more than nothing.
+    normal, less what it had along its mean normal)^2; an edge counts as much as the less sure [V], 0..1, of its ends.
+    An edge need not lie across its mean normal, as where a flat face meets a round one: asked for, that alone would
+    bend a surface whose normals are right. hold, offsets [V]: what the positions themselves want, and how much, which
+    must be more than nothing.
     """
     trust = sure[edges].min(axis=1)
     first, second = edges[trust > 0].T
-    across = wanted[first] + wanted[second]
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    across, had = (_unit(each[first] + each[second]) for each in (wanted, normals))
     row = np.arange(len(first))
     shares = np.concatenate([-(normals[first] * across).sum(1), (normals[second] * across).sum(1)])
     places = (np.concatenate([row, row]), np.concatenate([first, second]))
     slopes = sparse.coo_matrix((shares, places), (len(first), len(vertices))).tocsr()
-    tilt = ((vertices[second] - vertices[first]) * across).sum(1)
+    turn = ((vertices[second] - vertices[first]) * (across - had)).sum(1)
     weighed = slopes.T @ sparse.diags(strength * trust[trust > 0])
     matrix = (sparse.diags(hold) + weighed @ slopes).tocsr()
-    return _solve(matrix, hold * offsets - weighed @ tilt)
+    return _solve(matrix, hold * offsets - weighed @ turn)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))
 
 
 def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:

@@ -150,10 +150,10 @@ def _finish(
 
 
 # A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
-# that only shape over some pixels is bettered by them: the trained details are better than theirs.
+# that only shape over some pixels is bettered by them, and more rounds go too far: the trained details are better.
 _PASSES = {
     Light.FLASH: (Pass(edge=1.0, rounds=4, reach=160.0),),
-    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=4, reach=60.0, smoothing=8.0),),
+    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=2, reach=60.0, smoothing=8.0),),
 }
 
 

@@ -18,8 +18,10 @@ from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import bend_to_normals, edge_length, edges, spread, umbrella
+from mgsr.geometry.fairing import smooth_noise
 from mgsr.geometry.outlines import Outline, outline_gaps
 from mgsr.geometry.raycast import interpolation
+from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot
@@ -45,12 +47,14 @@ RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are co
 @dataclass(frozen=True)
 class Pass:
     """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels. Shape larger than
-    `reach` pixels is left as it is, but for what the outlines say; what moved is smoothed over `smoothing` pixels."""
+    `reach` pixels is left as it is, but for what the outlines say; what moved is smoothed over `smoothing` pixels.
+    fairing: degrees; noise up to this is taken off the surface before, and after as well (`smooth_noise`); 0: none."""
 
     edge: float
     rounds: int
     reach: float
     smoothing: float = 0.0
+    fairing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -89,8 +93,11 @@ def refine_by_shading(
     rounds = sum(each.rounds for each in passes[light])
     done = 0
     for each in passes[light]:
+        vertices = _fair(vertices, faces, each.fairing)
         before, triangles = coarser(vertices, faces, each.edge * pixel)
-        work = _Work(triangles, edges(triangles), umbrella(triangles, len(before)), outlines, pixel)
+        carry = interpolation(before, triangles, vertices)
+        whole = _Whole(vertices, faces, before, carry, outlines)
+        work = _Work(triangles, edges(triangles), umbrella(triangles, len(before)), whole, pixel)
         after = before
         for _ in range(each.rounds):
             if not go_on():
@@ -98,8 +105,8 @@ def refine_by_shading(
             after = work.bend(after, *shading.explain(after, triangles, work.laplacian), each.reach)
             done += 1
             progress(done / rounds)
-        moves = interpolation(before, triangles, vertices) @ (after - before)
-        vertices = vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel)
+        moves = carry @ (after - before)
+        vertices = _fair(vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel), faces, each.fairing)
     return Refined(vertices, light, shading)
 
 
@@ -115,18 +122,37 @@ def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: 
 
 
 @dataclass(frozen=True)
+class _Whole:
+    """The mesh with all its vertices [W,3] before any moves, which are those of a coarser one's, `before` [V,3],
+    carried over [W,V]; and the outlines that it is held against. Outlines of a coarse mesh would show cut corners."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    before: np.ndarray
+    carry: sparse.csr_matrix
+    outlines: Sequence[Outline]
+
+    def gaps(self, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`outline_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
+        vertices = self.vertices + self.carry @ (after - self.before)
+        gaps, touched = outline_gaps(vertices, self.faces, vertex_normals(vertices, self.faces), self.outlines)
+        sums, counts = self.carry.T @ (gaps * touched), self.carry.T @ touched
+        return sums / np.maximum(counts, 1e-9), counts
+
+
+@dataclass(frozen=True)
 class _Work:
-    """The mesh that is worked on, but for its vertices, and the outlines that it is held against."""
+    """The mesh that is worked on, but for its vertices, and the whole one."""
 
     faces: np.ndarray
     edges: np.ndarray
     laplacian: sparse.csr_matrix
-    outlines: Sequence[Outline]
+    whole: _Whole
     pixel: float
 
     def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: Explained, reach: float) -> np.ndarray:
         """The vertices moved to fit the normals, the outlines and their own places."""
-        offsets, touched = outline_gaps(vertices, self.faces, normals, self.outlines)
+        offsets, touched = self.whole.gaps(vertices)
         held = np.minimum(touched, 1)
         edge = edge_length(vertices, self.faces)
         offsets = _mean_around(offsets, held, self.laplacian, OUTLINE_SMOOTHING * self.pixel / edge)
@@ -142,6 +168,10 @@ class _Work:
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
         return vertices + moves[:, None] * normals
+
+
+def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
+    return smooth_noise(vertices, faces, angle) if angle else vertices
 
 
 def _smoothed(moves: np.ndarray, vertices: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:

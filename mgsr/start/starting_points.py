@@ -28,11 +28,14 @@ RESOLUTION = 128
 MASK_SIDE = 400
 
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
-# rounds.
+# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between.
 SHADING_RATIO = 0.85
 SHADING_PASSES = {
     Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0),),
-    Light.SURROUNDINGS: (Pass(edge=4.0, rounds=4, reach=160.0), Pass(edge=2.0, rounds=3, reach=160.0)),
+    Light.SURROUNDINGS: (
+        *[Pass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
+        Pass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
+    ),
 }
 
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mgsr.geometry.displace import bend_to_normals, edge_length, edges, smooth_displacements, umbrella
+from mgsr.geometry.triangles import vertex_normals
 from tests.mesh.shapes import ball
 
 MESH = ball(0.7)
@@ -62,3 +63,17 @@ def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
     left = bend_to_normals(flat, edges(faces), up, wanted, doubtful, 1e4, hold, still)
     assert np.abs(left[across > 0.7]).max() < 0.002
     assert np.abs(left - wave)[across < 0.3].max() < 0.002
+
+
+def test_a_surface_whose_normals_are_right_stays_as_it_is() -> None:
+    """Half a pipe beside a flat strip: where they meet, edges do not lie across the mean of their ends' normals."""
+    turn = np.concatenate([np.zeros(8), np.linspace(0, np.pi, 9)])
+    across = np.concatenate([np.linspace(-1.6, -0.2, 8), np.sin(turn[8:])])
+    height = np.concatenate([np.zeros(8), 1 - np.cos(turn[8:])])
+    along = np.linspace(0, 1, 4)
+    pipe = np.stack([np.repeat(across, 4), np.tile(along, len(turn)), np.repeat(height, 4)], axis=1)
+    grid = np.arange(len(pipe)).reshape(len(turn), 4)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    faces = np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
+    normals, ones = vertex_normals(pipe, faces), np.ones(len(pipe))
+    assert not bend_to_normals(pipe, edges(faces), normals, normals, ones, 1e4, ones, 0 * ones).any()

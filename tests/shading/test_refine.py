@@ -22,6 +22,7 @@ from tests.mesh.shapes import ball, cameras_around, silhouettes_of
 
 RADIUS = 0.7
 SIDE = 128
+FINE = Pass(edge=1.0, rounds=3, reach=20.0)
 LAMPS = np.array([[0.6, 0.2, 0.77], [-0.7, 0.5, -0.5], [0.1, -0.95, 0.3]])
 
 Shade = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # paint, normal, offset to the eye -> linear light
@@ -80,12 +81,17 @@ def photographs(
     return views
 
 
-def refine(shade: Shade, aside: tuple[float, float] = (0, 0)) -> Refined:
-    """The smooth ball held against photographs of the rippled one."""
-    smooth, views = ball(RADIUS), photographs(rippled(), shade, aside)
+def refine(
+    shade: Shade,
+    aside: tuple[float, float] = (0, 0),
+    start: trimesh.Trimesh | None = None,
+    work: Pass = FINE,
+) -> Refined:
+    """The start, or else the smooth ball, held against photographs of the rippled one."""
+    start, views = start or ball(RADIUS), photographs(rippled(), shade, aside)
     outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
-    passes = {light: (Pass(edge=1.0, rounds=3, reach=20.0),) for light in Light}
-    return refine_by_shading(smooth.vertices, smooth.faces, views, outlines, max_ratio=0.85, passes=passes)
+    passes = {light: (work,) for light in Light}
+    return refine_by_shading(start.vertices, start.faces, views, outlines, max_ratio=0.85, passes=passes)
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
@@ -107,6 +113,13 @@ def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light
     radii = [np.linalg.norm(places, axis=1) for places in (truth.vertices, smooth.vertices, refined.vertices)]
     before, after = (np.abs(found - radii[0]).mean() for found in radii[1:])
     assert after < 0.9 * before
+
+
+def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
+    truth = rippled()
+    refined = refine(glossy, start=truth, work=Pass(edge=6.0, rounds=4, reach=60.0, smoothing=6.0))
+    outwards = truth.vertices / np.linalg.norm(truth.vertices, axis=1, keepdims=True)
+    assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
 
 
 def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:

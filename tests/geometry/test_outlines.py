@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.outlines import find_outline, fit_outlines
+from mgsr.geometry.outlines import find_outline, fit_outlines, outline_gaps
 from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import vertex_normals
 from tests.mesh.shapes import ball, cameras_around
 
 RADIUS = 0.7
@@ -46,6 +47,15 @@ def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
     # A pixel is 0.024; some vertices are touched by no outline and follow the others.
     assert abs(error.mean()) < 0.001
     assert np.abs(error).mean() < 0.002
+
+
+@pytest.mark.parametrize("off", [-0.0024, -0.0007, 0.0, 0.0007, 0.0024])
+def test_gaps_are_told_to_a_small_part_of_a_pixel(off: float) -> None:
+    """A pixel is 0.024; rays a quarter of it apart alone would make 0.003 of the least gap."""
+    mesh = ball(RADIUS + off)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    gaps, touched = outline_gaps(mesh.vertices, mesh.faces, normals, [find_outline(one) for one in covered(RADIUS)])
+    assert (gaps * touched).sum() / touched.sum() == pytest.approx(-off, abs=0.0002)
 
 
 def test_what_no_outline_reaches_stays() -> None:

@@ -29,7 +29,7 @@ from mgsr.shading.readings import CLIPPED, SOLID, read_image, seen_frontal, some
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 COARSE = 4.0  # pixels; edges of the mesh on which displacements are found, as they are smooth
-ROUNDS = 6  # of reading the photographs and moving the vertices
+ROUNDS = 4  # of reading the photographs and moving the vertices
 LIMIT = 1.0  # pixels that a vertex moves in a round at most
 BLUR = 1.0  # pixels; of the photographs, against their noise
 DETAIL = 3.0  # pixels; of a wider blur, which is taken off: what is coarser is the light's

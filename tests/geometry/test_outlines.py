@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ RADIUS = 0.7
 FINE = 8
 
 
+@cache
 def covered(radius: float, count: int = 48) -> list[Silhouette]:
     """Silhouettes of the ball from the share of each pixel that it covers."""
     mesh = ball(radius)

@@ -79,7 +79,7 @@ class MeshConfig:
         0.85  # shading by a flash on the camera, or by mirrored surroundings, refines the mesh
     )
     # if it leaves at most this share of what one brightness a point leaves; none is off, for parallax too
-    parallax_reach: float | None = 24.0  # pixels over which what the photographs' parallax tells spreads, where
+    parallax_reach: float | None = 12.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at, no flash is found and masks hold the outlines; none is off
     smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
     # noise, by much more for a crease; none and 0 are off

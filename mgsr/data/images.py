@@ -106,6 +106,11 @@ def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
+def srgb_rate(colors: np.ndarray) -> np.ndarray:
+    """How fast sRGB values, where they are these, rise with linear light."""
+    return np.where(colors <= 0.04045, 12.92, 1.055 / 2.4 * ((colors + 0.055) / 1.055) ** -1.4)
+
+
 def linear_to_srgb(light: np.ndarray) -> np.ndarray:
     """Linear light 0..1 as sRGB values (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)

@@ -136,7 +136,9 @@ def _finish(
         vertices, light = refined.vertices, refined.light
         if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
             parallax = True
-            vertices = refine_by_parallax(vertices, faces, photographs, outlines, config.parallax_reach, threads, go_on)
+            shading, reach = refined.shading, config.parallax_reach
+            surroundings = None if shading is None else shading.surroundings(vertices, faces)
+            vertices = refine_by_parallax(vertices, faces, photographs, outlines, reach, surroundings, threads, go_on)
     if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:

@@ -20,8 +20,10 @@ from mgsr.shading.hollows import Hollows, find_hollows
 from mgsr.shading.lighting import Lighting, lamp_light
 from mgsr.shading.mirroring import explain_by_mirroring
 from mgsr.shading.readings import Photograph, Readings, read_photographs
+from mgsr.shading.surroundings import Surroundings, fit_surroundings
 
 HOLLOWS_EDGE = 4.0  # pixels; of the mesh on which hollows are found
+MIRRORING_EDGE = 2.0  # pixels; of the mesh from which the surroundings are fitted
 LIT_EDGE = 1.5  # pixels; of the mesh that carries a flash's light
 BRIGHTEST = 0.995  # of the places that photographs show; one that is brighter counts as bright as these
 POOL = 2.5  # pixels over which the readings of neighbours are put together
@@ -55,6 +57,9 @@ class Shading(Protocol):
 
     def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> Lighting | None:
         """What the light makes of a mesh, where it comes with the camera."""
+
+    def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> Surroundings | None:
+        """What a mesh mirrors, where the light stands still."""
 
 
 class ByFlash:
@@ -92,6 +97,9 @@ class ByFlash:
         like = _nearest(np.asarray(seen.any(axis=1)), vertices, edges(faces))
         return Lighting(vertices, faces, besides / most, like, flash.right, flash.down, 1 / most)
 
+    def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        return None
+
     def _find_hollows(self, vertices: np.ndarray, faces: np.ndarray) -> Hollows:
         coarse = coarser(vertices, faces, HOLLOWS_EDGE * self._shot.pixel)
         return find_hollows(*coarse, self._shot.photographs, self._shot.pixel, self._shot.threads)
@@ -114,6 +122,9 @@ class ByMirroring:
 
     def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         return None
+
+    def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> Surroundings:
+        return fit_surroundings(*self._shot.read(*coarser(vertices, faces, MIRRORING_EDGE * self._shot.pixel)))
 
 
 def _nearest(wanted: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:

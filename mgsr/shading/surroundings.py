@@ -41,6 +41,11 @@ class Surroundings:
         wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
         return map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
 
+    def mirrored(self, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """The light [P] that points with these normals [P,3] send towards [P,3] a camera, all unit."""
+        directions = 2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards
+        return np.asarray(_sampling(directions) @ self.light.ravel())
+
 
 def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """The light [...] in unit directions with these components [...], from a `Surroundings.table`."""

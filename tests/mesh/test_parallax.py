@@ -10,12 +10,15 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig
+from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import View
 from mgsr.geometry.outlines import Outline, find_outline
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.parallax import refine_by_parallax
 from mgsr.mesh.pixels import back_project
+from mgsr.shading.kinds import ByMirroring, Shot
+from mgsr.shading.readings import linear_photographs
 from mgsr.shading.refine import Light
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of, views_of
 
@@ -25,6 +28,7 @@ PIXEL = 3.0 / (1.3 * SIDE)  # what one covers at the ball's middle
 DENT = np.array([0.36, 0.48, 0.8])
 
 Paint = Callable[[np.ndarray], np.ndarray]  # points [...,3] -> colours [...,3]
+Shine = Callable[[np.ndarray], np.ndarray]  # mirrored directions [...,3] -> linear light [...]
 
 
 def true_radii(directions: np.ndarray) -> np.ndarray:
@@ -49,16 +53,30 @@ def plain(points: np.ndarray) -> np.ndarray:
     return np.full(points.shape, 0.5)
 
 
-def photographs(mesh: trimesh.Trimesh, paint: Paint, gloss: float, noise: float) -> list[View]:
-    """What 40 cameras around see; gloss: of one lamp, mirrored and blurred; noise: its deviation, of 255."""
-    random, views, lamp = np.random.default_rng(0), [], np.array([0.6, 0.2, 0.77])
+def one_lamp(directions: np.ndarray) -> np.ndarray:
+    return 0.08 * np.exp(5 * (directions @ np.array([0.6, 0.2, 0.77]) - 1))
+
+
+def many_lamps(directions: np.ndarray) -> np.ndarray:
+    """Lamps all around, some 20 degrees apart, so that highlights are as fine as paint."""
+    lamps = trimesh.creation.icosphere(subdivisions=2).vertices
+    return 0.1 * np.exp(80 * (np.max(directions @ lamps.T, axis=-1) - 1))
+
+
+def nothing(directions: np.ndarray) -> np.ndarray:
+    return np.zeros(directions.shape[:-1])
+
+
+def photographs(mesh: trimesh.Trimesh, paint: Paint, shine: Shine = nothing, noise: float = 0) -> list[View]:
+    """What 40 cameras around see of paint with a gloss; noise: its deviation, of 255."""
+    random, views = np.random.default_rng(0), []
     for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
         rays = pixel_rays(seen.camera)
         mirrored = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
-        shine = gloss * np.exp(5 * (mirrored @ lamp - 1))
-        light = (0.8 * paint(back_project(seen)) + shine[..., None]) * seen.alpha[..., None]
-        image = np.clip(255 * light + random.normal(scale=noise, size=light.shape), 0, 255).round().astype(np.uint8)
+        light = srgb_to_linear(0.8 * paint(back_project(seen))) + shine(mirrored)[..., None]
+        srgb = linear_to_srgb(light) * seen.alpha[..., None]
+        image = np.clip(255 * srgb + random.normal(scale=noise, size=srgb.shape), 0, 255).round().astype(np.uint8)
         views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
     return views
 
@@ -75,10 +93,10 @@ def error(vertices: np.ndarray) -> float:
     return float(np.abs(radii - true_radii(directions))[inside].mean() / PIXEL)
 
 
-@pytest.mark.parametrize(("gloss", "noise", "left"), [(0, 0, 0.15), (0.15, 3, 0.3)])
-def test_a_dent_comes_out(gloss: float, noise: float, left: float) -> None:
+@pytest.mark.parametrize(("shine", "noise", "left"), [(nothing, 0, 0.15), (one_lamp, 3, 0.3)])
+def test_a_dent_comes_out(shine: Shine, noise: float, left: float) -> None:
     truth, full = dented(), ball(RADIUS)
-    views = photographs(truth, painted, gloss, noise)
+    views = photographs(truth, painted, shine, noise)
     found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
     assert error(full.vertices) > 0.7
     assert error(found) < left * error(full.vertices)
@@ -87,7 +105,7 @@ def test_a_dent_comes_out(gloss: float, noise: float, left: float) -> None:
 def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     """The rendered views lack the dent, as those of a branch that was trained too shortly."""
     truth, config = dented(), MeshConfig(poisson_depth=7, hull_margin=None, consistency=None)
-    seen = photographs(truth, painted, gloss=0, noise=0)
+    seen = photographs(truth, painted)
     rendered = views_of(ball(RADIUS), [view.camera for view in seen])
     masks = silhouettes_of(truth, [view.camera for view in seen])
     meshes = [extract_mesh(rendered, config, silhouettes, seen) for silhouettes in (masks, [])]
@@ -100,21 +118,35 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
 
 def test_what_is_true_stays() -> None:
     truth = dented()
-    views = photographs(truth, painted, gloss=0, noise=0)
+    views = photographs(truth, painted)
     found = refine_by_parallax(truth.vertices, truth.faces, views, outlines_of(truth, views), reach=6.0)
-    moved = np.linalg.norm(found - truth.vertices, axis=1) / PIXEL
-    assert moved.mean() < 0.1
+    assert np.linalg.norm(found - truth.vertices, axis=1).mean() / PIXEL < 0.1
 
 
 def test_noise_without_paint_tells_nothing() -> None:
     full = ball(RADIUS)
-    views = photographs(full, plain, gloss=0, noise=3)
+    views = photographs(full, plain, noise=3)
     found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(full, views), reach=6.0)
     assert np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL < 0.15
 
 
+def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
+    """A ball that is not painted, so that nothing but what it mirrors tells where it is, and that wrongly."""
+    full = ball(RADIUS)
+    views = photographs(full, plain, many_lamps, noise=2)
+    outlines = outlines_of(full, views)
+    surroundings = ByMirroring(Shot(linear_photographs(views), PIXEL, None)).surroundings(full.vertices, full.faces)
+    drawn, left = (
+        np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL
+        for known in (None, surroundings)
+        for found in [refine_by_parallax(full.vertices, full.faces, views, outlines, 6.0, known)]
+    )
+    assert drawn > 0.1
+    assert left < 0.5 * drawn
+
+
 def test_no_more_rounds_when_told_so() -> None:
     truth, full = dented(), ball(RADIUS)
-    views = photographs(truth, painted, gloss=0, noise=0)
+    views = photographs(truth, painted)
     found = refine_by_parallax(full.vertices, full.faces, views, [], reach=6.0, go_on=lambda: False)
     np.testing.assert_array_equal(found, full.vertices)

@@ -11,10 +11,10 @@ transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
 from __future__ import annotations
 
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
+from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError
 from mgsr.shading.lighting import Lighting
 
@@ -35,10 +35,10 @@ def write_flash(path: Path, lighting: Lighting) -> None:
 def load_flash(path: Path) -> Lighting:
     """A flash, in the user's frame. Raises SceneError for a file that is none."""
     try:
-        with np.load(path, allow_pickle=False) as content:
-            vertices, besides, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))
-            faces, like = content["faces"].astype(np.int64), content["like"].astype(np.int64)
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+        content = read_arrays(path)
+        vertices, besides, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))
+        faces, like = content["faces"].astype(np.int64), content["like"].astype(np.int64)
+    except (ValueError, KeyError) as error:
         raise SceneError(f"{path}: not a flash ({error}); train again, or remove it") from error
     count = len(vertices)
     right = vertices.shape == (count, 3) and besides.shape == like.shape == (count,) and lamp.shape == (3,)

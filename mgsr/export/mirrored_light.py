@@ -13,10 +13,10 @@ the surface's normals being the 2D branch's, blended in each pixel.
 from __future__ import annotations
 
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
+from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError
 
 _PARTS = ("scene", "camera")
@@ -32,9 +32,9 @@ def write_mirrored_light(path: Path, maps: np.ndarray) -> None:
 def load_mirrored_light(path: Path) -> np.ndarray:
     """Both maps [2,3,S,S] float32. Raises SceneError for a file that is none of these."""
     try:
-        with np.load(path, allow_pickle=False) as content:
-            images = [np.asarray(content[part], np.float32) for part in _PARTS]
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+        content = read_arrays(path)
+        images = [content[part].astype(np.float32) for part in _PARTS]
+    except (ValueError, KeyError) as error:
         raise SceneError(f"{path}: not a mirrored light ({error}); train again, or remove it") from error
     side = images[0].shape[0]
     if any(image.shape != (side, side, 3) or not np.isfinite(image).all() for image in images):

@@ -1,4 +1,4 @@
-"""Damaged splat and mesh files: a reader gives what is in them or one error of ours."""
+"""Damaged files of splats, meshes and light: a reader gives what is in them or one error of ours."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from hypothesis import settings
 from mgsr.errors import MgsrError
 from mgsr.export.compressed_ply import load_compressed_ply, write_compressed_ply
 from mgsr.export.convert import load_mesh
+from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.export.spz import load_spz, write_spz
+from tests.export.test_flash import lighting
 from tests.export.test_packed_splats import splats
 from tests.fuzzing import LONG, QUICK, byte_changes, fuzz
 
@@ -28,6 +31,10 @@ SPLATS: dict[str, tuple[Callable[..., None], Callable[[Path], Any]]] = {
     "a.compressed.ply": (write_compressed_ply, load_compressed_ply),
     "a.spz": (write_spz, load_spz),
 }
+LIGHTS: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
+    "flash.npz": (lambda path: write_flash(path, lighting()), load_flash),
+    "mirrored_light.npz": (lambda path: write_mirrored_light(path, np.ones((2, 3, 4, 4))), load_mirrored_light),
+}
 MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": write_glb, "mesh.obj": write_obj}
 
 
@@ -36,19 +43,22 @@ def fuzz_file(root: Path, name: str, how: settings) -> None:
     if name in MESHES:
         MESHES[name](path, *MESH)
         load: Callable[[Path], Any] = load_mesh
+    elif name in LIGHTS:
+        LIGHTS[name][0](path)
+        load = LIGHTS[name][1]
     else:
         write, load = SPLATS[name]
         write(path, splats(5, coefficients=4))
     fuzz(path, lambda: load(path), MgsrError, byte_changes(), how)
 
 
-@pytest.mark.parametrize("name", [*SPLATS, *MESHES])
+@pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
 def test_damaged_files(tmp_path, name):
     fuzz_file(tmp_path, name, QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("name", [*SPLATS, *MESHES])
+@pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
 def test_damaged_files_for_long(tmp_path, name):
     fuzz_file(tmp_path, name, LONG)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +10,11 @@ from scipy.linalg import rq
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import find_mask, images_below
 from mgsr.data.images import image_size
+from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError
 
 _FILES = ("cameras_sphere.npz", "cameras.npz")
 _FOLDERS = ("image", "images")
-
-_DAMAGE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, TypeError, EOFError, OSError, NotImplementedError)
 
 # A matrix takes 256 bytes; what is much larger was made to fill the memory.
 _MAX_MATRIX = 1 << 16
@@ -49,13 +46,10 @@ def read(root: Path) -> Capture:
 def _matrices(path: Path) -> list[np.ndarray]:
     """world_mat_0, world_mat_1, ... as far as they go."""
     try:
-        with zipfile.ZipFile(path) as members:
-            if any(member.file_size > _MAX_MATRIX for member in members.infolist()):
-                raise SceneError(f"{path.name}: expected 4x4 matrices, got larger arrays; export it again")
-        with np.load(path, allow_pickle=False) as arrays:
-            count = sum(key.startswith("world_mat_") and key[10:].isdecimal() for key in arrays.files)
-            return [np.asarray(arrays[f"world_mat_{i}"], np.float64) for i in range(count)]
-    except _DAMAGE as error:
+        arrays = read_arrays(path, largest=_MAX_MATRIX)
+        count = sum(name.startswith("world_mat_") and name[10:].isdecimal() for name in arrays)
+        return [arrays[f"world_mat_{i}"].astype(np.float64) for i in range(count)]
+    except (ValueError, KeyError) as error:
         raise SceneError(f"{path.name}: damaged, or without world_mat_0, world_mat_1, ...: {error}") from error
 
 

@@ -1,0 +1,44 @@
+"""Arrays from .npz files, which others wrote or which came to harm."""
+
+from __future__ import annotations
+
+import textwrap
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+_DAMAGE = (
+    ArithmeticError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,  # as well of compressions that zipfile does not know
+    SyntaxError,  # of an array's header
+    TypeError,
+    ValueError,
+    tokenize.TokenError,  # of a header, too
+    zipfile.BadZipFile,
+    zlib.error,
+)
+
+
+def read_arrays(path: Path, largest: int = 1 << 31) -> dict[str, np.ndarray]:
+    """The file's arrays of numbers, by name. Raises ValueError, whatever the damage; also for arrays that take more
+    than `largest` bytes, as those of a file that was made to fill the memory."""
+    try:
+        with zipfile.ZipFile(path) as members:
+            for member in members.infolist():
+                if member.file_size > largest:
+                    raise ValueError(f"{member.filename} takes {member.file_size} bytes, expected {largest} at most")
+        with np.load(path, allow_pickle=False) as content:
+            arrays = {name: np.asarray(content[name]) for name in content.files}
+    except _DAMAGE as error:
+        raise ValueError(textwrap.shorten(str(error), 100) or type(error).__name__) from error
+    for name, array in arrays.items():
+        if array.dtype.kind not in "biuf":
+            raise ValueError(f"{name} holds {array.dtype}, expected numbers")
+    return arrays

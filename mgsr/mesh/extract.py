@@ -17,13 +17,13 @@ from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
-from mgsr.mesh.parallax import refine_by_parallax
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.refine import Light, Pass, refine_by_shading
 
 
@@ -136,8 +136,7 @@ def _finish(
         vertices, light = refined.vertices, refined.light
         if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
             parallax = True
-            shading, reach = refined.shading, config.parallax_reach
-            surroundings = None if shading is None else shading.surroundings(vertices, faces)
+            surroundings, reach = refined.surroundings(faces), config.parallax_reach
             vertices = refine_by_parallax(vertices, faces, photographs, outlines, reach, surroundings, threads, go_on)
     if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)

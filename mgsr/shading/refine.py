@@ -26,7 +26,7 @@ from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot
 from mgsr.shading.readings import linear_photographs
-from mgsr.shading.surroundings import fit_surroundings
+from mgsr.shading.surroundings import Surroundings, fit_surroundings
 
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
@@ -64,6 +64,10 @@ class Refined:
     vertices: np.ndarray
     light: Light
     shading: Shading | None = None
+
+    def surroundings(self, faces: np.ndarray) -> Surroundings | None:
+        """What the mesh mirrors, if that is known."""
+        return None if self.shading is None else self.shading.surroundings(self.vertices, faces)
 
 
 def refine_by_shading(

@@ -17,6 +17,7 @@ from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
 from mgsr.shading.lighting import Lighting
+from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.refine import Light, Pass, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.plane_sweep import sweep_planes
@@ -38,6 +39,9 @@ SHADING_PASSES = {
     ),
 }
 
+# Pixels over which what the photographs' parallax tells spreads, where no flash moves what they show.
+PARALLAX_REACH = 12.0
+
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
 MIN_POINTS = 500
 
@@ -49,7 +53,7 @@ BACKGROUND, BALL = 0.25, 1.25
 LONELY = 8.0
 
 # Shares of the time to the hull's points at which its parts are done: measured, 40 views of 256 x 256 pixels.
-HULL_CARVED, COLOR_CARVED = 0.11, 0.53
+HULL_CARVED, COLOR_CARVED, SHADED = 0.09, 0.3, 0.75
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
 FARTHEST = 50.0
@@ -91,7 +95,8 @@ def starting_points(
     that is done, 0..1; background: the setting, which tells whether a plain backdrop is looked for.
 
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
-    on the visual hull, carved deeper where the photographs agree on it and bent to their shading, spread evenly.
+    on the visual hull, carved deeper where the photographs agree on it, bent to their shading and moved by their
+    parallax, spread evenly.
     Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
     plain places too, a quarter of them behind it, none on a plain backdrop; `count` points anywhere in the ball where
     there are hardly any.
@@ -205,11 +210,14 @@ def _carved_points(
         rims,
         SHADING_RATIO,
         SHADING_PASSES,
-        progress=_between(progress, COLOR_CARVED, 1.0),
+        progress=_between(progress, COLOR_CARVED, SHADED),
     )
-    positions, normals = _sample(refined.vertices, faces, count, generator)
-    shiny = refined.light is not Light.UNKNOWN
-    lighting = None if refined.shading is None else refined.shading.lighting(refined.vertices, faces)
+    vertices, shiny = refined.vertices, refined.light is not Light.UNKNOWN
+    if refined.light is not Light.FLASH:
+        vertices = refine_by_parallax(vertices, faces, views, rims, PARALLAX_REACH, refined.surroundings(faces))
+    progress(1.0)
+    positions, normals = _sample(vertices, faces, count, generator)
+    lighting = None if refined.shading is None else refined.shading.lighting(vertices, faces)
     return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=lighting)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +12,16 @@ import trimesh
 
 from mgsr.config import MeshConfig
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
-from mgsr.data.scene import View
+from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.outlines import Outline, find_outline
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.parallax import refine_by_parallax
 from mgsr.mesh.pixels import back_project
 from mgsr.shading.kinds import ByMirroring, Shot
+from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.readings import linear_photographs
 from mgsr.shading.refine import Light
+from mgsr.start.starting_points import starting_points
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of, views_of
 
 RADIUS = 0.7
@@ -114,6 +116,13 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     assert error(moved.vertices) < 0.3 * error(left.vertices)
     assert not extract_mesh(rendered, replace(config, parallax_reach=None), masks, seen).parallax
     assert not extract_mesh(rendered, config, masks, seen, go_on=lambda: False).parallax
+
+
+def test_a_start_has_the_dent() -> None:
+    """To a ninth of a pixel; the hull carved by colours alone has it to a sixth."""
+    views = photographs(dented(), painted)
+    scene = Scene("ball", Path("ball"), "", views, [], None, Similarity(1.0, np.zeros(3)))
+    assert error(starting_points(scene, 5000, 0).positions) < 0.13
 
 
 def test_what_is_true_stays() -> None:

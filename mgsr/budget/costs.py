@@ -19,8 +19,8 @@ LEARNED = 12.0  # masks that are learned from small photographs
 @dataclass(frozen=True)
 class Facts:
     """What the cost of a scene depends on: its training and test views, the mean pixels of one, whether the true
-    surface lies beside it, whether shading may refine its mesh, whether there are masks, and whether masks are learned
-    where there are none."""
+    surface lies beside it, whether shading may refine its mesh, whether there are masks, whether masks are learned
+    where there are none, and whether the light is a flash's."""
 
     views: int
     tests: int
@@ -29,6 +29,7 @@ class Facts:
     shiny: bool = True
     masked: bool = True
     learned: bool = False
+    flash: bool = False
 
     @property
     def size(self) -> float:
@@ -45,7 +46,8 @@ def start_cost(facts: Facts) -> float:
     """The starting points: on the hull, or of stereo, which looks at small photographs only."""
     if not facts.masked and not facts.learned:
         return STEREO * facts.views
-    return LEARNED * facts.learned + 2.0 + 10.0 * (facts.views / 48 * facts.size) ** 0.7
+    surface = (23.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
+    return LEARNED * facts.learned + 2.0 + surface
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
@@ -65,7 +67,7 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     if config.shading_ratio is None:
         return surface
     parallax = (facts.masked or facts.learned) and config.parallax_reach is not None
-    refinement = (16.0 if facts.shiny else 0.0) + (7.0 if parallax else 0.0)
+    refinement = 37.0 if facts.flash else (7.0 if facts.shiny else 0.0) + (17.0 if parallax else 0.0)
     return surface + refinement * (facts.views / 48 * facts.size) ** 0.7
 
 

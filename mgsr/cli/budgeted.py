@@ -13,6 +13,7 @@ from mgsr.budget.line import HIGHEST
 from mgsr.cli.clock import StepClock
 from mgsr.cli.device import Device
 from mgsr.config import PRESETS, Config
+from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
@@ -34,19 +35,21 @@ def make_budget(
     return budget
 
 
-def facts_of(scene: Scene, start: StartingPoints | None = None) -> Facts:
-    """What the costs of a scene depend on."""
+def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) -> Facts:
+    """What the costs of a scene depend on; what only its starting points tell is taken for the costlier without."""
     cameras = [view.camera for view in scene.train]
     pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
-    shiny = start is None or start.shiny is not False
-    truth, learned = (scene.root / TRUTH).is_file(), scene.plain_backdrop is not None
-    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned)
+    shiny = flash = True
+    if start is not None and start.shiny is not None:
+        shiny, flash = start.shiny, start.lighting is not None
+    truth, learned = (scene.root / TRUTH).is_file(), backdrop(scene, config.train.background).plain
+    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash)
 
 
-def fitted_scene(scene: Scene, budget: TimeBudget, clock: StepClock) -> Scene:
+def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
     """The scene with its training views as small as the budget wants them; the test views stay as they are. clock:
     says how long they took to read."""
-    facts = facts_of(scene)
+    facts = facts_of(scene, config)
     budget.learn(load_cost(facts), clock.steps["load"])
     scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
     if scale == 1:
@@ -65,7 +68,7 @@ def planned_config(
 ) -> Config:
     """The settings that fit the time that is left. clock: says how long the starting points took. Raises what training
     does."""
-    facts = facts_of(scene, start)
+    facts = facts_of(scene, config, start)
     budget.learn(start_cost(facts), clock.steps["start"] + clock.steps.get("outlines", 0.0))
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)

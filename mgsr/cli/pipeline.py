@@ -60,7 +60,7 @@ def run_scene(
     budget = make_budget(config, lambda: since.total, chosen, out / outputs.CHECKPOINT if resume else None)
     scene = load(scene_path, out, config, step)
     if budget is not None:
-        scene = fitted_scene(scene, budget, step.clock)
+        scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = begin(scene, config, out, step, budget)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):

@@ -22,7 +22,8 @@ def any_scene(random: np.random.Generator) -> tuple[Facts, dict[str, float]]:
     """A scene, and by how much its steps cost more or less than is usual: up to half on real ones."""
     side = float(random.choice([64, 128, 256, 800]))
     views, tests = int(random.integers(10, 100)), int(random.integers(0, 12))
-    facts = Facts(views, tests, side**2, bool(random.random() < 0.5), bool(random.random() < 0.5))
+    truth, shiny, flash = (bool(random.random() < 0.5) for _ in range(3))
+    facts = Facts(views, tests, side**2, truth, shiny, flash=shiny and flash)
     return facts, {step: float(random.uniform(0.65, 1.5)) for step in STEPS}
 
 

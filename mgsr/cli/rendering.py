@@ -23,6 +23,8 @@ from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
 from mgsr.render.both import render_both
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.render.surfels import render_surfels
+from mgsr.render.volumes import render_volumes
 
 # Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
 MASK_SIDE = 800
@@ -127,10 +129,10 @@ def _render_view(models: Models, view: View, config: Config) -> ViewImages:
 
 def _opacity(models: Models, camera: Camera) -> np.ndarray:
     """The alpha [H,W] of the branch that renders."""
-    flat, full = _see(models, camera, depth=False)
-    shape = full if full is not None else flat
-    assert shape is not None
-    return _numpy(shape.alpha)
+    if models.volumes is not None:
+        return _numpy(render_volumes(models.volumes, camera, depth=False).alpha)
+    assert models.surfels is not None
+    return _numpy(render_surfels(models.surfels, camera).alpha)
 
 
 def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:

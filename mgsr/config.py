@@ -389,9 +389,10 @@ class Config:
     output: OutputConfig = field(default_factory=OutputConfig)
 
 
-# What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing.
+# What each preset changes; times are for 48 views at 256 x 256 on two fast cores, with the meshing. Slow cores take up
+# to three times as long.
 PRESETS: dict[str, dict[str, str]] = {
-    "draft": {  # about a minute
+    "draft": {  # about 25 seconds
         "warmup.surfel_iterations": "250",
         "warmup.volume_iterations": "300",
         "mutual.iterations": "200",
@@ -408,8 +409,8 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
-    "standard": {},  # three and a half to four minutes
-    "high": {  # 2.5 times as long; surfels that train longer still get rougher, and the renders no better
+    "standard": {},  # about 90 seconds
+    "high": {  # half as long again; surfels that train longer still get rougher, and the renders no better
         "warmup.surfel_iterations": "1000",
         "warmup.volume_iterations": "4000",
         "mutual.iterations": "3200",

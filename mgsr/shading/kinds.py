@@ -26,6 +26,7 @@ HOLLOWS_EDGE = 4.0  # pixels; of the mesh on which hollows are found
 MIRRORING_EDGE = 2.0  # pixels; of the mesh from which the surroundings are fitted
 LIT_EDGE = 1.5  # pixels; of the mesh that carries a flash's light
 BRIGHTEST = 0.995  # of the places that photographs show; one that is brighter counts as bright as these
+FRONTAL = 0.5  # cosine of the tilt under which gloss mirrors more than one map for all tilts can tell (Fresnel)
 POOL = 2.5  # pixels over which the readings of neighbours are put together
 CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it shows too little of each of its tilts
 
@@ -118,13 +119,21 @@ class ByMirroring:
         pixel = self._shot.pixel
         reach = POOL * pixel / edge_length(vertices, faces)
         still = _near_sharp_edges(vertices, laplacian, normals, pixel, reach)
-        return normals, explain_by_mirroring(readings, normals, laplacian, reach, still, self._shot.threads)
+        explained = explain_by_mirroring(
+            readings.frontal(FRONTAL), normals, laplacian, reach, still, self._shot.threads
+        )
+        return normals, explained
 
     def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         return None
 
     def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> Surroundings:
-        return fit_surroundings(*self._shot.read(*coarser(vertices, faces, MIRRORING_EDGE * self._shot.pixel)))
+        return mirrored_surroundings(*self._shot.read(*coarser(vertices, faces, MIRRORING_EDGE * self._shot.pixel)))
+
+
+def mirrored_surroundings(readings: Readings, normals: np.ndarray) -> Surroundings:
+    """What points with these normals [P,3] mirror, as far as one map for all tilts can tell."""
+    return fit_surroundings(readings.frontal(FRONTAL), normals)
 
 
 def _nearest(wanted: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:

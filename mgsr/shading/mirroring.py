@@ -16,7 +16,7 @@ from mgsr.shading.surroundings import Surroundings, fit_surroundings, look_up
 
 LIMIT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
 OUTLIER = 3.0  # deviations at which a reading counts half
-OWN = 0.02  # cost of a tilt by 10 degrees, in mean costs of the readings
+OWN = 0.08  # cost of a tilt by 10 degrees, in mean costs of the readings
 KNOWN = 4.0  # degrees; a normal that is known to this is half trusted
 CHUNK = 1000  # points at a time, so that their readings stay in the cache
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -42,6 +42,10 @@ class Readings:
     def at(self, points: np.ndarray) -> Readings:
         """The readings of some of the points, by their indices."""
         return Readings(*(array[points] for array in _arrays(self)))
+
+    def frontal(self, least: float) -> Readings:
+        """The same, but readings of which the cosine of the tilt is under `least` count as unseen."""
+        return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
 @dataclass(frozen=True)

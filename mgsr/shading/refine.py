@@ -24,9 +24,9 @@ from mgsr.geometry.raycast import interpolation
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
-from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot
+from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot, mirrored_surroundings
 from mgsr.shading.readings import linear_photographs
-from mgsr.shading.surroundings import Surroundings, fit_surroundings
+from mgsr.shading.surroundings import Surroundings
 
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
@@ -117,7 +117,7 @@ def refine_by_shading(
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:
     """The kind of light that leaves least unexplained on the mesh as it is, if that is little enough."""
     readings, normals = shot.read(vertices, faces)
-    by_flash, by_mirroring = flash_ratio(readings, normals), fit_surroundings(readings, normals).ratio
+    by_flash, by_mirroring = flash_ratio(readings, normals), mirrored_surroundings(readings, normals).ratio
     if not min(by_flash, by_mirroring) <= max_ratio:
         return Light.UNKNOWN, None
     if by_flash <= by_mirroring:

@@ -36,6 +36,8 @@ SHADING_PASSES = {
     Light.SURROUNDINGS: (
         *[Pass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
         Pass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
+        Pass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
+        Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),
     ),
 }
 
@@ -53,7 +55,7 @@ BACKGROUND, BALL = 0.25, 1.25
 LONELY = 8.0
 
 # Shares of the time to the hull's points at which its parts are done: measured, 40 views of 256 x 256 pixels.
-HULL_CARVED, COLOR_CARVED, SHADED = 0.09, 0.3, 0.75
+HULL_CARVED, COLOR_CARVED, SHADED = 0.06, 0.2, 0.82
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
 FARTHEST = 50.0

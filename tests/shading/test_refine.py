@@ -54,6 +54,15 @@ def glossy(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndar
     return 0.5 * matte(paint, normal, offset) + lamps(mirrored)[..., None]
 
 
+def varnished(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Varnish as it is: more of the lamps the more it is tilted (Schlick's form of Fresnel's law, index 1.5)."""
+    eye = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
+    cosine = np.clip((eye * normal).sum(-1, keepdims=True), 0, 1)
+    mirrored = 2 * cosine * normal - eye
+    more = 1 + 24 * (1 - cosine) ** 5
+    return 0.5 * matte(paint, normal, offset) + more * lamps(mirrored)[..., None]
+
+
 def lamps(directions: np.ndarray) -> np.ndarray:
     """The surroundings' light [...] in directions [...,3]."""
     return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
@@ -120,6 +129,13 @@ def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     refined = refine(glossy, start=truth, work=Pass(edge=6.0, rounds=4, reach=60.0, smoothing=6.0))
     outwards = truth.vertices / np.linalg.norm(truth.vertices, axis=1, keepdims=True)
     assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
+
+
+def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> None:
+    truth = rippled()
+    refined = refine(varnished, start=truth, work=Pass(edge=4.0, rounds=2, reach=240.0))
+    assert refined.light is Light.SURROUNDINGS
+    assert np.linalg.norm(refined.vertices - truth.vertices, axis=1).mean() < 0.005
 
 
 def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:

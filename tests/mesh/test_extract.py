@@ -64,7 +64,7 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
         return float(np.average(np.arccos(np.clip(cosines, -1, 1)), weights=areas))
 
     assert tilt(CONFIG.smoothing_angle) < 0.6 * tilt(None)
-    assert tilt(0) == tilt(None)
+    assert tilt(0) == pytest.approx(tilt(None), rel=1e-12)  # fusion may give the facets in another order
 
 
 def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:

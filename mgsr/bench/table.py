@@ -69,9 +69,17 @@ def _circumstances(rows: Sequence[Row]) -> list[str]:
     for field, words in (("machine", "Machine"), ("versions", "Versions"), ("scored_by", "Scored by"), ("note", "")):
         for value in dict.fromkeys(getattr(row, field) for row in rows if getattr(row, field)):
             about = [row for row in rows if getattr(row, field) == value]
-            names = "" if len(about) == len(rows) else f" ({', '.join(map(_name, about))})"
-            told.append(f"{words + ': ' if words else ''}{value}{names}")
+            told.append(f"{words + ': ' if words else ''}{value}{_which(about, rows)}")
     return told
+
+
+def _which(about: Sequence[Row], rows: Sequence[Row]) -> str:
+    """Which of the rows are meant, in brackets, by the shorter list of those and the others; nothing if all are."""
+    others = [row for row in rows if row not in about]
+    if not others:
+        return ""
+    word, named = ("all but ", others) if len(others) < len(about) else ("", about)
+    return f" ({word}{', '.join(map(_name, named))})"
 
 
 def _name(row: Row) -> str:

@@ -410,12 +410,11 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
     "standard": {},  # about 90 seconds
-    "high": {  # half as long again; surfels that train longer still get rougher, and the renders no better
-        "warmup.surfel_iterations": "1000",
-        "warmup.volume_iterations": "4000",
-        "mutual.iterations": "3200",
-        "surfels.densify.max_count": "24000",
-        "volumes.densify.max_count": "30000",
+    "high": {  # a third to half as long again, the more the larger the photographs; longer training brings no surface
+        "surfels.max_start": "32000",
+        "surfels.densify.max_count": "40000",
+        "volumes.max_start": "20000",
+        "volumes.densify.max_count": "40000",
     },
 }
 

@@ -26,6 +26,7 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
 RECENT = 5  # looks by which the present speed is told
+LONGEST = 1.5  # times the iterations that the settings plan, for a stage that trains the surface: more makes it rougher
 THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a lower degree of colour is as good
 
 
@@ -228,13 +229,14 @@ class TimeBudget:
         return each
 
     def _end(self, stages: Sequence[StageLength], index: int) -> float:
-        """When the stage should end: its share of the time until the surface must begin."""
+        """When the stage should end: its share of the time until the surface must begin, as far as that is of use."""
         if stages[index].name == FINISH:
             return self._aim - self.slowness * costs.closing_cost(self._facts)
         assert self.place is not None
         weights = [self._weights[stage.name] for stage in stages[index:] if stage.name != FINISH]
         surface_begins = self._aim - self._after(self._facts, self._mesh)
-        return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
+        share = (surface_begins - self._opened) * weights[0] / sum(weights)
+        return self._opened + min(share, LONGEST * weights[0] * self._drift)
 
     def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE) -> float:
         """Seconds that are kept for what comes after training."""

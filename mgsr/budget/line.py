@@ -1,6 +1,6 @@
 """The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
 
-Between two presets a number lies between theirs, in equal ratios; beyond the outer ones it goes on in the same way.
+Between two presets a number lies between theirs, in equal ratios; below draft it goes on in the same way.
 What is no number, or 0 for none, is that of the nearest preset.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from mgsr.config import PRESETS, Config, field_types, make_config
 
-LOWEST, HIGHEST = -0.75, 3.0  # below, too little is trained to be of use; above, only longer training is of use
+LOWEST, HIGHEST = -0.75, 2.0  # below, too little is trained to be of use; above, more splats learn the noise
 
 
 class Line:

@@ -9,7 +9,7 @@ import pytest
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts
-from mgsr.budget.line import LOWEST
+from mgsr.budget.line import HIGHEST, LOWEST
 from mgsr.config import make_config
 from tests.budget.machine import Machine, Speed, run_on, steady, stepped, wavy
 
@@ -56,13 +56,22 @@ def test_a_run_ends_near_its_budget(seed: int, times: float) -> None:
 
 
 def test_more_time_gives_more_of_all() -> None:
-    runs = [run_on(Machine(steady(1.0)), USUAL, CONFIG, seconds) for seconds in (60, 120, 400, 1500)]
+    runs = [run_on(Machine(steady(1.0)), USUAL, CONFIG, seconds) for seconds in (60, 120, 300, 400)]
     for numbers in (
         [ran.budget.place for ran in runs],
         [ran.stages[2].iteration for ran in runs],
         [ran.budget.settings.train.volumes.densify.max_count for ran in runs],
     ):
         assert numbers == sorted(set(numbers))
+
+
+def test_time_to_spare_goes_to_the_renders_once_more_training_would_not_help_the_surface() -> None:
+    ran = run_on(Machine(steady(1.0)), USUAL, CONFIG, 3000.0)
+    assert ran.budget.place == pytest.approx(HIGHEST, abs=1e-2)
+    planned = ran.budget.settings.train
+    assert ran.stages[2].iteration < 2 * planned.mutual.iterations
+    assert ran.stages[3].iteration > 10 * ran.stages[2].iteration
+    assert 0.9 <= ran.seconds / 3000 <= 1.05
 
 
 def test_large_photographs_are_made_smaller_only_where_time_is_short() -> None:

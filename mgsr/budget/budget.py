@@ -26,7 +26,6 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
 RECENT = 5  # looks by which the present speed is told
-LONGEST = 1.5  # times the iterations that the settings plan, for a stage that trains the surface: more makes it rougher
 THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a lower degree of colour is as good
 
 
@@ -54,6 +53,7 @@ class TimeBudget:
         self._probed: dict[str, int] = {}
         self._weights: dict[str, float] = {}
         self._floors: dict[str, int] = {}
+        self._ceilings: dict[str, int] = {}
         self._open = ""
         self._opened = 0.0
         self._recent: deque[tuple[float, int]] = deque(maxlen=RECENT)
@@ -125,7 +125,8 @@ class TimeBudget:
         self._recent.append((now, stage.iteration))
         each = self._present(stage.name, splats)
         left = self._end(stages, index) - now
-        return max(stage.iteration + max(1, round(left / each)), self._floors.get(stage.name, 0))
+        iterations = max(stage.iteration + max(1, round(left / each)), self._floors.get(stage.name, 0))
+        return min(iterations, self._ceilings.get(stage.name, iterations))
 
     def mesh_settings(self) -> MeshConfig:
         """The best settings of the surface, up to those of the plan, that still fit."""
@@ -184,11 +185,13 @@ class TimeBudget:
         return AIM * self.seconds
 
     def _settle(self) -> None:
-        """Note what follows from the place: what each stage should take, and its least length."""
-        chosen, least = self.settings, self.line.at(LOWEST)
+        """Note what follows from the place: what each stage should take, its least length, and the most that is of use
+        to the surface, which gets rougher by more; the last stage has the rest."""
+        chosen, least, most = self.settings, self.line.at(LOWEST), self.line.at(HIGHEST)
         self._mesh = chosen.mesh
         self._weights = {name: self._stage(name, chosen) for name in self._costs}
         self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
+        self._ceilings = {name: _iterations(most, name) for name in self._costs}
         if not self.planned:
             surface = self.slowness * costs.mesh_cost(self._facts, chosen.mesh)
             closing = self.slowness * costs.closing_cost(self._facts)
@@ -229,14 +232,13 @@ class TimeBudget:
         return each
 
     def _end(self, stages: Sequence[StageLength], index: int) -> float:
-        """When the stage should end: its share of the time until the surface must begin, as far as that is of use."""
+        """When the stage should end: its share of the time until the surface must begin."""
         if stages[index].name == FINISH:
             return self._aim - self.slowness * costs.closing_cost(self._facts)
         assert self.place is not None
         weights = [self._weights[stage.name] for stage in stages[index:] if stage.name != FINISH]
         surface_begins = self._aim - self._after(self._facts, self._mesh)
-        share = (surface_begins - self._opened) * weights[0] / sum(weights)
-        return self._opened + min(share, LONGEST * weights[0] * self._drift)
+        return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
     def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE) -> float:
         """Seconds that are kept for what comes after training."""

@@ -22,6 +22,8 @@ ELEVATION = 18.0  # degrees above the horizon from which the sides are seen
 MOST_PIXELS = 512  # longest side of a picture
 OCCLUSION_RAYS = 12  # per sample; four samples make a pixel
 OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothing
+OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
+EVEN_NORMAL, EVEN_STEP = 0.9, 0.01  # there: the least cosine between normals, and the most of the mesh's radius off
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ class MeshPainter:
             # A point on the unit sphere that touches the surface: directions as dense as their cosine.
             rays = np.concatenate([starts, hits.normals + 0.999 * spread], axis=1)
             blocked += self._rays.test_occlusions(_tensor(rays), 0.0, OCCLUSION_REACH * self.radius).numpy()
-        return 1 - blocked / OCCLUSION_RAYS
+        return _evened(1 - blocked / OCCLUSION_RAYS, hits, EVEN_STEP * self.radius)
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,32 @@ def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
         cosine = local @ (np.array(direction) / np.linalg.norm(direction))
         light += strength * np.clip(0.5 + 0.5 * cosine, 0, 1) ** 1.5
     return light
+
+
+def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
+    """The values [P] of a camera's hits as means over OCCLUSION_SPREAD samples to either side, along rows and then
+    columns, of those on an even surface: few rays a sample are grainy. step: how far off their plane."""
+
+    def image(of_hits: np.ndarray) -> np.ndarray:
+        whole = np.zeros((*hits.hit.shape, *of_hits.shape[1:]), np.float32)
+        whole[hits.hit] = of_hits
+        return whole
+
+    points, normals, result = image(hits.points), image(hits.normals), image(values)
+    for axis in (1, 0):
+        total, weight = result.copy(), np.ones_like(result)
+        for far in range(1, min(OCCLUSION_SPREAD, result.shape[axis] - 1) + 1):
+            here, there = [slice(None), slice(None)], [slice(None), slice(None)]
+            here[axis], there[axis] = slice(None, -far), slice(far, None)
+            one, other = tuple(here), tuple(there)
+            apart = points[other] - points[one]
+            even = np.einsum("hwi,hwi->hw", normals[one], normals[other]) > EVEN_NORMAL  # no hit has no normal
+            even &= np.abs(np.einsum("hwi,hwi->hw", normals[one], apart)) < step
+            for mine, others in ((one, other), (other, one)):
+                total[mine] += np.where(even, result[others], 0)
+                weight[mine] += even
+        result = total / weight
+    return result[hits.hit]
 
 
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:

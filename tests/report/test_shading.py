@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from mgsr.data.camera import Camera
 from mgsr.report.pictures import depth_picture, normal_picture, ramp
@@ -25,6 +26,27 @@ def test_the_outline_is_the_balls() -> None:
 def test_light_comes_from_above() -> None:
     picture = MeshPainter(ball()).shaded(side_camera(MeshPainter(ball()), UP, FRONT, 0.0, 64)).astype(int)
     assert picture[18, 32, :3].sum() > picture[46, 32, :3].sum() + 60
+
+
+def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball on a plate, beside the same picture by a hundred times as many rays and no evening out."""
+    corners = np.array([[-2, -2, -1.02], [2, -2, -1.02], [2, 2, -1.02], [-2, 2, -1.02]])
+    vertices = np.concatenate([ball().vertices, corners])
+    plate = len(ball().vertices) + np.array([[0, 1, 2], [0, 2, 3]])
+    up = np.broadcast_to(UP, corners.shape)
+    assert ball().normals is not None
+    painter = MeshPainter(
+        TriangleMesh(vertices, np.concatenate([ball().faces, plate]), np.concatenate([ball().normals, up]))
+    )
+    camera = side_camera(painter, UP, FRONT, 0.0, 256)
+    quick = painter.shaded(camera).astype(float)
+    monkeypatch.setattr("mgsr.report.shading.OCCLUSION_SPREAD", 0)
+    grainy = painter.shaded(camera).astype(float)
+    monkeypatch.setattr("mgsr.report.shading.OCCLUSION_RAYS", 1200)
+    wanted = painter.shaded(camera).astype(float)
+    shown = wanted[..., 3] == 255
+    error, before = (np.sqrt(((picture - wanted)[shown][:, :3] ** 2).mean()) for picture in (quick, grainy))
+    assert error < 1.5 and error < before / 3, (error, before)
 
 
 def test_the_first_side_faces_the_viewer_and_up_is_up() -> None:

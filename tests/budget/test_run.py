@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 
+from mgsr.cli.events import Event
 from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.errors import Cancelled
+from mgsr.training.progress import Progress
 from tests.cli.spheres import write_spheres
 
 SMALL = ["surfels.max_start=1500", "volumes.max_start=1500"]
@@ -59,16 +61,17 @@ def test_runs_end_near_their_budgets(scene: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_resumed_run_goes_on_with_its_seconds(scene: Path, tmp_path: Path) -> None:
-    asked: list[int] = []
+    trained: list[Progress] = []
 
-    def stop() -> bool:
-        asked.append(1)
-        return len(asked) > 300
+    def note(event: Event) -> None:
+        if event.training is not None and event.training.stage == "warmup_surfels":
+            trained.append(event.training)
 
-    with pytest.raises(Cancelled):
-        run(scene, tmp_path / "out", 12.0, should_stop=stop)
     begun = time.perf_counter()
+    with pytest.raises(Cancelled, match="warmup_surfels"):
+        run(scene, tmp_path / "out", 12.0, progress=note, should_stop=lambda: bool(trained))
+    before, begun = time.perf_counter() - begun, time.perf_counter()
     report = run(scene, tmp_path / "out", 12.0, resume=True)
     here = time.perf_counter() - begun
-    assert report["time_budget"]["used"] > here + 0.5
-    assert report["iterations"]["warmup_surfels"]["iterations"] > 0
+    assert report["time_budget"]["used"] > here + 0.5 * before
+    assert report["iterations"]["warmup_surfels"]["iterations"] > trained[-1].iteration

@@ -62,3 +62,10 @@ class Cancelled(MgsrError):
     """The caller asked to stop; a checkpoint was written first."""
 
     code = "cancelled"
+
+
+def in_short(reason: object) -> str:
+    """What another library says, for a message of ours: its first line, cut where it gets long. Some put thousands of
+    lines, or bytes of the file, into theirs."""
+    line = next(iter(str(reason).strip().splitlines()), "")
+    return line if len(line) <= 200 else f"{line[:200]}..."

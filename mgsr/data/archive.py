@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
-from mgsr.errors import ArchiveError, SceneError
+from mgsr.errors import ArchiveError, SceneError, in_short
 
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst", ".7z", ".rar")
 
@@ -263,7 +263,7 @@ def _write(budget: _Budget, member: _Member, place: Path) -> None:
         raise _refused(archive, member.name, "is a folder and a file; rename one") from error
     except Exception as error:
         if _is_damage(error):
-            raise _refused(archive, member.name, f"can't be unpacked: {error}", "archive_damaged") from error
+            raise _refused(archive, member.name, f"can't be unpacked: {in_short(error)}", "archive_damaged") from error
         raise
 
 

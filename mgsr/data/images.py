@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 # No camera has more pixels in one picture; files that claim more would fill the memory.
 MAX_PIXELS = 1 << 28
@@ -135,7 +135,7 @@ def _read_pixels(path: Path, source: str) -> tuple[np.ndarray, int]:
     handle.close()
     if pixels is None or trouble:
         raise SceneError(
-            f"{path.name}: damaged image: {trouble.strip() or 'no pixels'} (asked for by {source}); copy it again"
+            f"{path.name}: damaged image: {in_short(trouble) or 'no pixels'} (asked for by {source}); copy it again"
         )
     pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)[..., :4]
     orientation = spec.getattribute("Orientation")
@@ -158,7 +158,7 @@ def _open(path: Path, source: str) -> Any:
     config.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
     handle = OpenImageIO.ImageInput.open(str(path), config)
     if handle is None:
-        reason = next(iter(OpenImageIO.geterror().strip().splitlines()), "unknown type")
+        reason = in_short(OpenImageIO.geterror()) or "unknown type"
         raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); copy it again")
     spec = handle.spec()
     _check_size(path, spec.width, spec.height, source)
@@ -171,11 +171,11 @@ def _open_heif(path: Path, source: str) -> Any:
     _check_there(path, source)
     try:
         opened = pillow_heif.open_heif(path, convert_hdr_to_8bit=True)
-    except (ValueError, EOFError, SyntaxError, OSError, RuntimeError) as error:
+        width, height = opened.size
+    except (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexError) as error:
         raise SceneError(
-            f"{path.name}: not an image that can be read: {error} (asked for by {source}); copy it again"
+            f"{path.name}: not an image that can be read: {in_short(error)} (asked for by {source}); copy it again"
         ) from error
-    width, height = opened.size
     _check_size(path, width, height, source)
     return opened
 
@@ -185,8 +185,9 @@ def _read_heif(path: Path, source: str) -> Picture:
     opened = _open_heif(path, source)
     try:
         pixels = np.asarray(opened)
-    except (ValueError, EOFError, OSError, RuntimeError) as error:
-        raise SceneError(f"{path.name}: damaged image: {error} (asked for by {source}); copy it again") from error
+    except (ValueError, EOFError, OSError, RuntimeError, IndexError) as error:
+        reason = in_short(error)
+        raise SceneError(f"{path.name}: damaged image: {reason} (asked for by {source}); copy it again") from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)
     colors = np.repeat(pixels[..., :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[..., :3]
     alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None

@@ -11,7 +11,7 @@ from PIL import Image, ImageOps
 
 from mgsr.data import images
 from mgsr.data.images import composite_on_white, image_size, read_image, read_mask, read_picture, reduce_area, upright
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 RNG = np.random.default_rng(3)
 
@@ -183,3 +183,21 @@ def test_white():
     colors = np.full((1, 1, 3), 100, np.uint8)
     assert composite_on_white(colors, np.array([[0]], np.uint8)).max() == 255
     np.testing.assert_array_equal(composite_on_white(colors, np.array([[51]], np.uint8)), np.full((1, 1, 3), 224))
+
+
+def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
+    """Found by fuzzing: pillow-heif opens such files, and fails on their first image."""
+    import pillow_heif
+
+    path = tmp_path / "a.heic"
+    path.write_bytes(b"damaged")
+    monkeypatch.setattr(pillow_heif, "open_heif", lambda *_, **__: [][0])
+    with pytest.raises(SceneError, match="not an image that can be read: list index"):
+        read_picture(path, "test")
+
+
+@pytest.mark.parametrize("reason", ["line after line\n" * 5000, "one line " * 5000])
+def test_what_libraries_say_is_cut_short(reason):
+    """Found by fuzzing: a damaged TIFF gave thousands of lines, a damaged zip the bytes of its first file."""
+    assert len(in_short(reason)) < 210
+    assert "\n" not in in_short(reason)

@@ -16,8 +16,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".b
 MASK_SUFFIXES = (".png", ".jpg", ".jpeg")
 MASK_FOLDERS = ("masks", "mask")
 
-# What file systems take; longer names come from damaged or hostile files.
-_LONGEST_NAME = 255
+# What file systems take, 255 bytes, less what names of masks add; longer names come from damaged or hostile files.
+_LONGEST_NAME = 240
 _LONGEST_PATH = 4000
 
 
@@ -61,8 +61,12 @@ def inside(root: Path, text: Any, source: str) -> Path:
         raise SceneError(f"{source}: expected the path of an image, got {text!r}")
     text = text.replace("\\", "/")
     if "\0" in text or len(text) > _LONGEST_PATH or any(len(part.encode()) > _LONGEST_NAME for part in text.split("/")):
-        raise SceneError(f"{source}: {text[:80]!r}...: no file can have this name; mend the file")
+        raise SceneError(f"{source}: {text[:80]!r}...: too long, or with a zero byte, for a file's name; mend the file")
     path = Path(os.path.normpath(root / text))
+    if path == Path(os.path.normpath(root)):
+        raise SceneError(
+            f"{source}: expected the path of a file, got the scene's folder itself, {text!r}; mend the file"
+        )
     if not path.is_relative_to(os.path.normpath(root)):
         raise SceneError(f"{source}: {text} lies outside the scene's folder; put it inside and use a relative path")
     return path
@@ -102,7 +106,7 @@ def find_mask(root: Path, image: Path) -> Path | None:
 
 def _first_mask(place: Path, names: Sequence[str]) -> Path | None:
     paths = (place / (name + suffix) for name in names for suffix in MASK_SUFFIXES)
-    return next((path for path in paths if path.is_file()), None)
+    return next((path for path in paths if os.path.isfile(path)), None)  # names that are too long are no error here
 
 
 def images_below(root: Path) -> list[Path]:

@@ -14,6 +14,7 @@ from mgsr.errors import SceneError, in_short
 MAX_PIXELS = 1 << 28
 
 _HEIF = (".heic", ".heif")
+_HEIF_ERRORS = (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexError)  # what pillow-heif raises
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ def _open_heif(path: Path, source: str) -> Any:
     try:
         opened = pillow_heif.open_heif(path, convert_hdr_to_8bit=True)
         width, height = opened.size
-    except (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexError) as error:
+    except _HEIF_ERRORS as error:
         raise SceneError(
             f"{path.name}: not an image that can be read: {in_short(error)} (asked for by {source}); copy it again"
         ) from error
@@ -185,7 +186,7 @@ def _read_heif(path: Path, source: str) -> Picture:
     opened = _open_heif(path, source)
     try:
         pixels = np.asarray(opened)
-    except (ValueError, EOFError, OSError, RuntimeError, IndexError) as error:
+    except _HEIF_ERRORS as error:
         reason = in_short(error)
         raise SceneError(f"{path.name}: damaged image: {reason} (asked for by {source}); copy it again") from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)

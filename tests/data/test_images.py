@@ -128,6 +128,19 @@ def test_truncated_heic(tmp_path, cut, message):
         read_image(tmp_path / "a.heic", "view 3")
 
 
+def test_a_heic_whose_header_lies_about_its_colors(tmp_path):
+    """Found by fuzzing: it opens, and pillow-heif raises SyntaxError when it decodes."""
+    pillow_heif = pytest.importorskip("pillow_heif")
+    path = tmp_path / "a.heic"
+    pillow_heif.from_pillow(Image.new("RGB", (96, 64))).save(path)
+    whole = bytearray(path.read_bytes())
+    whole[whole.index(b"hvcC") + 20] &= 0xFC  # chroma_format_idc of ISO/IEC 14496-15: monochrome
+    path.write_bytes(whole)
+    assert image_size(path, "view 3") == (96, 64)
+    with pytest.raises(SceneError, match=r"a\.heic: damaged image: .*asked for by view 3.*; copy it again"):
+        read_image(path, "view 3")
+
+
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.exr", "a.heic"])
 def test_wrong_magic(tmp_path, name):
     (tmp_path / name).write_bytes(b"GIF89 no, not really an image at all")

@@ -133,6 +133,20 @@ def test_refusals(root, values, message):
         read_capture(root, "nerfstudio")
 
 
+@pytest.mark.parametrize("name", ["./", "images/.."])
+def test_the_folder_itself_is_no_photograph(root, name):
+    """Found by fuzzing: what lies beside the folder, with its name and an image's suffix, was taken for it."""
+    draw(root.with_name(root.name + ".png"))
+    edit_json(root / "transforms.json", lambda content: content["frames"][2].update(file_path=name))
+    with pytest.raises(SceneError, match=r"frame 2: expected the path of a file, got the scene's folder itself"):
+        read_capture(root, "nerfstudio")
+
+
+def test_the_longest_names_are_looked_for(root):
+    edit_json(root / "transforms.json", lambda content: content["frames"][2].update(file_path="n" * 240))
+    assert len(read_capture(root, "nerfstudio").photos) == 5
+
+
 def test_points_that_are_no_ply(root):
     (root / "points.ply").write_text("ply\nformat ascii 1.0\nelement vertex 5\n")
     edit(root, ply_file_path="points.ply")

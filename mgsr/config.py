@@ -80,7 +80,7 @@ class MeshConfig:
     )
     # if it leaves at most this share of what one brightness a point leaves; none is off, for parallax too
     parallax_reach: float | None = 12.0  # pixels over which what the photographs' parallax tells spreads, where
-    # shading is looked at, no flash is found and masks hold the outlines; none is off
+    # shading is looked at and masks hold the outlines; none is off
     smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
     # noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF

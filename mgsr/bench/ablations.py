@@ -77,7 +77,7 @@ PAPER_CHOICES = (
     AblationRow("paper-mesh", "TSDF fusion (ours screened Poisson)", "mgsr", ("extractor=tsdf",)),
     AblationRow(
         "paper-parallax",
-        "no parallax in the mesh (ours where light stands still)",
+        "no parallax in the mesh (ours where there are outlines)",
         "mgsr",
         ("parallax_reach=none",),
     ),

@@ -40,7 +40,7 @@ def extract_mesh(
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
     photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
-    their shading, it refines the mesh; where there are silhouettes and no flash, so does their parallax.
+    their shading, it refines the mesh; where there are silhouettes, so does their parallax.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -134,10 +134,11 @@ def _finish(
             go_on=go_on,
         )
         vertices, light = refined.vertices, refined.light
-        if outlines and config.parallax_reach is not None and light is not Light.FLASH and go_on():
-            parallax = True
-            surroundings, reach = refined.surroundings(faces), config.parallax_reach
-            vertices = refine_by_parallax(vertices, faces, photographs, outlines, reach, surroundings, threads, go_on)
+        if outlines and config.parallax_reach is not None and go_on():
+            parallax, reach = True, config.parallax_reach
+            vertices = refine_by_parallax(
+                vertices, faces, photographs, outlines, reach, refined.shading, threads, go_on
+            )
     if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:
@@ -150,10 +151,11 @@ def _finish(
     return SurfaceMesh(vertices, faces, normals, colors, light, parallax)
 
 
+# Training knows the large shape better than shading does, which light that hollows throw back again and again flattens.
 # A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
 # that only shape over some pixels is bettered by them, and more rounds go too far: the trained details are better.
 _PASSES = {
-    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=160.0),),
+    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),),
     Light.SURROUNDINGS: (Pass(edge=8.0, rounds=2, reach=60.0, smoothing=8.0),),
 }
 

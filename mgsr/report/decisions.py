@@ -181,9 +181,8 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
 def _about_parallax(data: ReportData) -> Decision:
     what = "Parallax that moved the surface"
     if data.other["parallax"]:
-        return Decision(what, "used", "the light stands still, so photographs should agree about each place")
-    if data.other["light"] == "flash":
-        return Decision(what, "not used", "a flash on the camera moves what is fine on the surface as well")
+        still = "the light stands still" if data.other["light"] != "flash" else "the flash's light is known for each"
+        return Decision(what, "used", f"{still}, so photographs should agree about each place")
     given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}
     if not given.get("masked") and not _before_plain_backdrop(given, train):
         return Decision(what, "not used", "it needs outlines, of masks or before a plain backdrop, to hold the surface")

@@ -25,7 +25,7 @@ from mgsr.parallel import map_ahead
 GAMMA = 2.4  # of sRGB, away from black
 RAYS = 512  # along an image's longer side at least: small images take several rays a pixel
 BAND = 1 << 18  # rays at a time, about
-DIMMEST = 0.02  # light under which splats could hardly learn what colour lies there
+DIMMEST = 0.02  # light under which a photograph hardly tells what colour lies there
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,15 @@ class Lighting:
         mean = (light / np.maximum(seen, 1))[tuple(nearest)]
         return to_uint8(255 * np.clip(mean, DIMMEST, 1) ** (1 / GAMMA))
 
+    def falling_on(self, camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """The light [P] on points [P,3] beside the surface, with unit normals [P,3], while the camera's photograph is
+        taken; 0 in the lamp's shadow."""
+        face, shares = self._caster.nearest(points)
+        besides = (self.besides[self.like[self.faces[face]]] * shares).sum(axis=1)
+        place = self._lamp(camera)
+        reached = self._caster.reached(place, points + self._gap * normals, self._gap)
+        return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + besides))
+
     def moved(self, to: Similarity) -> Lighting:
         """The same in the frame that `to` leads to."""
         longer = to.scale
@@ -67,6 +76,10 @@ class Lighting:
             down=longer * self.down,
             lamp=longer**2 * self.lamp,
         )
+
+    def _lamp(self, camera: Camera) -> np.ndarray:
+        """Where the lamp is, [3]."""
+        return np.asarray(camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3])
 
     @cached_property
     def _caster(self) -> RayCaster:
@@ -109,7 +122,7 @@ class Lighting:
         there = np.einsum("pki,pk->pi", self._carried[self.faces[hits.face[met]]], hits.barycentric[met])
         points, normals, besides = there[:, :3], there[:, 3:6], there[:, 6]
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        place = (camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3]).astype(np.float32)
+        place = self._lamp(camera).astype(np.float32)
         reached = self._caster.reached(place, points + self._gap * normals, self._gap)
         light = np.zeros(met.shape)
         light[met] = self.lamp * reached * lamp_light(place - points, normals) + besides

@@ -26,7 +26,6 @@ from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot, mirrored_surroundings
 from mgsr.shading.readings import linear_photographs
-from mgsr.shading.surroundings import Surroundings
 
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
@@ -64,10 +63,6 @@ class Refined:
     vertices: np.ndarray
     light: Light
     shading: Shading | None = None
-
-    def surroundings(self, faces: np.ndarray) -> Surroundings | None:
-        """What the mesh mirrors, if that is known."""
-        return None if self.shading is None else self.shading.surroundings(self.vertices, faces)
 
 
 def refine_by_shading(

@@ -41,7 +41,7 @@ SHADING_PASSES = {
     ),
 }
 
-# Pixels over which what the photographs' parallax tells spreads, where no flash moves what they show.
+# Pixels over which what the photographs' parallax tells spreads.
 PARALLAX_REACH = 12.0
 
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
@@ -215,8 +215,7 @@ def _carved_points(
         progress=_between(progress, COLOR_CARVED, SHADED),
     )
     vertices, shiny = refined.vertices, refined.light is not Light.UNKNOWN
-    if refined.light is not Light.FLASH:
-        vertices = refine_by_parallax(vertices, faces, views, rims, PARALLAX_REACH, refined.surroundings(faces))
+    vertices = refine_by_parallax(vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
     progress(1.0)
     positions, normals = _sample(vertices, faces, count, generator)
     lighting = None if refined.shading is None else refined.shading.lighting(vertices, faces)

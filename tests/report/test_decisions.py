@@ -41,7 +41,7 @@ def test_a_flash_is_told_with_its_place() -> None:
     ("light", "masked", "moved", "choice", "why"),
     [
         ("surroundings", True, True, "used", "stands still"),
-        ("flash", True, False, "not used", "flash"),
+        ("flash", True, True, "used", "flash"),
         ("unknown", False, False, "not used", "masks"),
         ("unknown", True, False, "not used", "parallax_reach"),
     ],

@@ -64,6 +64,20 @@ def first_on_ball(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.where((square > 0) & (near > 0), near, np.inf)
 
 
+def test_light_on_points_is_that_on_paper() -> None:
+    """On the wall, some of it in the ball's shadow."""
+    view, (x, y) = camera(), np.meshgrid(np.linspace(-0.9, 0.9, 37), np.linspace(-0.9, 0.9, 37))
+    points = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
+    right, down, _ = view.cam_from_world[:3, :3]
+    way = view.center + RIGHT * right + DOWN * down - points
+    far = np.linalg.norm(way, axis=1)
+    hidden = np.isfinite(first_on_ball(points, way / far[:, None]))
+    expected = np.where(hidden, 0, LAMP * way[:, 2] / far**3 + BESIDES)
+    found = ball_and_wall().falling_on(view, points, np.tile([0, 0, 1.0], (len(points), 1)))
+    near = np.abs(found - expected) < 1e-5
+    assert hidden.mean() > 0.03 and near.mean() > 0.98  # facets of the ball shade a little less than it
+
+
 def test_light_and_shadow_are_those_on_paper() -> None:
     found, (expected, there) = ball_and_wall().seen_by(camera()), on_paper(camera())
     off = np.abs(found - expected)[there]

@@ -17,7 +17,8 @@ from mgsr.geometry.outlines import Outline, find_outline
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
-from mgsr.shading.kinds import ByMirroring, Shot
+from mgsr.shading.kinds import ByFlash, ByMirroring, Shot
+from mgsr.shading.lighting import lamp_light
 from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.readings import linear_photographs
 from mgsr.shading.refine import Light
@@ -83,6 +84,18 @@ def photographs(mesh: trimesh.Trimesh, paint: Paint, shine: Shine = nothing, noi
     return views
 
 
+def flash_photographs(mesh: trimesh.Trimesh, paint: Paint) -> list[View]:
+    """The same under a lamp beside the lens, whose shades are darker than the paint's."""
+    views = []
+    for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
+        points = back_project(seen)
+        lamp = seen.camera.center + np.array([0.2, -0.1]) @ seen.camera.cam_from_world[:2, :3]
+        light = 8 * lamp_light(lamp - points, seen.normal)[..., None] * srgb_to_linear(0.8 * paint(points))
+        image = (255 * np.clip(linear_to_srgb(light) * seen.alpha[..., None], 0, 1)).round().astype(np.uint8)
+        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
+    return views
+
+
 def outlines_of(mesh: trimesh.Trimesh, views: list[View]) -> list[Outline]:
     return [find_outline(one) for one in silhouettes_of(mesh, [view.camera for view in views])]
 
@@ -102,6 +115,20 @@ def test_a_dent_comes_out(shine: Shine, noise: float, left: float) -> None:
     found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
     assert error(full.vertices) > 0.7
     assert error(found) < left * error(full.vertices)
+
+
+def test_a_dent_comes_out_under_a_flash() -> None:
+    """Where its light is known. Parallax alone is asked, though shading would tell the dent as well."""
+    truth, full = dented(), ball(RADIUS)
+    views = flash_photographs(truth, painted)
+    shot = Shot(linear_photographs(views), PIXEL, None)
+    flash = ByFlash(shot, full.vertices, full.faces, *shot.read(full.vertices, full.faces))
+    found, unlit = (
+        refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), 6.0, known)
+        for known in (flash, None)
+    )
+    assert error(found) < 0.15 * error(full.vertices)
+    assert error(found) < 0.8 * error(unlit)
 
 
 def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
@@ -144,10 +171,10 @@ def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
     full = ball(RADIUS)
     views = photographs(full, plain, many_lamps, noise=2)
     outlines = outlines_of(full, views)
-    surroundings = ByMirroring(Shot(linear_photographs(views), PIXEL, None)).surroundings(full.vertices, full.faces)
+    mirroring = ByMirroring(Shot(linear_photographs(views), PIXEL, None))
     drawn, left = (
         np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL
-        for known in (None, surroundings)
+        for known in (None, mirroring)
         for found in [refine_by_parallax(full.vertices, full.faces, views, outlines, 6.0, known)]
     )
     assert drawn > 0.1

@@ -82,6 +82,12 @@ PAPER_CHOICES = (
         ("parallax_reach=none",),
     ),
     AblationRow(
+        "paper-holes",
+        "nothing is taken out of the mesh (ours what photographs under a flash differ about)",
+        "mgsr",
+        ("disagreement=none",),
+    ),
+    AblationRow(
         "paper-shading",
         "neither shading nor parallax in the mesh (ours where photographs tell them)",
         "mgsr",

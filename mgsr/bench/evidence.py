@@ -213,7 +213,7 @@ def _methods_section(evidence: Evidence) -> str:
         *(("psnr", ".2f"), ("psnr_object", ".2f"), ("chamfer", ".2f"), ("normal_consistency", ".2f")),
     )
     cells = [
-        [row.scene, row.method, row.preset]
+        _run_cells(row)
         + [
             number(getattr(row, field), form) + ("*" if field == "seconds" and is_busy(row) else "")
             for field, form in forms
@@ -231,6 +231,11 @@ def _methods_section(evidence: Evidence) -> str:
             *_method_words(evidence),
         )
     )
+
+
+def _run_cells(row: Row) -> list[str]:
+    """What tells a run from others of its variant: scene, method and preset, with the seed where it is not 0."""
+    return [row.scene, row.method, row.preset + (f", seed {row.seed}" if row.seed else "")]
 
 
 def _method_words(evidence: Evidence) -> list[str]:
@@ -251,9 +256,7 @@ def _curve_section(evidence: Evidence) -> str:
             continue
         best, end = max(y for _, y in curve.points), curve.points[-1][0]
         near = next(x for x, y in curve.points if y >= best - NEAR_BEST)
-        cells.append(
-            [row.scene, row.method, row.preset, f"{end:.0f}", f"{near:.0f}", f"{near / end:.0%}", f"{best:.2f}"]
-        )
+        cells.append([*_run_cells(row), f"{end:.0f}", f"{near:.0f}", f"{near / end:.0%}", f"{best:.2f}"])
     if not cells:
         return ""
     head = ["scene", "method", "preset", "training, s", "near its best after, s", "share", "best, dB"]
@@ -274,7 +277,7 @@ def _light_section(evidence: Evidence) -> str:
     if not rows:
         return ""
     cells = [
-        [row.scene, row.variant or "-", f"{row.split_psnr:.2f}", f"{row.split_psnr - row.split_gain:.2f}",
+        [*_run_cells(row), row.variant or "-", f"{row.split_psnr:.2f}", f"{row.split_psnr - row.split_gain:.2f}",
          f"{row.split_gain:+.2f}"]
         for row in rows if row.split_psnr is not None and row.split_gain is not None
     ]  # fmt: skip
@@ -283,7 +286,9 @@ def _light_section(evidence: Evidence) -> str:
             "## How true the light split is",
             "The same views path-traced without any gloss, against the transmitted half of the render and against the "
             "photograph itself, on the object, after a gain of each channel. Below zero, the split does harm.",
-            markdown(["scene", "variant", "transmitted, dB", "photograph, dB", "split gain, dB"], cells),
+            markdown(
+                ["scene", "method", "preset", "variant", "transmitted, dB", "photograph, dB", "split gain, dB"], cells
+            ),
         )
     )
 

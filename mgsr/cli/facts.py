@@ -63,6 +63,7 @@ def run_report(
             "input": _input(scene, start, path, config.output.scale),
             "light": str(mesh.light),
             "parallax": mesh.parallax,
+            "opened": mesh.opened,
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {
                 "chosen": None if trained.volumes is None else trained.volumes.sh_degree,

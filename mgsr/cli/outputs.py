@@ -17,7 +17,7 @@ from mgsr.cli.whole import whole
 from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene
-from mgsr.errors import MgsrError
+from mgsr.errors import MgsrError, in_short
 from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
@@ -92,8 +92,8 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
         )
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise MgsrError(
-            f"{out / EXPOSURES}: expected three factors for each photograph of {scene.name}: {error}; run `mgsr train "
-            f"SCENE -o {out}` again"
+            f"{out / EXPOSURES}: expected three factors for each photograph of {scene.name}: {in_short(error)}; "
+            f"run `mgsr train SCENE -o {out}` again"
         ) from error
     factors = np.concatenate([train, test])
     if not (np.isfinite(factors) & (factors > 0)).all():

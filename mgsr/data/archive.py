@@ -86,7 +86,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
         if _is_damage(error):
-            text = f"{archive.name}: damaged or not an archive: {error}; make it again"
+            text = f"{archive.name}: damaged or not an archive: {in_short(error)}; make it again"
             raise ArchiveError("archive_damaged", text) from error
         raise
     return folder

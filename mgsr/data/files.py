@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif")
 MASK_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -34,7 +34,7 @@ def read_json(path: Path) -> Any:
     except RecursionError as error:
         raise SceneError(f"{path.name}: JSON nested too deep to be a capture; export it again") from error
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path.name}: can't be read as JSON text: {error}; export it again") from error
+        raise SceneError(f"{path.name}: can't be read as JSON text: {in_short(error)}; export it again") from error
 
 
 def number(values: Mapping[str, Any], name: str, source: str) -> float:

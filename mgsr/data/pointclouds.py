@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.scene import PointCloud
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 
 def read_points(path: Path) -> PointCloud:
@@ -20,7 +20,9 @@ def read_points(path: Path) -> PointCloud:
         positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
         colors = _colors(vertex, len(positions))
     except (PlyParseError, KeyError, ValueError, TypeError, IndexError, OverflowError, OSError, MemoryError) as error:
-        raise SceneError(f"{path.name}: expected a PLY with vertices: {error}; export it again or remove it") from error
+        raise SceneError(
+            f"{path.name}: expected a PLY with vertices: {in_short(error)}; export it again or remove it"
+        ) from error
     finite = np.isfinite(positions).all(axis=1)
     return PointCloud(positions[finite], colors[finite])
 

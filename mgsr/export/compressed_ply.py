@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 from mgsr.export.splats import DAMAGE, Splats
 from mgsr.export.spz import three_scales
 
@@ -71,7 +71,9 @@ def load_compressed_ply(path: Path) -> Splats:
         rest = _load_harmonics(data, len(vertices))
         quats = _unpacked_rotations(vertices["packed_rotation"])
     except (PlyParseError, *DAMAGE) as error:
-        raise SceneError(f"{path.name}: expected a compressed PLY of splats: {error}; write it again") from error
+        raise SceneError(
+            f"{path.name}: expected a compressed PLY of splats: {in_short(error)}; write it again"
+        ) from error
     alpha = np.clip(color[:, 3], 0.5 / 255, 1 - 0.5 / 255)
     splats = {
         "means": values["position"],

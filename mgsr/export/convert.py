@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.images import linear_to_srgb
-from mgsr.errors import ConfigError, MeshError
+from mgsr.errors import ConfigError, MeshError, in_short
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
@@ -66,7 +66,7 @@ def load_mesh(path: Path) -> Mesh:
         scene: Any = trimesh.load_scene(path, process=False)
         found = [_part(scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
     except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
-        raise MeshError(f"{path}: not a mesh that can be read: {error}") from error
+        raise MeshError(f"{path}: not a mesh that can be read: {in_short(error)}") from error
     parts = [part for part in found if part is not None]
     if not parts:
         raise MeshError(f"{path}: expected a mesh with faces, got none")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.npz import read_arrays
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 from mgsr.shading.lighting import Lighting
 
 
@@ -39,7 +39,7 @@ def load_flash(path: Path) -> Lighting:
         vertices, besides, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))
         faces, like = content["faces"].astype(np.int64), content["like"].astype(np.int64)
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not a flash ({error}); train again, or remove it") from error
+        raise SceneError(f"{path}: not a flash ({in_short(error)}); train again, or remove it") from error
     count = len(vertices)
     right = vertices.shape == (count, 3) and besides.shape == like.shape == (count,) and lamp.shape == (3,)
     right = right and faces.ndim == 2 and faces.shape[1] == 3 and len(faces) > 0

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.npz import read_arrays
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _PARTS = ("scene", "camera")
 
@@ -35,7 +35,7 @@ def load_mirrored_light(path: Path) -> np.ndarray:
         content = read_arrays(path)
         images = [content[part].astype(np.float32) for part in _PARTS]
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not a mirrored light ({error}); train again, or remove it") from error
+        raise SceneError(f"{path}: not a mirrored light ({in_short(error)}); train again, or remove it") from error
     side = images[0].shape[0]
     if any(image.shape != (side, side, 3) or not np.isfinite(image).all() for image in images):
         shapes = ", ".join(str(image.shape) for image in images)

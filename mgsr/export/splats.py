@@ -20,7 +20,7 @@ import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
 
 from mgsr.data.scene import Similarity
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 from mgsr.export.ply_notes import number_comments
 
 Splats = dict[str, np.ndarray]
@@ -81,7 +81,7 @@ def load_splats(path: Path) -> Splats:
         data = PlyData.read(str(path))
         splats = _splats(data["vertex"], path, _notes(data.comments))
     except (PlyParseError, *DAMAGE) as error:
-        raise SceneError(f"{path}: expected a PLY of splats: {error}; write it again") from error
+        raise SceneError(f"{path}: expected a PLY of splats: {in_short(error)}; write it again") from error
     _check(splats)
     return splats
 

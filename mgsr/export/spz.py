@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 from mgsr.export.splats import SURFEL_THICKNESS, Splats
 
 _MAGIC, _VERSION = 0x5053474E, 2
@@ -103,7 +103,7 @@ def _unpacked(path: Path) -> tuple[tuple[int, ...], bytes]:
                 )
             return header, file.read(count * 64)
     except (OSError, EOFError, zlib.error, struct.error) as error:
-        raise SceneError(f"{path.name}: not an SPZ file: {error}; write it again") from error
+        raise SceneError(f"{path.name}: not an SPZ file: {in_short(error)}; write it again") from error
 
 
 def _fraction_bits(means: np.ndarray) -> int:

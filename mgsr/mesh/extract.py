@@ -20,11 +20,10 @@ from mgsr.mesh.consistency import Hull, compare_views
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
+from mgsr.mesh.refinement import hold_against_photographs
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, refine_by_shading
 
 
 def extract_mesh(
@@ -40,7 +39,8 @@ def extract_mesh(
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
     photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
-    their shading, it refines the mesh; where there are silhouettes, so does their parallax.
+    their shading, it refines the mesh; where there are silhouettes, so does their parallax. Under a flash, what they
+    differ about is left open.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -121,24 +121,10 @@ def _finish(
     outlines = [find_outline(silhouette) for silhouette in silhouettes]
     if outlines and config.outline_smoothing is not None:
         vertices = fit_outlines(vertices, faces, outlines, config.outline_smoothing)
-    light, parallax = Light.UNKNOWN, False
-    if photographs and config.shading_ratio is not None:
-        refined = refine_by_shading(
-            vertices,
-            faces,
-            photographs,
-            outlines,
-            config.shading_ratio,
-            _PASSES,
-            threads,
-            go_on=go_on,
-        )
-        vertices, light = refined.vertices, refined.light
-        if outlines and config.parallax_reach is not None and go_on():
-            parallax, reach = True, config.parallax_reach
-            vertices = refine_by_parallax(
-                vertices, faces, photographs, outlines, reach, refined.shading, threads, go_on
-            )
+    held = hold_against_photographs(vertices, faces, photographs, outlines, config, threads, go_on)
+    vertices, faces = held.vertices, held.faces
+    if held.opened:
+        vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
     if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:
@@ -148,16 +134,7 @@ def _finish(
     normals = vertex_normals(vertices, faces)
     tolerance = config.consistency or TOLERANCE
     colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
-    return SurfaceMesh(vertices, faces, normals, colors, light, parallax)
-
-
-# Training knows the large shape better than shading does, which light that hollows throw back again and again flattens.
-# A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
-# that only shape over some pixels is bettered by them, and more rounds go too far: the trained details are better.
-_PASSES = {
-    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),),
-    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=2, reach=60.0, smoothing=8.0),),
-}
+    return SurfaceMesh(vertices, faces, normals, colors, held.light, held.parallax, held.opened)
 
 
 def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:

@@ -25,7 +25,8 @@ class TexturedMesh:
 class SurfaceMesh:
     """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
     outward, colors [V,3] float32 sRGB 0..1; light: whose shading refined it, unknown if none did; parallax: whether the
-    photographs' parallax moved it; textured: the same surface with a picture, where one was asked for."""
+    photographs' parallax moved it; opened: the share of its area that was taken out, as they differed about it;
+    textured: the same surface with a picture, where one was asked for."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -33,4 +34,5 @@ class SurfaceMesh:
     colors: np.ndarray
     light: Light = Light.UNKNOWN
     parallax: bool = False
+    opened: float = 0.0
     textured: TexturedMesh | None = None

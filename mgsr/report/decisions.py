@@ -170,6 +170,9 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield Decision("Shading that refined the surface", *LIGHTS[data.other["light"]])
         if "parallax" in data.other:
             yield _about_parallax(data)
+        if data.other.get("opened"):
+            why = "the flash explains what photographs show of the rest; of this each shows something else: a hole, say"
+            yield Decision("Surface that was taken out", f"{data.other['opened']:.1%} of it", why)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
         settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})

@@ -50,9 +50,9 @@ class Readings:
 
 @dataclass(frozen=True)
 class Photograph:
-    """brightness [H,W] float32, the mean of the channels in linear light; usable [H,W] float32, 1 where a pixel shows
-    the object alone and is not clipped, else 0; known [H,W] bool: pixels whose neighbours, too, are shown by the
-    photograph, None if all are. Brightness is 0 where nothing is."""
+    """brightness [H,W] float32, the mean of the channels in linear light, 0 where nothing is; usable [H,W] bool: pixels
+    that show the object alone and are not clipped; known [H,W] bool: pixels whose neighbours, too, are shown by the
+    photograph, None if all are."""
 
     camera: Camera
     brightness: np.ndarray
@@ -65,9 +65,9 @@ def linear_photographs(views: Sequence[View]) -> list[Photograph]:
     return [_linear(view) for view in some_of(views)]
 
 
-def some_of(views: Sequence[View]) -> list[View]:
-    """PHOTOGRAPHS of the views at most, spread over all."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, PHOTOGRAPHS).round().astype(int))
+def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
+    """So many of the views at most, spread over all."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
     return [views[index] for index in chosen]
 
 
@@ -120,6 +120,11 @@ def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
 
 
+def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Which of the pixel coordinates [P,2] lie between pixels of the mask [H,W] bool alone, [P] bool."""
+    return read_image(mask.astype(np.float32), pixels) > 0.99
+
+
 def _linear(view: View) -> Photograph:
     srgb = view.image.astype(np.float32) / 255
     linear = srgb_to_linear(srgb).mean(axis=-1)
@@ -127,9 +132,9 @@ def _linear(view: View) -> Photograph:
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
     if view.known is None:
-        return Photograph(view.camera, linear, usable.astype(np.float32))
+        return Photograph(view.camera, linear, usable)
     known = known_inside(view.known, 1)  # so that interpolation between usable pixels meets no unknown one
-    return Photograph(view.camera, np.where(view.known, linear, 0), (usable & known).astype(np.float32), known)
+    return Photograph(view.camera, np.where(view.known, linear, 0), usable & known, known)
 
 
 def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
@@ -156,6 +161,5 @@ def _read(
     pixels, _ = camera.project(points[index])
     brightness, weights = np.zeros((2, len(points)), np.float32)
     brightness[index] = read_image(photograph.brightness, pixels)
-    usable = read_image(photograph.usable, pixels) > 0.99
-    weights[index] = cosines[index] * usable
+    weights[index] = cosines[index] * lie_within(photograph.usable, pixels)
     return towards, distances, brightness, weights

@@ -15,7 +15,7 @@ import torch
 
 from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
-from mgsr.errors import CheckpointError
+from mgsr.errors import CheckpointError, in_short
 
 FORMAT = 5
 
@@ -48,7 +48,9 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
-        raise CheckpointError(f"{path}: not a readable checkpoint ({error}); start without resuming") from error
+        raise CheckpointError(
+            f"{path}: not a readable checkpoint ({in_short(error)}); start without resuming"
+        ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise CheckpointError(f"{path}: not a checkpoint of this version; start without resuming")
     for part, cure in (

@@ -18,19 +18,16 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
 from mgsr.shading.kinds import ByFlash, ByMirroring, Shot
-from mgsr.shading.lighting import lamp_light
 from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.readings import linear_photographs
 from mgsr.shading.refine import Light
 from mgsr.start.starting_points import starting_points
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of, views_of
+from tests.shading.painted import PIXEL, SIDE, Paint, flash_photographs, painted
 
 RADIUS = 0.7
-SIDE = 128
-PIXEL = 3.0 / (1.3 * SIDE)  # what one covers at the ball's middle
 DENT = np.array([0.36, 0.48, 0.8])
 
-Paint = Callable[[np.ndarray], np.ndarray]  # points [...,3] -> colours [...,3]
 Shine = Callable[[np.ndarray], np.ndarray]  # mirrored directions [...,3] -> linear light [...]
 
 
@@ -46,10 +43,9 @@ def dented() -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, mesh.faces, process=False)
 
 
-def painted(points: np.ndarray) -> np.ndarray:
-    """A paint [...,3] that changes over some six pixels, and differently along every axis."""
-    waves = np.sin(points @ (np.array([[47, 11, 5], [-9, 43, 13], [7, -15, 45.0]]).T))
-    return 0.5 + 0.25 * waves
+def of_one_brightness(points: np.ndarray) -> np.ndarray:
+    """A paint [...,3] of which the mean of the channels is the same everywhere, and the hue is not."""
+    return 0.5 + (painted(points)[..., :1] - 0.5) * np.array([0.8, -0.6, -0.2])
 
 
 def plain(points: np.ndarray) -> np.ndarray:
@@ -84,18 +80,6 @@ def photographs(mesh: trimesh.Trimesh, paint: Paint, shine: Shine = nothing, noi
     return views
 
 
-def flash_photographs(mesh: trimesh.Trimesh, paint: Paint) -> list[View]:
-    """The same under a lamp beside the lens, whose shades are darker than the paint's."""
-    views = []
-    for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
-        points = back_project(seen)
-        lamp = seen.camera.center + np.array([0.2, -0.1]) @ seen.camera.cam_from_world[:2, :3]
-        light = 8 * lamp_light(lamp - points, seen.normal)[..., None] * srgb_to_linear(0.8 * paint(points))
-        image = (255 * np.clip(linear_to_srgb(light) * seen.alpha[..., None], 0, 1)).round().astype(np.uint8)
-        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
-    return views
-
-
 def outlines_of(mesh: trimesh.Trimesh, views: list[View]) -> list[Outline]:
     return [find_outline(one) for one in silhouettes_of(mesh, [view.camera for view in views])]
 
@@ -115,6 +99,15 @@ def test_a_dent_comes_out(shine: Shine, noise: float, left: float) -> None:
     found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
     assert error(full.vertices) > 0.7
     assert error(found) < left * error(full.vertices)
+
+
+@pytest.mark.parametrize("shine", [nothing, many_lamps])
+def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
+    """Nor does it where brightness tells wrongly, as white highlights do."""
+    truth, full = dented(), ball(RADIUS)
+    views = photographs(truth, of_one_brightness, shine, noise=1)
+    found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
+    assert error(found) < 0.3 * error(full.vertices)
 
 
 def test_a_dent_comes_out_under_a_flash() -> None:
@@ -167,9 +160,11 @@ def test_noise_without_paint_tells_nothing() -> None:
 
 
 def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
-    """A ball that is not painted, so that nothing but what it mirrors tells where it is, and that wrongly."""
+    """A ball that is not painted, so that nothing but what it mirrors tells where it is, and that wrongly; in grey, so
+    that no difference of channels is without highlights."""
     full = ball(RADIUS)
-    views = photographs(full, plain, many_lamps, noise=2)
+    colored = photographs(full, plain, many_lamps, noise=2)
+    views = [replace(view, image=np.repeat(view.image[..., :1], 3, axis=-1)) for view in colored]
     outlines = outlines_of(full, views)
     mirroring = ByMirroring(Shot(linear_photographs(views), PIXEL, None))
     drawn, left = (

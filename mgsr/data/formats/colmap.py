@@ -20,7 +20,7 @@ from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, AnyLens, AriaLens, Division
 from mgsr.data.poses import intrinsics
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _PLACES = ("sparse/0", "sparse")
 
@@ -97,7 +97,7 @@ def read(root: Path) -> Capture:
     except FileNotFoundError as error:
         raise SceneError(f"{where}: {Path(error.filename).name} is missing from the COLMAP model") from error
     except (struct.error, ValueError, IndexError, KeyError, OverflowError) as error:
-        raise SceneError(f"{where}: damaged COLMAP model: {error}; export it again") from error
+        raise SceneError(f"{where}: damaged COLMAP model: {in_short(error)}; export it again") from error
     photos = [_photo(root, image, cameras, f"{where}/{marker.name}") for image in images]
     return Capture(photos, points, _left_out(root, len(photos), where))
 

@@ -16,7 +16,7 @@ from mgsr.data.files import ImageIndex, find_mask
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import check_pose, intrinsics
 from mgsr.data.registration import check_share
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _LENSES = {"frame": False, "fisheye": True}
 _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
@@ -65,7 +65,7 @@ def _chunk(path: Path) -> Element:
             raise SceneError(f"{path.name}: has a DOCTYPE, which Metashape doesn't write; refused")
         chunk = ElementTree.fromstring(data).find("chunk")
     except (ElementTree.ParseError, OSError, RecursionError, ValueError, LookupError) as error:
-        raise SceneError(f"{path.name}: not valid XML: {error}; export it again") from error
+        raise SceneError(f"{path.name}: not valid XML: {in_short(error)}; export it again") from error
     if chunk is None:
         raise SceneError(f"{path.name}: no chunk in the document; export the cameras again")
     return chunk

@@ -13,7 +13,7 @@ from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import find_mask, inside
 from mgsr.data.images import image_size
 from mgsr.data.registration import check_share
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _PATTERN = "*_par.txt"
 
@@ -31,7 +31,7 @@ def read(root: Path) -> Capture:
     try:
         lines = [line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{name}: can't be read as text: {error}") from error
+        raise SceneError(f"{name}: can't be read as text: {in_short(error)}") from error
     if not lines or lines[0] != [str(len(lines) - 1)]:
         first = " ".join(lines[0])[:40] if lines else "nothing"
         raise SceneError(
@@ -47,7 +47,7 @@ def _photo(root: Path, line: list[str], source: str) -> Photo | None:
     try:
         numbers = np.array(line[1:], dtype=np.float64)
     except ValueError as error:
-        raise SceneError(f"{source}: {error}; expected an image's name and 21 numbers") from error
+        raise SceneError(f"{source}: {in_short(error)}; expected an image's name and 21 numbers") from error
     if len(numbers) != 21:
         raise SceneError(f"{source}: expected an image's name and 21 numbers (K, R, t), got {len(numbers)} numbers")
     image = inside(root, line[0], source)

@@ -11,7 +11,7 @@ from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import find_mask, images_below
 from mgsr.data.images import image_size
 from mgsr.data.npz import read_arrays
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _FILES = ("cameras_sphere.npz", "cameras.npz")
 _FOLDERS = ("image", "images")
@@ -50,7 +50,9 @@ def _matrices(path: Path) -> list[np.ndarray]:
         count = sum(name.startswith("world_mat_") and name[10:].isdecimal() for name in arrays)
         return [arrays[f"world_mat_{i}"].astype(np.float64) for i in range(count)]
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path.name}: damaged, or without world_mat_0, world_mat_1, ...: {error}") from error
+        raise SceneError(
+            f"{path.name}: damaged, or without world_mat_0, world_mat_1, ...: {in_short(error)}"
+        ) from error
 
 
 def _images(root: Path, name: str) -> list[Path]:

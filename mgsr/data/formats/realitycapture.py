@@ -14,7 +14,7 @@ from mgsr.data.images import image_size
 from mgsr.data.lens import Lens
 from mgsr.data.poses import from_opengl, intrinsics
 from mgsr.data.registration import check_share
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll")
 _NEEDED = ("#name", *_POSE, "f")
@@ -62,7 +62,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
             names = [name.strip().lower() for name in next(reader)]
             rows = [row for row in reader if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(f"{path.name}: can't be read as CSV: {error}; export it again") from error
+        raise SceneError(f"{path.name}: can't be read as CSV: {in_short(error)}; export it again") from error
     for i, row in enumerate(rows, start=1):
         if len(row) != len(names):
             raise SceneError(f"{path.name}, row {i}: expected {len(names)} values, got {len(row)}; export it again")

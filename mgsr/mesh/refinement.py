@@ -1,0 +1,88 @@
+"""A mesh held against the photographs: bent to their shading, moved by their parallax, and opened where they differ."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.config import MeshConfig
+from mgsr.data.camera import pixel_size
+from mgsr.data.scene import View
+from mgsr.geometry.outlines import Outline
+from mgsr.geometry.triangles import face_components, face_crosses, keep_faces
+from mgsr.shading.disagreement import disagreement
+from mgsr.shading.kinds import Shading
+from mgsr.shading.parallax import refine_by_parallax
+from mgsr.shading.refine import Light, Pass, refine_by_shading
+
+# Training knows the large shape better than shading does, which light that hollows throw back again and again flattens.
+# A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
+# that only shape over some pixels is bettered by them, and more rounds go too far: the trained details are better.
+_PASSES = {
+    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),),
+    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=2, reach=60.0, smoothing=8.0),),
+}
+
+SMALLEST = 10.0  # pixels that a patch covers which is taken out
+
+
+@dataclass(frozen=True)
+class Held:
+    """vertices [V,3] and faces [F,3] of the mesh; light: whose shading bent it, unknown if none did; parallax: whether
+    that moved it; opened: the share of its area about which photographs differ too much, and which is gone."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    light: Light = Light.UNKNOWN
+    parallax: bool = False
+    opened: float = 0.0
+
+
+def hold_against_photographs(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    photographs: Sequence[View],
+    outlines: Sequence[Outline],
+    config: MeshConfig,
+    threads: int | None,
+    go_on: Callable[[], bool],
+) -> Held:
+    """The mesh as `config` lets the photographs change it. outlines: the masks', none without; go_on: asked before each
+    further step."""
+    if not photographs or config.shading_ratio is None:
+        return Held(vertices, faces)
+    refined = refine_by_shading(
+        vertices, faces, photographs, outlines, config.shading_ratio, _PASSES, threads, go_on=go_on
+    )
+    vertices, shading, reach = refined.vertices, refined.shading, config.parallax_reach
+    parallax = bool(outlines) and reach is not None and go_on()
+    if parallax and reach is not None:
+        vertices = refine_by_parallax(vertices, faces, photographs, outlines, reach, shading, threads, go_on)
+    held = Held(vertices, faces, refined.light, parallax)
+    if shading is None or refined.light is not Light.FLASH or config.close_holes or not go_on():
+        return held
+    return _opened(held, photographs, shading, config.disagreement, threads)
+
+
+def _opened(held: Held, photographs: Sequence[View], shading: Shading, most: float | None, threads: int | None) -> Held:
+    """Without the patches about which the photographs differ: everywhere by half of `most`, and somewhere by it."""
+    if most is None:
+        return held
+    vertices, faces = held.vertices, held.faces
+    differing = disagreement(vertices, faces, photographs, shading, threads)[faces].max(axis=1)
+    doubted = np.flatnonzero(differing > most / 2)
+    areas = np.linalg.norm(face_crosses(vertices, faces), axis=1) / 2
+    count, patches = face_components(faces[doubted], len(vertices))
+    certain = np.bincount(patches, differing[doubted] > most, count) > 0
+    large = np.bincount(patches, areas[doubted], count) > _area_of_a_pixel(vertices, photographs) * SMALLEST
+    gone = doubted[(certain & large)[patches]]
+    kept = np.ones(len(faces), bool)
+    kept[gone] = False
+    opened = float(areas[gone].sum() / areas.sum())
+    return Held(*keep_faces(vertices, faces, kept), held.light, held.parallax, opened)
+
+
+def _area_of_a_pixel(vertices: np.ndarray, photographs: Sequence[View]) -> float:
+    return pixel_size([view.camera for view in photographs], vertices.mean(axis=0)) ** 2

@@ -1,0 +1,220 @@
+"""What photographs show of a surface's fine detail, and how it changes with where the surface lies.
+
+Photographs are compared in one mix of their channels: that of which the detail is steepest for what is left unexplained
+of it. Where paint differs in hue, that is a difference of channels, from which white light's shades vanish.
+
+Under a flash on the camera every photograph has a light of its own; where that is known, what a photograph shows of a
+vertex is divided by the light on it. Where the surroundings are known that gloss mirrors, so is how much they disturb.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg, ndimage, sparse
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import srgb_rate
+from mgsr.data.scene import View
+from mgsr.geometry.displace import edge_length, spread
+from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import vertex_normals
+from mgsr.parallel import map_ahead
+from mgsr.shading.kinds import Shading
+from mgsr.shading.lighting import DIMMEST, GAMMA, Lighting
+from mgsr.shading.readings import CLIPPED, SOLID, lie_within, read_image, seen_frontal
+from mgsr.shading.surroundings import Surroundings
+
+BLUR = 1.0  # pixels; of the photographs, against their noise
+DETAIL = 3.0  # pixels; of a wider blur, which is taken off: what is coarser is the light's
+MIN_COS = 0.3  # of the tilt; what is seen more grazing is left out
+MIN_READINGS = 4  # photographs that see a vertex, or they tell nothing of it
+OUTLIER = 3.0  # deviations past which a reading says nothing of the mix
+GREY = np.full(3, 1 / 3)  # the mix of the channels that is their mean
+CLEARER = 1.5  # times the grey's; what another mix must tell at least
+
+
+@dataclass(frozen=True)
+class KnownLight:
+    """What is known of it: lighting, what a flash on the camera brings; mirrors, what surroundings gloss mirrors."""
+
+    lighting: Lighting | None = None
+    mirrors: Surroundings | None = None
+
+    @classmethod
+    def known_by(cls, shading: Shading | None, vertices: np.ndarray, faces: np.ndarray) -> KnownLight:
+        if shading is None:
+            return cls()
+        return cls(shading.lighting(vertices, faces), shading.surroundings(vertices, faces))
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh on its way: places [V,3] of its vertices, faces [F,3], their `umbrella`, and a pixel's size there."""
+
+    places: np.ndarray
+    faces: np.ndarray
+    laplacian: sparse.csr_matrix
+    pixel: float
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        return vertex_normals(self.places, self.faces).astype(np.float64)
+
+    @cached_property
+    def caster(self) -> RayCaster:
+        return RayCaster(self.places, self.faces)
+
+    def around(self, values: np.ndarray, reach: float) -> np.ndarray:
+        """Values [V,...] averaged over about `reach` pixels around."""
+        return spread(values, self.laplacian, reach * self.pixel / self._edge)
+
+    def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+        """Values [N,V] less their mean around, where they are known [V] bool, else 0. All known ones count alike, so
+        that photographs which see the same places take the same means."""
+        around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
+        return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
+
+    @cached_property
+    def _edge(self) -> float:
+        return edge_length(self.places, self.faces)
+
+
+@dataclass(frozen=True)
+class MixedPhotograph:
+    """Its image [H,W,3] uint8; mixed [H,W] float32, the mix [3] of its channels, blurred; usable [H,W] bool, where that
+    is of use."""
+
+    camera: Camera
+    image: np.ndarray
+    mix: np.ndarray
+    mixed: np.ndarray
+    usable: np.ndarray
+
+    def slopes(self, pixels: np.ndarray) -> np.ndarray:
+        """How the mix changes a pixel to the right, and a pixel down, [P,2], at pixel coordinates [P,2]."""
+        sides = np.eye(2)
+        ahead, behind = ([read_image(self.mixed, pixels + sign * side) for side in sides] for sign in (1, -1))
+        return np.stack(ahead, axis=1) / 2 - np.stack(behind, axis=1) / 2
+
+    def rates(self, pixels: np.ndarray) -> np.ndarray:
+        """How fast the mix rises with white light, [P], at pixel coordinates [P,2]."""
+        columns, rows = np.clip(pixels.astype(int), 0, (self.camera.width - 1, self.camera.height - 1)).T
+        return np.asarray(srgb_rate(self.image[rows, columns] / 255) @ self.mix)
+
+
+def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[MixedPhotograph]:
+    """The views in a mix [3] of their channels, in sRGB, whose noise is more even than linear light's."""
+
+    def mixed(view: View) -> MixedPhotograph:
+        inside = view.image.max(axis=-1) <= CLIPPED * 255
+        if view.alpha is not None:
+            inside &= view.alpha >= SOLID * 255
+        if view.known is not None:
+            inside &= view.known
+        share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR)
+        values = view.image @ (mix / 255).astype(np.float32)
+        blurred = ndimage.gaussian_filter(values * inside, BLUR) / np.maximum(share, 1e-6)
+        usable = ndimage.binary_erosion(inside, iterations=round(2 * BLUR))
+        return MixedPhotograph(view.camera, view.image, mix, blurred, usable)
+
+    return list(map_ahead(mixed, views, threads))
+
+
+def telling_mix(surface: Surface, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
+    """The mix [3] of the channels whose detail tells most of where the surface lies: steepest for what is left of it.
+
+    It is the leading eigenvector of the slopes' covariance against that of what is left unexplained.
+    """
+    single = [mixed_photographs(views, channel, threads) for channel in np.eye(3)]
+    channels = [read_details(surface, photographs, light, threads) for photographs in single]
+    weights = channels[0].weights
+    left = np.stack([apart(channel.mixed, weights)[weights > 0] for channel in channels])
+    change = np.stack([apart(channel.change, weights)[weights > 0] for channel in channels])
+    unexplained = np.abs(GREY @ left)
+    usual = unexplained <= OUTLIER * 1.4826 * np.median(unexplained) if weights.any() else []
+    weighed = weights[weights > 0] * usual
+    noise, steep = ((weighed * part) @ part.T for part in (left, change))
+    noise += (1e-6 * np.trace(noise) + 1e-12) * np.eye(3)
+    mix = linalg.eigh(steep, noise)[1][:, -1]
+    gain, grey_gain = (axis @ steep @ axis / (axis @ noise @ axis) for axis in (mix, GREY))
+    return mix / np.abs(mix).sum() if gain > CLEARER * grey_gain else GREY
+
+
+@dataclass(frozen=True)
+class Details:
+    """V vertices in K photographs, each [V,K] float32: mixed, less that around the vertex; change, of it for each
+    pixel's size that the vertex moves along its normal; mirrored, how much detail gloss mirrors there and
+    around, as normals are known but roughly; weights, 0 where the vertex is not seen."""
+
+    mixed: np.ndarray
+    change: np.ndarray
+    mirrored: np.ndarray
+    weights: np.ndarray
+
+
+def read_details(
+    surface: Surface, photographs: Sequence[MixedPhotograph], light: KnownLight, threads: int | None
+) -> Details:
+    """What the photographs show of the surface's vertices."""
+    rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
+    details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
+    details.weights[(details.weights > 0).sum(axis=1) < MIN_READINGS] = 0
+    return details
+
+
+def _read_one(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
+    """A photograph's column of the readings' four, [4,V]."""
+    camera, places, normals = photograph.camera, surface.places, surface.normals
+    look = look_at(surface, photograph, light)
+    step = 0.1 * surface.pixel * normals[look.seen]
+    moved = 10 * (camera.project(places[look.seen] + step)[0] - look.pixels)
+    column = np.zeros((4, len(places)), np.float32)
+    column[0, look.seen] = read_image(photograph.mixed, look.pixels) / look.lit
+    column[1, look.seen] = (photograph.slopes(look.pixels) * moved).sum(axis=1) / look.lit
+    column[3, look.seen] = look.weights
+    column[:2] = surface.detail(column[:2], column[3] > 0)
+    if light.mirrors is not None:
+        shine = light.mirrors.mirrored(normals, look.towards)
+        fine = shine - surface.around(shine, DETAIL)
+        fine = np.sqrt(fine**2 + surface.around(fine**2, DETAIL))
+        column[2, look.seen] = fine[look.seen] * photograph.rates(look.pixels)
+    return column
+
+
+@dataclass(frozen=True)
+class Look:
+    """A photograph's at a surface: towards [V,3], from each vertex to the camera, unit; seen [S], the vertices that it
+    sees; their pixel coordinates [S,2]; lit [S], by what a flash on the camera raises their sRGB, 1 without; weights
+    [S], 0 where they are of no use."""
+
+    towards: np.ndarray
+    seen: np.ndarray
+    pixels: np.ndarray
+    lit: np.ndarray
+    weights: np.ndarray
+
+
+def look_at(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> Look:
+    """Where a photograph shows the surface's vertices."""
+    camera, places, normals = photograph.camera, surface.places, surface.normals
+    offsets = camera.center - places
+    towards = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    cosines = (towards * normals).sum(axis=1)
+    seen = seen_frontal(surface.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
+    pixels, _ = camera.project(places[seen])
+    weights, lit = cosines[seen] * lie_within(photograph.usable, pixels), np.ones(len(seen))
+    if light.lighting is not None:
+        falling = light.lighting.falling_on(camera, places[seen], normals[seen])
+        lit = np.maximum(falling, DIMMEST) ** (1 / GAMMA)
+        weights *= lit**2 * (falling >= DIMMEST)
+    return Look(towards, seen, pixels, lit, weights)
+
+
+def apart(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Values [V,K] less their mean over the photographs by weights [V,K]."""
+    total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+    return values - (weights * values).sum(axis=1, keepdims=True) / total

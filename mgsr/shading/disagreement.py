@@ -1,0 +1,72 @@
+"""How far photographs under a flash disagree about what lies on a surface.
+
+A flash on the camera leaves nothing unknown of the light, so that each place should be as bright in one photograph as
+in another once the light on it is divided out. Where they differ by more than the surface's own error explains, they
+look past it: into a hole that it covers, say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.camera import pixel_size
+from mgsr.data.scene import View
+from mgsr.geometry.decimate import coarser
+from mgsr.geometry.displace import umbrella
+from mgsr.geometry.raycast import interpolation
+from mgsr.parallel import map_ahead
+from mgsr.shading.details import GREY, MIN_READINGS, KnownLight, MixedPhotograph, Surface, look_at, mixed_photographs
+from mgsr.shading.kinds import Shading
+from mgsr.shading.readings import read_image, some_of
+
+EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
+OFF = 1.0  # pixels by which the surface may be off; differences that this explains do not count
+AROUND = 3.0  # pixels over which disagreement is averaged
+USUAL = 6.0  # times what is usual all over the surface, which is noise and gloss; so much is forgiven
+
+
+def disagreement(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    views: Sequence[View],
+    shading: Shading,
+    threads: int | None = None,
+) -> np.ndarray:
+    """By how much more than is usual, in sRGB 0..1, the photographs differ about each of a mesh's vertices [V,3]: [V],
+    0 where too few show it."""
+    pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
+    light = KnownLight.known_by(shading, vertices, faces)
+    places, triangles = coarser(vertices, faces, EDGE * pixel)
+    surface = Surface(places, triangles, umbrella(triangles, len(places)), pixel)
+    photographs = mixed_photographs(some_of(views), GREY, threads)
+    columns = list(map_ahead(lambda photograph: _column(surface, photograph, light), photographs, threads))
+    values, slopes = (np.stack(each, axis=1) for each in zip(*columns, strict=True))
+    apart = np.maximum(np.abs(values - _median(values)[:, None]) - OFF * slopes, 0)
+    told = np.isfinite(values).sum(axis=1) >= MIN_READINGS
+    if not told.any():
+        return np.zeros(len(vertices))
+    differing = np.where(told, _median(apart), 0)
+    around = surface.around(np.stack([differing, told], axis=1), AROUND)
+    differing = around[:, 0] / np.maximum(around[:, 1], 1e-6)
+    beyond = told * np.maximum(differing - USUAL * np.median(differing[told]), 0)
+    return np.asarray(interpolation(places, triangles, vertices) @ beyond)
+
+
+def _column(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
+    """What a photograph shows of the vertices, under even light, and how steep it is a pixel: [2,V], NaN where it tells
+    nothing."""
+    look = look_at(surface, photograph, light)
+    told = np.full((2, len(surface.places)), np.nan, np.float32)
+    of_use = look.weights > 0
+    pixels = look.pixels[of_use]
+    shown = np.stack([read_image(photograph.mixed, pixels), np.linalg.norm(photograph.slopes(pixels), axis=1)])
+    told[:, look.seen[of_use]] = shown / look.lit[of_use]
+    return told
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Of each row [V,K] of what is not NaN (of two in the middle, the lower), [V]; NaN where nothing is."""
+    counts = np.isfinite(values).sum(axis=1, keepdims=True)
+    return np.take_along_axis(np.sort(values, axis=1), np.maximum(counts - 1, 0) // 2, axis=1)[:, 0]

@@ -21,8 +21,8 @@ def ablation_section(rows: Sequence[Row]) -> str:
             "## The paper's ablation rows",
             "Each row is the method with one thing changed (settings in [mgsr/config.py](../mgsr/config.py); the "
             "published weights of C, D and F are not known, so those are ours). Our figures are means over the scenes "
-            "on which both the row and the method were run, and in brackets the difference to the method on the same "
-            "scenes, at the same commit where there is such a run. The paper's are means over 30 other objects, at "
+            "on which both the row and the method were run at the same commit, and in brackets the difference to the "
+            "method. The paper's are means over 30 other objects, at "
             "another size and scale: only the differences can be held against each other. A dash: the supplement gives "
             "no mean, or no such output.",
             _table(PAPER_ROWS, rows),
@@ -35,7 +35,7 @@ def ablation_section(rows: Sequence[Row]) -> str:
 
 def choices_section(rows: Sequence[Row]) -> str:
     """Our defaults beside the paper's choices."""
-    missing = [row.name for row in PAPER_CHOICES if not _runs(row, rows)]
+    missing = [row.name for row in PAPER_CHOICES if not _method_beside(_runs(row, rows), rows)]
     parts = [
         "## Where a default differs from the paper's",
         "Each row takes the paper's choice back; in brackets, the difference to our default on the same scenes.",
@@ -51,15 +51,10 @@ def _runs(row: AblationRow, rows: Sequence[Row]) -> dict[str, Row]:
 
 
 def _method_beside(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
-    """By scene, the method's run that another is held against: the latest, unless only an older one, with 3DGS's
-    low-pass, which was the default then, is of the other's commit."""
-    method, before = _runs(named_rows()["E"], rows), _runs(named_rows()["paper-low-pass"], rows)
-    for scene, run in own.items():
-        candidates = [method.get(scene), before.get(scene)]
-        same = [each for each in candidates if each is not None and each.commit == run.commit]
-        if same and same[0] is not run:
-            method[scene] = same[0]
-    return method
+    """By scene, the method's run that another is held against: that of the same commit, of whatever seed. Scenes
+    without one are left out, since what else changed from commit to commit would count as well."""
+    beside = {scene: plain_runs([row for row in rows if row.commit == run.commit]) for scene, run in own.items()}
+    return {scene: runs[scene] for scene, runs in beside.items() if scene in runs}
 
 
 def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = True) -> str:
@@ -121,8 +116,7 @@ def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]
         if score == "seconds" and found.busy:
             told.append("time: the machine was busy, so it can't be told")
             continue
-        commits = "" if found.same_commit else "; runs of different commits"
-        told.append(f"**{verdict(found, seed_spread(rows, score))}**: {found.words()}{commits}")
+        told.append(f"**{verdict(found, seed_spread(rows, score))}**: {found.words()}")
     return f"- {finding} (row {name}). " + (" ".join(f"{words}." for words in told) or "Not run yet.")
 
 

@@ -30,7 +30,6 @@ class Comparison:
 
     score: str
     gains: dict[str, float]
-    same_commit: bool
     busy: bool
 
     @property
@@ -63,16 +62,15 @@ def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", pre
 
 def compare(first: dict[str, Row], second: dict[str, Row], score: str) -> Comparison | None:
     """None where no scene has the score in both."""
-    gains, commits, busy = {}, set(), False
+    gains, busy = {}, False
     for scene in first:
         if scene not in second:
             continue
         a, b = getattr(first[scene], score), getattr(second[scene], score)
         if a is not None and b is not None:
             gains[scene] = gain(score, a, b)
-            commits |= {first[scene].commit, second[scene].commit}
             busy |= is_busy(first[scene]) or is_busy(second[scene])
-    return Comparison(score, gains, len(commits) == 1, busy) if gains else None
+    return Comparison(score, gains, busy) if gains else None
 
 
 def gain(score: str, first: float, second: float) -> float:
@@ -88,12 +86,12 @@ def is_busy(row: Row) -> bool:
 
 
 def seed_spread(rows: Sequence[Row], score: str) -> float | None:
-    """The standard deviation of a score over the seeds of plain runs, in the mean over scenes; None where no scene has
-    two seeds."""
-    values: dict[str, list[float]] = {}
+    """The standard deviation of a score over the seeds of plain runs of one commit, in the mean over scenes; None where
+    no scene has two seeds."""
+    values: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         if (row.method, row.variant, row.preset, row.device, row.state) == ("mgsr", "", PRESET, "cpu", DONE):
-            values.setdefault(row.scene, []).append(getattr(row, score))
+            values.setdefault((row.scene, row.commit), []).append(getattr(row, score))
     spreads = [statistics.stdev(found) for found in values.values() if len(found) > 1 and None not in found]
     return statistics.fmean(spreads) if spreads else None
 

@@ -81,8 +81,8 @@ class MeshConfig:
     # if it leaves at most this share of what one brightness a point leaves; none is off, for parallax too
     parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at and masks hold the outlines; none is off
-    disagreement: float | None = 0.02  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
-    # a surface that is a pixel off explains, at which it is left open; none, or close_holes, keeps all
+    disagreement: float | None = 0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
+    # a surface that is 0.7 pixels off explains, at which it is left open; none, or close_holes, keeps all
     smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
     # noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF

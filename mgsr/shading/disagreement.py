@@ -22,7 +22,7 @@ from mgsr.shading.kinds import Shading
 from mgsr.shading.readings import read_image, some_of
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
-OFF = 1.0  # pixels by which the surface may be off; differences that this explains do not count
+OFF = 0.7  # pixels by which the surface may be off; differences that this explains do not count
 AROUND = 3.0  # pixels over which disagreement is averaged
 USUAL = 6.0  # times what is usual all over the surface, which is noise and gloss; so much is forgiven
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from mgsr.bench.ablations import FINDINGS, PAPER_CHOICES, PAPER_ROWS, AblationRow, PaperMeans, named_rows
 from mgsr.bench.cells import of_row
-from mgsr.bench.comparing import SCORES, compare, is_busy, plain_runs, seed_spread, verdict
+from mgsr.bench.comparing import SCORES, compare, held_against, is_busy, plain_runs, seed_spread, verdict
 from mgsr.bench.results import Row
 from mgsr.bench.table import markdown, number
 
@@ -35,7 +35,7 @@ def ablation_section(rows: Sequence[Row]) -> str:
 
 def choices_section(rows: Sequence[Row]) -> str:
     """Our defaults beside the paper's choices."""
-    missing = [row.name for row in PAPER_CHOICES if not _method_beside(_runs(row, rows), rows)]
+    missing = [row.name for row in PAPER_CHOICES if not held_against(_runs(row, rows), rows)]
     parts = [
         "## Where a default differs from the paper's",
         "Each row takes the paper's choice back; in brackets, the difference to our default on the same scenes.",
@@ -50,13 +50,6 @@ def _runs(row: AblationRow, rows: Sequence[Row]) -> dict[str, Row]:
     return plain_runs(rows, row.method, of_row(row).name)
 
 
-def _method_beside(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
-    """By scene, the method's run that another is held against: that of the same commit, of whatever seed. Scenes
-    without one are left out, since what else changed from commit to commit would count as well."""
-    beside = {scene: plain_runs([row for row in rows if row.commit == run.commit]) for scene, run in own.items()}
-    return {scene: runs[scene] for scene, runs in beside.items() if scene in runs}
-
-
 def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = True) -> str:
     """Rows that were not run have dashes; no table without a row."""
     if not chosen:
@@ -68,7 +61,7 @@ def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = Tru
 
 def _cells(row: AblationRow, rows: Sequence[Row], paper: bool) -> list[str]:
     own = _runs(row, rows)
-    method = _method_beside(own, rows)
+    method = held_against(own, rows)
     shared = [scene for scene in own if scene in method]
     cells = [row.name, row.meaning, str(len(shared)) if shared else "not run"]
     cells += [_our_mean(score, [own[s] for s in shared], [method[s] for s in shared]) for score in OURS]
@@ -108,7 +101,7 @@ def _paper_means(paper: PaperMeans, method: PaperMeans) -> list[str]:
 def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]) -> str:
     """A line of the list: the finding, then each score's verdict and figures."""
     told, own = [], _runs(named_rows()[name], rows)
-    method = _method_beside(own, rows)
+    method = held_against(own, rows)
     for score in scores:
         found = compare(method, own, score)
         if found is None:

@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mgsr.bench.ablations import PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
+from mgsr.bench.ablations import NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
 from mgsr.config import Config, make_config
 from mgsr.errors import ConfigError
 
 PLAIN = ""
 LONGEST = 80  # letters of a variant in a folder's name
-GROUPS = {"ablations": PAPER_ROWS, "paper-choices": PAPER_CHOICES}
+GROUPS = {"ablations": PAPER_ROWS, "paper-choices": PAPER_CHOICES, "needs": NEED_ROWS}
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def matrix(
 
 
 def read_variants(words: Sequence[str], settings: Sequence[str] = ()) -> list[Variant]:
-    """Variants as a person names them: `plain`, an ablation row (`K`), a group of rows (`ablations`,
-    `paper-choices`), or settings (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for
-    all of them, below a variant's own, and stand in their names.
+    """Variants as a person names them: `plain`, an ablation row (`K`), a group of rows (`ablations`, `paper-choices`,
+    `needs`), or settings (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for all of
+    them, below a variant's own, and stand in their names.
 
     Raises ConfigError for another word.
     """

@@ -60,6 +60,13 @@ def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", pre
     return found
 
 
+def held_against(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
+    """By scene, the method's run that another is held against: that of the same commit, of whatever seed. Scenes
+    without one are left out, since what else changed from commit to commit would count as well."""
+    beside = {scene: plain_runs([row for row in rows if row.commit == run.commit]) for scene, run in own.items()}
+    return {scene: runs[scene] for scene, runs in beside.items() if scene in runs}
+
+
 def compare(first: dict[str, Row], second: dict[str, Row], score: str) -> Comparison | None:
     """None where no scene has the score in both."""
     gains, busy = {}, False

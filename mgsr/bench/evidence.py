@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,8 +18,9 @@ from mgsr.bench.csv_rows import read_csv
 from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section
 from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels
+from mgsr.bench.need_page import need_section
 from mgsr.bench.plots import write_kernel_plot, write_plots
-from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, read_curves, read_rows
+from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, latest, read_curves, read_rows
 from mgsr.bench.table import markdown, number
 
 PAGE, IMAGES = "evidence.md", Path("images") / "evidence"
@@ -43,13 +43,19 @@ class SceneFacts:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All result files."""
+    """All result files. rows: of each cell the newest; behind: those that gave way to newer ones, which variants of
+    their commit are held against."""
 
     rows: list[Row]
     curves: list[Curve]
     scenes: list[SceneFacts]
     kernels: list[KernelRow]
     exposures: list[ExposureRow] = field(default_factory=list)
+    behind: list[Row] = field(default_factory=list)
+
+    @property
+    def all_rows(self) -> list[Row]:
+        return [*self.rows, *self.behind]
 
 
 def read_evidence(results: Path) -> Evidence:
@@ -60,8 +66,10 @@ def read_evidence(results: Path) -> Evidence:
             for row in csv.DictReader(file)
         ]
     rows = [row for row in read_rows(results / RUNS) if row.state == DONE]
+    newest = latest(rows)
     kernels, exposures = read_kernels(results / KERNELS), read_csv(results / EXPOSURES, ExposureRow)
-    return Evidence(rows, read_curves(results / CURVES), scenes, kernels, exposures)
+    curves, behind = read_curves(results / CURVES), [row for row in rows if row not in newest]
+    return Evidence(newest, curves, scenes, kernels, exposures, behind)
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
@@ -86,8 +94,8 @@ def evidence_page(evidence: Evidence) -> str:
         _light_section(evidence),
         _need_section(evidence),
         exposure_section(evidence.exposures),
-        ablation_section(evidence.rows),
-        choices_section(evidence.rows),
+        ablation_section(evidence.all_rows),
+        choices_section(evidence.all_rows),
         kernel_section(evidence.kernels),
         _making_section(evidence),
     )
@@ -294,45 +302,16 @@ def _light_section(evidence: Evidence) -> str:
 
 
 def _need_section(evidence: Evidence) -> str:
-    """Model size, time and memory from the simplest scene to the hardest."""
-    runs = plain_runs(evidence.rows)
-    ordered = [runs[fact.scene] for fact in evidence.scenes if fact.scene in runs]
-    cells = [
-        [row.scene, str(row.surfels), str(row.volumes), number(row.model_mib, ".1f"), str(row.faces),
-         number(row.memory_mib, ".0f"), number(row.seconds, ".0f") + ("*" if is_busy(row) else "")]
-        for row in ordered
-    ]  # fmt: skip
-    head = ["scene", "surfels", "volumes", "splats, MiB", "faces", "most memory, MiB", "seconds"]
-    return "\n\n".join(
-        (
-            "## Only what a scene needs",
-            "A simple scene should end as a simple model. From the simplest scene to the hardest (by the hull's "
-            "Chamfer):",
-            markdown(head, cells),
-            _size_words(ordered),
-            f"![Gaussians of both branches against each score]({_image('error_gaussians.svg')})",
-            f"![The most memory that each run held]({_image('memory.svg')})",
-        )
+    images = (
+        f"![Gaussians of both branches against each score]({_image('error_gaussians.svg')})",
+        f"![The most memory that each run held]({_image('memory.svg')})",
     )
-
-
-def _size_words(rows: Sequence[Row]) -> str:
-    if len(rows) < 2:
-        return ""
-    sizes = [row.model_mib for row in rows if row.model_mib is not None]
-    full = [row for row in rows if row.surfels == max(other.surfels or 0 for other in rows)]
-    if len(full) == len(rows):
-        return (
-            f"It does not yet: every scene ends with the same {rows[0].surfels} surfels, the most that the preset "
-            f"allows, and with {min(sizes):.1f} to {max(sizes):.1f} MiB of splats."
-        )
-    first = rows[0].model_mib or 0
-    return f"The simplest scene's splats take {first:.1f} MiB, the largest model {max(sizes):.1f} MiB."
+    return need_section(evidence.rows, evidence.behind, [fact.scene for fact in evidence.scenes], images)
 
 
 def _making_section(evidence: Evidence) -> str:
-    machines = dict.fromkeys(row.machine for row in evidence.rows if row.machine)
-    commits = dict.fromkeys(row.commit for row in evidence.rows if row.commit)
+    machines = dict.fromkeys(row.machine for row in evidence.all_rows if row.machine)
+    commits = dict.fromkeys(row.commit for row in evidence.all_rows if row.commit)
     return "\n\n".join(
         (
             "## How this was made",
@@ -344,6 +323,8 @@ def _making_section(evidence: Evidence) -> str:
             "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr,bunny_flash,wingnut_dark} -o out/bench \\\n"
             "    --methods mgsr,2dgs,3dgs --presets draft,standard --evaluate ../shared/tools/evaluate.py \\\n"
             "    --keep benchmarks/results\n"
+            "mgsr bench ../shared/data/scenes/{spot_soft,teapot_hdr} -o out/bench --variant needs \\\n"
+            "    --variant time_budget=90 --evaluate ../shared/tools/evaluate.py --keep benchmarks/results\n"
             "mgsr bench ../shared/data/scenes/{spot_soft,bunny_flash} -o out/bench --variant ablations \\\n"
             "    --variant paper-choices --evaluate ../shared/tools/evaluate.py --keep benchmarks/results\n"
             "PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster --keep benchmarks/results\n"

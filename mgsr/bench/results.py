@@ -125,12 +125,29 @@ def _identity(cell: Cell) -> dict[str, Any]:
 
 
 def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
-    """Both, sorted; a new row takes the place of the old one of its cell, unless it is broken."""
-    rows = {row.key: row for row in old}
-    for row in new:
-        if row.state == DONE or row.key not in rows:
-            rows[row.key] = row
-    return sorted(rows.values(), key=lambda row: row.key)
+    """Both, sorted; a new row takes the place of the old one of its cell, unless it is broken.
+
+    A plain run that gives way stays behind it as long as there are variants of its scene and commit, which only it can
+    be held against.
+    """
+    kept: dict[tuple[str | int, ...], Row] = {}
+    behind: dict[tuple[str | int, ...], Row] = {}
+    old = list(old)
+    known = {row.key for row in old}
+    for row in (*(row for row in new if row.state == DONE or row.key not in known), *old):
+        if kept.setdefault(row.key, row).commit != row.commit:
+            behind.setdefault((*row.key, row.commit), row)
+    varied = {(row.scene, row.commit) for row in kept.values() if row.variant}
+    needed = [row for row in behind.values() if not row.variant and (row.scene, row.commit) in varied]
+    return sorted([*kept.values(), *needed], key=lambda row: row.key)
+
+
+def latest(rows: Iterable[Row]) -> list[Row]:
+    """Of the rows that `keep_rows` gave, those that stand behind no newer one of their cell."""
+    found: dict[tuple[str | int, ...], Row] = {}
+    for row in rows:
+        found.setdefault(row.key, row)
+    return list(found.values())
 
 
 def keep_curves(old: Iterable[Curve], new: Iterable[Curve]) -> list[Curve]:

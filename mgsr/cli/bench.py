@@ -22,8 +22,8 @@ SeedsOption = Annotated[str, typer.Option(help="Comma-separated numbers.")]
 VariantOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="plain, an ablation row (A to N), ablations (all of them), paper-choices, or KEY=VALUE[,KEY=VALUE]; may "
-        "be repeated. Only plain runs without."
+        help="plain, an ablation row (A to N), ablations (all of them), paper-choices, needs, or "
+        "KEY=VALUE[,KEY=VALUE]; may be repeated. Only plain runs without."
     ),
 ]
 SettingsOption = Annotated[
@@ -72,7 +72,7 @@ def _run(cells: list, bench: object) -> int:
     """The exit code: 0, 1 where a cell broke, 130 where it was stopped."""
     from mgsr.bench.matrix import Bench, run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
-    from mgsr.bench.results import CURVES, DONE, RUNS, read_curves, read_rows
+    from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows
     from mgsr.bench.running import Stopped
 
     assert isinstance(bench, Bench)
@@ -83,7 +83,7 @@ def _run(cells: list, bench: object) -> int:
         print("stopped; the same command goes on with the cell that was running", file=sys.stderr)
         return INTERRUPTED
     if have_matplotlib():
-        write_plots(bench.out, read_rows(bench.out / RUNS), read_curves(bench.out / CURVES))
+        write_plots(bench.out, latest(read_rows(bench.out / RUNS)), read_curves(bench.out / CURVES))
     else:
         print("no plots: matplotlib is not installed; pip install 'mgsr[bench]'")
     broken = sum(row.state != DONE for row in rows)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.bench.ablations import FINDINGS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
+from mgsr.bench.ablations import FINDINGS, NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
 from mgsr.bench.cells import matrix, of_row, read_variants
 from mgsr.bench.results import Row
 from mgsr.config import ABLATIONS, Branches, Reflection, make_config
 
 
-@pytest.mark.parametrize("row", [*PAPER_ROWS, *PAPER_CHOICES], ids=lambda row: row.name)
+@pytest.mark.parametrize("row", [*PAPER_ROWS, *PAPER_CHOICES, *NEED_ROWS], ids=lambda row: row.name)
 def test_each_row_is_a_run_and_changes_something(row: AblationRow) -> None:
     config, plain = make_config("standard", row.method, 0, row.overrides), make_config()
     assert (replace(config, method="mgsr") == plain) is (row.name == "E")

@@ -18,7 +18,7 @@ from mgsr.bench.exposure_page import (
     ExposureRow,
     exposure_section,
 )
-from mgsr.bench.results import Curve, Row
+from mgsr.bench.results import Curve, Row, keep_rows, write_rows
 from tests.bench.samples import sample_row, sample_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -124,6 +124,34 @@ def test_gains_are_those_of_the_rounded_figures() -> None:
     first, second = ({"apple": sample_row("apple", chamfer=value)} for value in (2.5049, 2.5051))
     found = compare(first, second, "chamfer")
     assert found is not None and found.gains["apple"] == pytest.approx(0.01)
+
+
+def test_what_a_run_left_out_is_held_against_it_scene_by_scene() -> None:
+    more = [sample_row("pear", "need-light", seconds=450.0, psnr=34.02, chamfer=2.6), sample_row("pear", "L")]
+    more[0] = replace(more[0], volumes=30000)
+    page = page_of([*sample_rows(), *more])
+    line = next(line for line in page.splitlines() if "a reflection of each splat's own, everywhere" in line)
+    assert "| pear | 34.02 (+0.02) | 2.60 (+0.10) | 98.00 (+0.00) | 50000 (+25%) | 450 (+50%) |" in line
+    assert "| warm-ups end with their iterations alone | pear | 34.00 (+0.00) |" in page
+    assert "a reflection of each splat's own" not in page_of(sample_rows())
+
+
+def test_runs_with_a_time_budget_say_whether_they_kept_it() -> None:
+    runs = [sample_row("apple", f"time_budget={given}", seconds=taken) for given, taken in ((60, 57.0), (120, 130.0))]
+    page = page_of([*sample_rows(), *runs])
+    assert "to 105% of it: 1 of 2 did." in page
+    assert "| apple | 60 | 57 | 95% |" in page and "| apple | 120 | 130 | 108% |" in page
+    assert "--time-budget" not in page_of(sample_rows())
+
+
+def test_an_older_run_serves_its_variants_alone(tmp_path: Path) -> None:
+    rows = keep_rows(sample_rows(), [replace(sample_row("apple", psnr=35.0), commit="def")])
+    shutil.copytree(RESULTS, tmp_path / "results")
+    write_rows(tmp_path / "results" / "runs.csv", rows)
+    evidence = read_evidence(tmp_path / "results")
+    assert [row.psnr for row in evidence.behind] == [34.0] and plain_runs(evidence.rows)["apple"].psnr == 35.0
+    line = next(line for line in evidence_page(evidence).splitlines() if "| K |" in line)
+    assert "| 2 | 33.50 (-0.50) |" in line
 
 
 def test_what_differing_exposures_cost(tmp_path: Path) -> None:

@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from mgsr.bench.results import Curve, Row, keep_curves, keep_rows, read_curves, read_rows, write_curves, write_rows
+from mgsr.bench.results import (
+    Curve,
+    Row,
+    keep_curves,
+    keep_rows,
+    latest,
+    read_curves,
+    read_rows,
+    write_curves,
+    write_rows,
+)
 from mgsr.bench.table import results_page
 from tests.bench.samples import sample_rows
 
@@ -29,6 +39,26 @@ def test_a_new_row_takes_the_place_of_its_old_one_alone() -> None:
     kept = {row.key: row for row in keep_rows(old, [new])}
     assert kept[new.key] == new and len(kept) == len(old)
     assert all(kept[row.key] == row for row in old if row.key != new.key)
+
+
+def test_a_plain_row_stays_behind_a_newer_one_for_the_variants_of_its_commit() -> None:
+    old = sample_rows()
+    (plain,) = (
+        row
+        for row in old
+        if row.scene == "apple" and (row.method, row.preset) == ("mgsr", "standard") and not row.variant
+    )
+    new = replace(plain, psnr=1.0, commit="def")
+    kept = keep_rows(old, [new])
+    assert [row for row in kept if row.key == new.key] == [new, plain]
+    assert [row for row in latest(kept) if row.key == new.key] == [new]
+    assert keep_rows(kept, [new]) == kept
+
+
+def test_an_older_row_goes_with_the_last_variant_of_its_commit() -> None:
+    old = [row for row in sample_rows() if row.scene == "apple"]
+    new = [replace(row, commit="def") for row in old]
+    assert keep_rows(keep_rows(old, new[:-1]), new) == keep_rows([], new)
 
 
 def test_a_broken_row_takes_no_figures_away() -> None:

@@ -75,10 +75,9 @@ class MeshConfig:
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    shading_ratio: float | None = (
-        0.85  # shading by a flash on the camera, or by mirrored surroundings, refines the mesh
-    )
-    # if it leaves at most this share of what one brightness a point leaves; none is off, for parallax too
+    shading_ratio: float | None = 0.85  # a flash on the camera, or mirrored surroundings, count as known where they
+    # leave at most this share of what one brightness a point leaves; the mesh then heeds them; none is off, for
+    # parallax too
     parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at and masks hold the outlines; none is off
     disagreement: float | None = 0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what

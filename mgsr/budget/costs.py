@@ -46,7 +46,7 @@ def start_cost(facts: Facts) -> float:
     """The starting points: on the hull, or of stereo, which looks at small photographs only."""
     if not facts.masked and not facts.learned:
         return STEREO * facts.views
-    surface = (23.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
+    surface = (29.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
     return LEARNED * facts.learned + 2.0 + surface
 
 
@@ -66,7 +66,7 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
     if config.shading_ratio is None:
         return surface
-    shading, parallax = (37.0, 26.0) if facts.flash else (7.0 if facts.shiny else 0.0, 17.0)
+    shading, parallax = (37.0, 26.0) if facts.flash else (2.0 if facts.shiny else 0.0, 17.0)
     held = (facts.masked or facts.learned) and config.parallax_reach is not None
     refinement = shading + (parallax if held else 0.0)
     return surface + refinement * (facts.views / 48 * facts.size) ** 0.7

@@ -38,9 +38,8 @@ def extract_mesh(
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
-    photographs: the training views; where a flash on the camera, or surroundings that the surface mirrors, explain
-    their shading, it refines the mesh; where there are silhouettes, so does their parallax. Under a flash, what they
-    differ about is left open.
+    photographs: the training views; where a flash on the camera explains their shading, it refines the mesh; where
+    there are silhouettes, so does their parallax. Under a flash, what they differ about is left open.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.

@@ -18,20 +18,17 @@ from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.refine import Light, Pass, refine_by_shading
 
 # Training knows the large shape better than shading does, which light that hollows throw back again and again flattens.
-# A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours and tell less, so
-# that only shape over some pixels is bettered by them, and more rounds go too far: the trained details are better.
-_PASSES = {
-    Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),),
-    Light.SURROUNDINGS: (Pass(edge=8.0, rounds=2, reach=60.0, smoothing=8.0),),
-}
+# A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours: they better the
+# start on the hull, but no trained surface, of which they only say how far parallax can be believed.
+_PASSES = {Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),)}
 
 SMALLEST = 10.0  # pixels that a patch covers which is taken out
 
 
 @dataclass(frozen=True)
 class Held:
-    """vertices [V,3] and faces [F,3] of the mesh; light: whose shading bent it, unknown if none did; parallax: whether
-    that moved it; opened: the share of its area about which photographs differ too much, and which is gone."""
+    """vertices [V,3] and faces [F,3] of the mesh; light: what lit the photographs, as far as they tell; parallax:
+    whether that moved it; opened: the share of its area about which photographs differ too much, and which is gone."""
 
     vertices: np.ndarray
     faces: np.ndarray

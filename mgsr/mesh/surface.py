@@ -24,9 +24,9 @@ class TexturedMesh:
 @dataclass(frozen=True)
 class SurfaceMesh:
     """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
-    outward, colors [V,3] float32 sRGB 0..1; light: whose shading refined it, unknown if none did; parallax: whether the
-    photographs' parallax moved it; opened: the share of its area that was taken out, as they differed about it;
-    textured: the same surface with a picture, where one was asked for."""
+    outward, colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's
+    shading refined it. parallax: whether theirs moved it; opened: the share of its area that was taken out, as they
+    differed about it; textured: the same surface with a picture, where one was asked for."""
 
     vertices: np.ndarray
     faces: np.ndarray

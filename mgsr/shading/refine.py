@@ -46,13 +46,12 @@ RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are co
 @dataclass(frozen=True)
 class Pass:
     """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels. Shape larger than
-    `reach` pixels is left as it is, but for what the outlines say; what moved is smoothed over `smoothing` pixels.
-    fairing: degrees; noise up to this is taken off the surface before, and after as well (`smooth_noise`); 0: none."""
+    `reach` pixels is left as it is, but for what the outlines say. fairing: degrees; noise up to this is taken off the
+    surface before, and after as well (`smooth_noise`); 0: none."""
 
     edge: float
     rounds: int
     reach: float
-    smoothing: float = 0.0
     fairing: float = 0.0
 
 
@@ -80,8 +79,8 @@ def refine_by_shading(
 
     outlines: the masks', which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
-    passes: for each light, how the surface is bent. go_on: asked before every round; the surface stays as it is then
-    once it says no.
+    passes: how each light bends the surface; one without any only gets known. go_on: asked before every round; the
+    surface stays as it is then once it says no.
     progress: told after each round of the share of the rounds that are done.
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
@@ -89,9 +88,10 @@ def refine_by_shading(
     light, shading = _find_light(shot, *coarser(vertices, faces, RATIO_EDGE * pixel), max_ratio)
     if shading is None:
         return Refined(vertices, light)
-    rounds = sum(each.rounds for each in passes[light])
+    chosen = passes.get(light, ())
+    rounds = sum(each.rounds for each in chosen)
     done = 0
-    for each in passes[light]:
+    for each in chosen:
         vertices = _fair(vertices, faces, each.fairing)
         before, triangles = coarser(vertices, faces, each.edge * pixel)
         carry = interpolation(before, triangles, vertices)
@@ -104,8 +104,7 @@ def refine_by_shading(
             after = work.bend(after, *shading.explain(after, triangles, work.laplacian), each.reach)
             done += 1
             progress(done / rounds)
-        moves = carry @ (after - before)
-        vertices = _fair(vertices + _smoothed(moves, vertices, faces, each.smoothing * pixel), faces, each.fairing)
+        vertices = _fair(vertices + carry @ (after - before), faces, each.fairing)
     return Refined(vertices, light, shading)
 
 
@@ -171,13 +170,6 @@ class _Work:
 
 def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
     return smooth_noise(vertices, faces, angle) if angle else vertices
-
-
-def _smoothed(moves: np.ndarray, vertices: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:
-    """What moves the vertices, [V,3], averaged over about `width` around each."""
-    if not width:
-        return moves
-    return spread(moves, umbrella(faces, len(vertices)), width / edge_length(vertices, faces))
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -18,7 +18,7 @@ from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, refine_by_shading
+from mgsr.shading.refine import Light, Pass, Refined, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.view_colors import seen_colors
@@ -29,17 +29,18 @@ RESOLUTION = 128
 MASK_SIDE = 400
 
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
-# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between.
+# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
+# small shape once parallax has put the large one right.
 SHADING_RATIO = 0.85
-SHADING_PASSES = {
-    Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0),),
+FAR_PASSES = {
+    Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0), Pass(edge=1.5, rounds=3, reach=60.0)),
     Light.SURROUNDINGS: (
         *[Pass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
         Pass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
         Pass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
-        Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),
     ),
 }
+NEAR_PASSES = {Light.SURROUNDINGS: (Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
 
 # Pixels over which what the photographs' parallax tells spreads.
 PARALLAX_REACH = 12.0
@@ -55,7 +56,7 @@ BACKGROUND, BALL = 0.25, 1.25
 LONELY = 8.0
 
 # Shares of the time to the hull's points at which its parts are done: measured, 40 views of 256 x 256 pixels.
-HULL_CARVED, COLOR_CARVED, SHADED = 0.06, 0.2, 0.82
+HULL_CARVED, COLOR_CARVED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.05, 0.15, 0.6, 0.75, 0.85
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
 FARTHEST = 50.0
@@ -205,18 +206,18 @@ def _carved_points(
     progress(HULL_CARVED)
     vertices = carve_by_color(vertices, faces, views, _between(progress, HULL_CARVED, COLOR_CARVED))
     rims = [find_outline(outline) for outline in outlines]
-    refined = refine_by_shading(
-        vertices,
-        faces,
-        views,
-        rims,
-        SHADING_RATIO,
-        SHADING_PASSES,
-        progress=_between(progress, COLOR_CARVED, SHADED),
-    )
-    vertices, shiny = refined.vertices, refined.light is not Light.UNKNOWN
-    vertices = refine_by_parallax(vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
+
+    def bent(vertices: np.ndarray, passes: Mapping[Light, Sequence[Pass]], begin: float, end: float) -> Refined:
+        tell = _between(progress, begin, end)
+        refined = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, passes, progress=tell)
+        moved = refine_by_parallax(refined.vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
+        return replace(refined, vertices=moved)
+
+    refined = bent(vertices, FAR_PASSES, COLOR_CARVED, FAR_SHADED)
+    if refined.light in NEAR_PASSES:
+        refined = bent(refined.vertices, NEAR_PASSES, NEAR_BEGUN, NEAR_SHADED)
     progress(1.0)
+    vertices, shiny = refined.vertices, refined.light is not Light.UNKNOWN
     positions, normals = _sample(vertices, faces, count, generator)
     lighting = None if refined.shading is None else refined.shading.lighting(vertices, faces)
     return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=lighting)

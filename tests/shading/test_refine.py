@@ -126,7 +126,7 @@ def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light
 
 def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     truth = rippled()
-    refined = refine(glossy, start=truth, work=Pass(edge=6.0, rounds=4, reach=60.0, smoothing=6.0))
+    refined = refine(glossy, start=truth, work=Pass(edge=6.0, rounds=4, reach=60.0))
     outwards = truth.vertices / np.linalg.norm(truth.vertices, axis=1, keepdims=True)
     assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
 

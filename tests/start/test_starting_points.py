@@ -9,11 +9,13 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import carve, signed_field
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud
 from mgsr.data.silhouettes import silhouettes
+from mgsr.open3d_library import load_open3d
 from mgsr.start.starting_points import StartSource, hull_surface, starting_points
 from tests.data.captures import BallCapture
 
@@ -123,3 +125,16 @@ def test_hull_against_ground_truth(shared_data, name):
     dense = [trimesh.sample.sample_surface(mesh, 1_000_000, seed=1)[0] for mesh in meshes]
     chamfer = 500 * sum(cKDTree(dense[1 - i]).query(sparse[i])[0].mean() for i in (0, 1))
     assert chamfer < 1.1 * HULLS[name]
+
+
+@pytest.mark.slow
+def test_the_example_under_its_flash_begins_beside_its_surface():
+    """Half of all points within a twentieth of a pixel."""
+    root = find_example()
+    scene = load_scene(root, DataConfig())
+    points = starting_points(scene, 5000, seed=0)
+    truth = trimesh.load(root / "mesh_gt.ply", process=False)
+    places = scene.user_from_scene.to_user(points.positions)
+    surface = load_open3d().t.geometry.RaycastingScene()
+    surface.add_triangles(truth.vertices.astype(np.float32), truth.faces.astype(np.uint32))
+    assert np.median(surface.compute_distance(places.astype(np.float32)).numpy()) < 0.0005

@@ -117,7 +117,7 @@ NEED_ROWS = (
     ),
     AblationRow(
         "need-count",
-        "so they do, and densification has no limit, as in 3DGS",
+        "splats that carry next to nothing stay, and densification has no limit, as in 3DGS",
         "mgsr",
         (
             "surfels.densify.drop_carrying=0",

@@ -51,11 +51,13 @@ def _size_words(rows: Sequence[Row]) -> list[str]:
 
 def _parts_left_out(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
     """A line for each scene on which a row was run: its figures, and in brackets how they differ from the method's."""
-    cells = []
+    cells, missing = [], []
     for row in NEED_ROWS:
         own = plain_runs(rows, row.method, of_row(row).name)
         method = held_against(own, rows)
-        cells += [_line(row, own[scene], method[scene]) for scene in ordered if scene in method]
+        lines = [_line(row, own[scene], method[scene]) for scene in ordered if scene in method]
+        cells += lines
+        missing += [] if lines else [row.name]
     if not cells:
         return []
     head = ["what would be instead", "scene", "PSNR", "Chamfer", "NC", "splats", "seconds"]
@@ -63,6 +65,7 @@ def _parts_left_out(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
         "Each line gives a run more than it takes by itself; in brackets, how that differs from the run as it is. What "
         "brings nothing in the figures and costs splats or seconds was rightly left out:",
         markdown(head, cells),
+        *([f"Not run yet: {', '.join(missing)}."] if missing else []),
     ]
 
 

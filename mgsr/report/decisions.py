@@ -39,7 +39,7 @@ LIGHTS = {
         "one map of them explains how a point changes from view to view: their shading bent the start, and tells how "
         "far parallax can be believed",
     ),
-    "unknown": ("not known", "neither a flash nor mirrored surroundings explain how points change from view to view"),
+    "unknown": ("none", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
 SPLATS = {"surfels": "Surfels that give the surface", "volumes": "Gaussians that give the renders"}
 REFLECTIONS = {
@@ -172,9 +172,9 @@ def _about_flash(flash: dict[str, float] | None) -> Iterator[Decision]:
 def _about_light(data: ReportData) -> Iterator[Decision]:
     asked: dict[str, Any] = data.other.get("settings") or {}
     if asked.get("mesh", {}).get("shading_ratio", 0) is None:
-        yield Decision("Light", "not tried", "as the settings have it (shading_ratio)")
+        yield Decision("Light that the mesh heeds", "not looked at", "as the settings have it (shading_ratio)")
     elif data.other.get("light") in LIGHTS:
-        yield Decision("Light", *LIGHTS[data.other["light"]])
+        yield Decision("Light that the mesh heeds", *LIGHTS[data.other["light"]])
         if "parallax" in data.other:
             yield _about_parallax(data)
         if data.other.get("opened"):

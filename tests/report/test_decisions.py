@@ -22,10 +22,10 @@ def test_every_stage_says_why_it_ended() -> None:
 def test_the_light_is_told() -> None:
     sample = sample_report()
     told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
-    assert [each.choice for each in told if each.what == "Light"] == ["a flash on the camera"]
+    assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["a flash on the camera"]
     without = {"light": "unknown", "settings": {"mesh": {"shading_ratio": None}}}
     told = tell_decisions(replace(sample, other={**sample.other, **without}))
-    assert [each.choice for each in told if each.what == "Light"] == ["not tried"]
+    assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["not looked at"]
 
 
 def test_a_flash_is_told_with_its_place() -> None:

@@ -411,7 +411,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
     "standard": {},  # about 90 seconds
-    "high": {  # a tenth longer; training that lasts longer makes surfaces rougher, and renders hardly better
+    "high": {  # up to two fifths longer; training that lasts longer makes surfaces rougher, and renders hardly better
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
         "volumes.max_start": "20000",

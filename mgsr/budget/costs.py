@@ -66,7 +66,7 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
     if config.shading_ratio is None:
         return surface
-    shading, parallax = (37.0, 26.0) if facts.flash else (2.0 if facts.shiny else 0.0, 17.0)
+    shading, parallax = (76.0, 52.0) if facts.flash else (2.0 if facts.shiny else 0.0, 17.0)
     held = (facts.masked or facts.learned) and config.parallax_reach is not None
     refinement = shading + (parallax if held else 0.0)
     return surface + refinement * (facts.views / 48 * facts.size) ** 0.7

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,12 +15,16 @@ from mgsr.geometry.triangles import face_components, face_crosses, keep_faces
 from mgsr.shading.disagreement import disagreement
 from mgsr.shading.kinds import Shading
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, refine_by_shading
+from mgsr.shading.refine import Light, Pass, Refined, refine_by_shading
 
 # Training knows the large shape better than shading does, which light that hollows throw back again and again flattens.
 # A flash tells each point's normal by itself. Mirrored surroundings need the readings of neighbours: they better the
-# start on the hull, but no trained surface, of which they only say how far parallax can be believed.
-_PASSES = {Light.FLASH: (Pass(edge=1.0, rounds=4, reach=60.0),)}
+# start on the hull, but no trained surface, of which they only say how far parallax can be believed. Shading and
+# parallax take turns: what the one puts right of a hollow lets the other see deeper into it.
+_TURNS = (
+    {Light.FLASH: (Pass(edge=1.0, rounds=3, reach=60.0),)},
+    {Light.FLASH: (Pass(edge=1.0, rounds=2, reach=60.0),)},
+)
 
 SMALLEST = 10.0  # pixels that a patch covers which is taken out
 
@@ -50,14 +54,20 @@ def hold_against_photographs(
     further step."""
     if not photographs or config.shading_ratio is None:
         return Held(vertices, faces)
-    refined = refine_by_shading(
-        vertices, faces, photographs, outlines, config.shading_ratio, _PASSES, threads, go_on=go_on
-    )
-    vertices, shading, reach = refined.vertices, refined.shading, config.parallax_reach
-    parallax = bool(outlines) and reach is not None and go_on()
-    if parallax and reach is not None:
-        vertices = refine_by_parallax(vertices, faces, photographs, outlines, reach, shading, threads, go_on)
-    held = Held(vertices, faces, refined.light, parallax)
+    refined, reach, parallax = Refined(vertices, Light.UNKNOWN), config.parallax_reach, False
+    for turn, passes in enumerate(_TURNS):
+        if turn and not (refined.light in passes and go_on()):
+            break
+        refined = refine_by_shading(
+            refined.vertices, faces, photographs, outlines, config.shading_ratio, passes, threads, go_on=go_on
+        )
+        if reach is None or not outlines or not go_on():
+            break
+        moved = refine_by_parallax(
+            refined.vertices, faces, photographs, outlines, reach, refined.shading, threads, go_on
+        )
+        refined, parallax = replace(refined, vertices=moved), True
+    shading, held = refined.shading, Held(refined.vertices, faces, refined.light, parallax)
     if shading is None or refined.light is not Light.FLASH or config.close_holes or not go_on():
         return held
     return _opened(held, photographs, shading, config.disagreement, threads)

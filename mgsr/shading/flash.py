@@ -18,6 +18,7 @@ from mgsr.data.camera import Camera
 from mgsr.parallel import map_ahead
 from mgsr.shading.explained import MIN_READINGS, Explained
 from mgsr.shading.hollows import Hollows
+from mgsr.shading.lighting import lamp_light
 from mgsr.shading.readings import Readings
 
 OWN = 0.005  # weight of the surface's own normal beside the photographs'
@@ -82,6 +83,27 @@ def explain_by_flash(
     parts = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
     solved, known = (np.concatenate(column) for column in zip(*map_ahead(explain, parts, threads), strict=True))
     return Explained(solved, np.where(readings.counts >= MIN_READINGS, 1 / (1 + (known / KNOWN) ** 2), 0))
+
+
+def albedos(
+    readings: Readings,
+    points: np.ndarray,
+    normals: np.ndarray,
+    flash: Flash,
+    cameras: Sequence[Camera],
+    hollows: Hollows,
+) -> np.ndarray:
+    """How bright the points [P,3] with unit normals [P,3] are in a light of 1, [P], highlights apart; 0 where no
+    photograph tells."""
+    sky, thrown = hollows.at(points, readings.photographs)
+    lamp = lamp_light(flash.lamps(cameras)[readings.photographs] - points[:, None], normals[:, None])
+    light = lamp + flash.ambient * sky[:, None] + flash.bounced * thrown
+    brightness = readings.brightness.astype(float)
+    weights = current = readings.weights**2
+    for _ in range(ROUNDS):
+        albedo = scale(brightness, light, current)
+        current = trusted(brightness - albedo[:, None] * light, weights, current)
+    return np.maximum(albedo, 0)
 
 
 def _solve(

@@ -12,19 +12,22 @@ from scipy.sparse import csgraph
 
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, edges, mean_normals, spread
+from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
-from mgsr.shading.flash import Flash, explain_by_flash
+from mgsr.shading.flash import Flash, albedos, explain_by_flash
 from mgsr.shading.flash_fit import fit_flash
 from mgsr.shading.hollows import Hollows, find_hollows
 from mgsr.shading.lighting import Lighting, lamp_light
 from mgsr.shading.mirroring import explain_by_mirroring
+from mgsr.shading.mixing import unmixed
 from mgsr.shading.readings import Photograph, Readings, read_photographs
 from mgsr.shading.surroundings import Surroundings, fit_surroundings
 
 HOLLOWS_EDGE = 4.0  # pixels; of the mesh on which hollows are found
 MIRRORING_EDGE = 2.0  # pixels; of the mesh from which the surroundings are fitted
 LIT_EDGE = 1.5  # pixels; of the mesh that carries a flash's light
+FINE = 1.25  # pixels; edges of a mesh under which it shows what pixels mix
 BRIGHTEST = 0.995  # of the places that photographs show; one that is brighter counts as bright as these
 FRONTAL = 0.5  # cosine of the tilt under which gloss mirrors more than one map for all tilts can tell (Fresnel)
 POOL = 2.5  # pixels over which the readings of neighbours are put together
@@ -79,9 +82,12 @@ class ByFlash:
         self, vertices: np.ndarray, faces: np.ndarray, laplacian: sparse.csr_matrix
     ) -> tuple[np.ndarray, Explained]:
         readings, normals = self._shot.read(vertices, faces, self._flash.lamps(self._cameras))
-        self._flash = fit_flash(readings, vertices, normals, self._cameras, self._hollows, self._flash)
-        light = self._flash, self._cameras, self._hollows
-        return normals, explain_by_flash(readings, vertices, normals, *light, self._shot.threads)
+        seen = self._cameras, self._hollows
+        self._flash = fit_flash(readings, vertices, normals, *seen, self._flash)
+        if edge_length(vertices, faces) < FINE * self._shot.pixel:
+            readings = self._unmixed(readings, vertices, faces, normals)
+            self._flash = fit_flash(readings, vertices, normals, *seen, self._flash)
+        return normals, explain_by_flash(readings, vertices, normals, self._flash, *seen, self._shot.threads)
 
     def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> Lighting:
         vertices, faces = coarser(vertices, faces, LIT_EDGE * self._shot.pixel)
@@ -100,6 +106,23 @@ class ByFlash:
 
     def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         return None
+
+    def _unmixed(self, readings: Readings, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Readings:
+        """The readings at a mesh's vertices, with normals [V,3], without what pixels mix into them."""
+        flash, lamps, caster = self._flash, self._flash.lamps(self._cameras), RayCaster(vertices, faces)
+        paint = albedos(readings, vertices, normals, flash, self._cameras, self._hollows)
+        paint = paint[_nearest(readings.counts > 0, vertices, edges(faces))]
+        sky, thrown = self._hollows.at(vertices, np.broadcast_to(np.arange(len(lamps)), (len(vertices), len(lamps))))
+        gap = self._shot.pixel
+
+        def shown(number: int, some: np.ndarray) -> np.ndarray:
+            places, facing, opened = vertices[some], normals[some], sky[some]
+            lamp = lamp_light(lamps[number] - places, facing)
+            shaded = np.flatnonzero(opened < 1)
+            lamp[shaded] *= caster.reached(lamps[number], places[shaded] + gap * facing[shaded], gap)
+            return np.asarray(paint[some] * (lamp + flash.ambient * opened + flash.bounced * thrown[some, number]))
+
+        return unmixed(readings, vertices, faces, self._shot.photographs, shown, self._shot.threads)
 
     def _find_hollows(self, vertices: np.ndarray, faces: np.ndarray) -> Hollows:
         coarse = coarser(vertices, faces, HOLLOWS_EDGE * self._shot.pixel)

@@ -1,0 +1,74 @@
+"""What a photograph's pixels mix.
+
+A pixel shows the mean of a patch of the surface, and a reading between pixels that of a larger one. So creases look
+flatter than they are, and the borders of paint look like shades. The surface as it is known, seen through the same
+pixels, is mixed alike; what mixing changes there at a point is taken off the reading of it. A surface that explains
+the photographs then explains its readings too (deferred correction; of images, Van Cittert's deconvolution, 1931).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mgsr.geometry.raycast import PixelHits, RayCaster
+from mgsr.parallel import map_ahead
+from mgsr.shading.readings import Photograph, Readings, read_image
+
+RAYS = 2  # along a pixel's side
+
+
+def unmixed(
+    readings: Readings,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    photographs: Sequence[Photograph],
+    shown: Callable[[int, np.ndarray], np.ndarray],
+    threads: int | None = None,
+) -> Readings:
+    """The readings at the vertices [V,3] of a mesh without what pixels mix into them.
+
+    shown: how bright some of the mesh's vertices, by their indices [P], are known to be [P] in the photograph of this
+    number, to an eye that sees single points.
+    """
+    caster = RayCaster(vertices, faces)
+    brightness = readings.brightness.copy()
+
+    def take_off(number: int) -> None:
+        photograph = photographs[number]
+        read, columns = np.nonzero((readings.photographs == number) & (readings.weights > 0))
+        pixels, _ = photograph.camera.project(vertices[read])
+        hits = _cast(caster, photograph)
+        needed = np.unique(np.concatenate([faces[hits.face[hits.mask]].ravel(), read]))
+        points = np.zeros(len(vertices), np.float32)
+        points[needed] = shown(number, needed)
+        image, known = _through_pixels(hits, faces, points, photograph.usable)
+        brightness[read, columns] += read_image(known, pixels) * points[read] - read_image(image, pixels)
+
+    deque(map_ahead(take_off, range(len(photographs)), threads), maxlen=0)
+    return replace(readings, brightness=brightness)
+
+
+def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
+    """What RAYS x RAYS rays through each of a photograph's usable pixels meet, [U,RAYS,RAYS]."""
+    rows, columns = np.nonzero(photograph.usable)
+    inside = (np.arange(RAYS) + 0.5) / RAYS
+    pixels = np.empty((len(rows), RAYS, RAYS, 2))
+    pixels[..., 0], pixels[..., 1] = columns[:, None, None] + inside, rows[:, None, None] + inside[:, None]
+    return caster.cast_pixels(photograph.camera, pixels)
+
+
+def _through_pixels(
+    hits: PixelHits, faces: np.ndarray, points: np.ndarray, usable: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """How bright the usable pixels [H,W] bool that were cast show vertices of this brightness [V], [H,W], 0 where they
+    meet none; and 1 where they do."""
+    met = hits.mask
+    seen, counts = np.zeros(met.shape, np.float32), met.sum(axis=(1, 2))
+    seen[met] = (points[faces[hits.face[met]]] * hits.barycentric[met]).sum(axis=-1)
+    image, known = np.zeros((2, *usable.shape), np.float32)
+    image[usable], known[usable] = seen.sum(axis=(1, 2)) / np.maximum(counts, 1), counts > 0
+    return image, known

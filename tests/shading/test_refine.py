@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.geometry.displace import umbrella
 from mgsr.geometry.outlines import find_outline
@@ -33,6 +34,13 @@ def rippled() -> trimesh.Trimesh:
     x, y, z = mesh.vertices.T / RADIUS
     ripples = 0.009 * np.sin(14 * x) * np.sin(14 * y) * np.cos(14 * z)
     return trimesh.Trimesh(mesh.vertices * (1 + ripples)[:, None], mesh.faces, process=False)
+
+
+def grooved() -> trimesh.Trimesh:
+    """A ball with sharp creases, in facets that are smaller than pixels."""
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=RADIUS)
+    grooves = 0.02 * np.abs(np.sin(10 * mesh.vertices[:, 2] / RADIUS))
+    return trimesh.Trimesh(mesh.vertices * (1 + grooves)[:, None], mesh.faces, process=False)
 
 
 def flash(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -69,25 +77,37 @@ def lamps(directions: np.ndarray) -> np.ndarray:
 
 
 def photographs(
-    mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0), side: int = SIDE
+    mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0), side: int = SIDE, rays: int = 1
 ) -> list[View]:
     """What cameras around see of the mesh in two paints, in sRGB of 8 bits; aside: how far to the right of the lens and
-    below it the eye is put, as a lamp may be."""
+    below it the eye is put, as a lamp may be; rays: along a pixel's side, whose mean it shows."""
     normals, views = vertex_normals(mesh.vertices, mesh.faces), []
     caster = RayCaster(mesh.vertices, mesh.faces)
     for index, camera in enumerate(cameras_around(40, side=side)):
-        y, x = np.mgrid[:side, :side] + 0.5
+        y, x = (np.mgrid[: side * rays, : side * rays] + 0.5) / rays
         hits = caster.cast_pixels(camera, np.stack([x, y], axis=-1))
         corners = mesh.faces[np.where(hits.mask, hits.face, 0)]
         normal = (normals[corners] * hits.barycentric[..., None]).sum(2)
-        offsets = -pixel_rays(camera) * hits.depth[..., None]
+        offsets = -pixel_rays(finer(camera, rays)) * hits.depth[..., None]
         paint = np.where(np.sin(9 * (camera.center - offsets)[..., :1]) > 0, [0.6, 0.4, 0.2], [0.2, 0.4, 0.5])
         eye = offsets + np.array(aside) @ camera.cam_from_world[:2, :3]
         light = np.clip(shade(paint, normal, eye), 0, 1) * hits.mask[..., None]
+        light, alpha = (_mean(image, rays) for image in (light, hits.mask[..., None]))
+        light = light / np.maximum(alpha, 1e-6)
         srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-        image, alpha = np.round(255 * srgb).astype(np.uint8), (hits.mask * 255).astype(np.uint8)
-        views.append(View(str(index), camera, image, alpha))
+        image = np.round(255 * srgb).astype(np.uint8)
+        views.append(View(str(index), camera, image, np.round(255 * alpha[..., 0]).astype(np.uint8)))
     return views
+
+
+def finer(camera: Camera, rays: int) -> Camera:
+    """The same with so many pixels along each pixel's side."""
+    return Camera(np.diag([rays, rays, 1]) @ camera.K, camera.cam_from_world, rays * camera.width, rays * camera.height)
+
+
+def _mean(image: np.ndarray, rays: int) -> np.ndarray:
+    rows, columns, channels = image.shape
+    return np.asarray(image.reshape(rows // rays, rays, columns // rays, rays, channels).mean(axis=(1, 3)))
 
 
 def refine(
@@ -136,6 +156,16 @@ def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> Non
     refined = refine(varnished, start=truth, work=Pass(edge=4.0, rounds=2, reach=240.0))
     assert refined.light is Light.SURROUNDINGS
     assert np.linalg.norm(refined.vertices - truth.vertices, axis=1).mean() < 0.005
+
+
+def test_creases_stay_as_deep_as_they_are_though_pixels_flatten_them() -> None:
+    truth = grooved()
+    views = photographs(truth, flash, rays=4)
+    outlines = [find_outline(one) for one in silhouettes_of(truth, [view.camera for view in views])]
+    passes = {Light.FLASH: (Pass(edge=1.0, rounds=4, reach=20.0),)}
+    refined = refine_by_shading(truth.vertices, truth.faces, views, outlines, max_ratio=0.85, passes=passes)
+    assert refined.light is Light.FLASH
+    assert tilt_error(refined.vertices, truth) < 0.5
 
 
 def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:

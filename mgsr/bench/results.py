@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -104,8 +105,13 @@ def finished_row(
         commit=commit,
         machine=f"{measured['processor']}, {(report.get('machine') or {}).get('kernels', 'unknown')} kernels",
         versions=" ".join(f"{name} {version}" for name, version in report["versions"].items()),
-        command=shlex.join(["mgsr", *cell.arguments(folder)]),
+        command=told_command(cell.arguments(folder)),
     )
+
+
+def told_command(words: Sequence[str]) -> str:
+    """What was typed after `mgsr`, for others to read: absolute paths are told from the current folder."""
+    return shlex.join(["mgsr", *(os.path.relpath(word) if os.path.isabs(word) else word for word in words)])
 
 
 def broken_row(cell: Cell, reason: str, commit: str) -> Row:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -57,12 +56,13 @@ def bench(
     from mgsr.bench.cells import matrix, read_variants
     from mgsr.bench.machine import program_commit
     from mgsr.bench.matrix import Bench
+    from mgsr.bench.results import told_command
 
     with refusals():
         numbers = [_whole_number(word) for word in _words(seeds)]
         wanted = read_variants(variant or ["plain"], settings or [])
         cells = matrix(scenes, _words(methods), _words(presets), _words(devices), numbers, wanted)
-        command = shlex.join(["mgsr", *sys.argv[1:]])
+        command = told_command(sys.argv[1:])
         folders = (out,) if keep is None else (out, keep)
         code = _run(cells, Bench(out, program_commit(), command, folders, evaluate, any_commit))
     raise typer.Exit(code)

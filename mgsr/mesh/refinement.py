@@ -61,12 +61,11 @@ def hold_against_photographs(
         refined = refine_by_shading(
             refined.vertices, faces, photographs, outlines, config.shading_ratio, passes, threads, go_on=go_on
         )
-        if reach is None or not outlines or not go_on():
-            break
-        moved = refine_by_parallax(
-            refined.vertices, faces, photographs, outlines, reach, refined.shading, threads, go_on
-        )
-        refined, parallax = replace(refined, vertices=moved), True
+        if reach is not None and outlines and go_on():
+            moved = refine_by_parallax(
+                refined.vertices, faces, photographs, outlines, reach, refined.shading, threads, go_on
+            )
+            refined, parallax = replace(refined, vertices=moved), True
     shading, held = refined.shading, Held(refined.vertices, faces, refined.light, parallax)
     if shading is None or refined.light is not Light.FLASH or config.close_holes or not go_on():
         return held

@@ -122,7 +122,7 @@ class ByFlash:
             lamp[shaded] *= caster.reached(lamps[number], places[shaded] + gap * facing[shaded], gap)
             return np.asarray(paint[some] * (lamp + flash.ambient * opened + flash.bounced * thrown[some, number]))
 
-        return unmixed(readings, vertices, faces, self._shot.photographs, shown, self._shot.threads)
+        return unmixed(readings, caster, vertices, faces, self._shot.photographs, shown, self._shot.threads)
 
     def _find_hollows(self, vertices: np.ndarray, faces: np.ndarray) -> Hollows:
         coarse = coarser(vertices, faces, HOLLOWS_EDGE * self._shot.pixel)

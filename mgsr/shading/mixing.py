@@ -23,18 +23,18 @@ RAYS = 2  # along a pixel's side
 
 def unmixed(
     readings: Readings,
+    caster: RayCaster,
     vertices: np.ndarray,
     faces: np.ndarray,
     photographs: Sequence[Photograph],
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
 ) -> Readings:
-    """The readings at the vertices [V,3] of a mesh without what pixels mix into them.
+    """The readings at the vertices [V,3] of a mesh, which `caster` has, without what pixels mix into them.
 
     shown: how bright some of the mesh's vertices, by their indices [P], are known to be [P] in the photograph of this
     number, to an eye that sees single points.
     """
-    caster = RayCaster(vertices, faces)
     brightness = readings.brightness.copy()
 
     def take_off(number: int) -> None:

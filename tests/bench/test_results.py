@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from mgsr.bench.results import (
     Curve,
     Row,
@@ -13,6 +15,7 @@ from mgsr.bench.results import (
     latest,
     read_curves,
     read_rows,
+    told_command,
     write_curves,
     write_rows,
 )
@@ -81,3 +84,10 @@ def test_what_holds_for_all_rows_is_said_once_and_what_does_not_names_its_rows()
     assert page.count(rows[0].versions) == 1
     assert f"Machine: a small machine ({rows[0].scene} {rows[0].method} {rows[0].preset})" in page
     assert len([line for line in page.splitlines() if line.startswith("| ")]) == len(rows) + 2
+
+
+def test_commands_are_told_without_a_machines_own_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    words = ["run", str(tmp_path / "a scene"), "-o", "out", "--set", "masks=off"]
+    assert told_command(words) == "mgsr run '../a scene' -o out --set masks=off"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.camera import Camera
+from mgsr.geometry.raycast import RayCaster
 from mgsr.shading.mixing import unmixed
 from mgsr.shading.readings import Photograph, Readings, read_photographs
 from tests.mesh.shapes import looking_at_origin
@@ -51,7 +52,9 @@ def test_a_surface_that_is_known_reads_as_it_is() -> None:
     photographs = [striped(camera) for camera in seen]
     true = np.stack([stripes(camera.project(vertices)[0][:, 0]) for camera in seen], axis=1)
     mixed = read(vertices, faces, photographs)
-    clear = unmixed(mixed, vertices, faces, photographs, lambda number, some: true[some, number])
+    clear = unmixed(
+        mixed, RayCaster(vertices, faces), vertices, faces, photographs, lambda number, some: true[some, number]
+    )
     inner = np.abs(vertices).max(axis=1) < 0.35
     assert (mixed.weights[inner] > 0).all()
     errors = [np.abs(each.brightness - true)[inner].mean() for each in (mixed, clear)]
@@ -65,7 +68,9 @@ def test_where_pixels_miss_the_surface_they_say_nothing_of_it(level: float) -> N
     vertices, faces = plate(0.2)
     photographs = [striped(camera) for camera in cameras()]
     mixed = read(vertices, faces, photographs)
-    clear = unmixed(mixed, vertices, faces, photographs, lambda number, some: np.full(len(some), level))
+    clear = unmixed(
+        mixed, RayCaster(vertices, faces), vertices, faces, photographs, lambda number, some: np.full(len(some), level)
+    )
     np.testing.assert_allclose(clear.brightness, mixed.brightness, atol=1e-5)
 
 
@@ -80,6 +85,6 @@ def test_only_the_vertices_that_are_looked_at_are_asked_for() -> None:
         asked.append(some)
         return np.full(len(some), 0.5)
 
-    unmixed(read(away, both, photographs), away, both, photographs, shown, threads=1)
+    unmixed(read(away, both, photographs), RayCaster(away, both), away, both, photographs, shown, threads=1)
     assert len(asked) == len(photographs)
     assert all(len(vertices) / 2 < len(some) < 1.2 * len(vertices) for some in asked)

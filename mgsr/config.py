@@ -82,6 +82,8 @@ class MeshConfig:
     # shading is looked at and masks hold the outlines; none is off
     disagreement: float | None = 0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
     # a surface that is 0.7 pixels off explains, at which it is left open; none, or close_holes, keeps all
+    wave_angle: float | None = 4.0  # degrees; normals that differ by less within a few pixels are taken for waves, by
+    # much more for a crease, unless a flash has told them; none and 0 are off
     smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
     # noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF

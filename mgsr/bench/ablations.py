@@ -94,7 +94,10 @@ PAPER_CHOICES = (
         ("shading_ratio=none",),
     ),
     AblationRow(
-        "paper-smoothing", "noise stays in the mesh (ours takes it, but not creases)", "mgsr", ("smoothing_angle=none",)
+        "paper-smoothing",
+        "waves and noise stay in the mesh (ours takes them, but not creases)",
+        "mgsr",
+        ("wave_angle=none", "smoothing_angle=none"),
     ),
 )
 

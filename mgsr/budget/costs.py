@@ -13,6 +13,7 @@ from mgsr.config import MeshConfig
 
 USUAL_PIXELS = 256 * 256
 STEREO = 0.4  # a view
+WAVES = 3.0  # of the surface, taken off
 LEARNED = 12.0  # masks that are learned from small photographs
 
 
@@ -64,6 +65,8 @@ def mesh_cost(facts: Facts, config: MeshConfig) -> float:
     """The views of the surface, and the surface from them."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
     surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
+    if config.wave_angle and not facts.flash:
+        surface += WAVES
     if config.shading_ratio is None:
         return surface
     shading, parallax = (76.0, 52.0) if facts.flash else (2.0 if facts.shiny else 0.0, 17.0)

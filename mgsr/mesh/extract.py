@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mgsr.config import Extractor, MeshConfig
+from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
@@ -14,6 +15,7 @@ from mgsr.geometry.decimate import decimate
 from mgsr.geometry.fairing import smooth_noise
 from mgsr.geometry.outlines import find_outline, fit_outlines
 from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
+from mgsr.geometry.waves import smooth_waves
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
@@ -24,6 +26,7 @@ from mgsr.mesh.refinement import hold_against_photographs
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.refine import Light
 
 
 def extract_mesh(
@@ -39,7 +42,8 @@ def extract_mesh(
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
     photographs: the training views; where a flash on the camera explains their shading, it refines the mesh; where
-    there are silhouettes, so does their parallax. Under a flash, what they differ about is left open.
+    there are silhouettes, so does their parallax. Under a flash, what they differ about is left open; without one, the
+    surface's shallow waves are smoothed.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
 
     Raises MeshError, with the reason, where no surface comes out.
@@ -124,6 +128,9 @@ def _finish(
     vertices, faces = held.vertices, held.faces
     if held.opened:
         vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
+    if config.wave_angle and photographs and held.light is not Light.FLASH:
+        pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
+        vertices = smooth_waves(vertices, faces, pixel, config.wave_angle)
     if config.smoothing_angle:
         vertices = smooth_noise(vertices, faces, config.smoothing_angle)
     if config.close_holes:

@@ -14,7 +14,9 @@ from mgsr.geometry.triangles import face_crosses, topology
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.views import SurfaceView
+from mgsr.shading.refine import Light
 from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
+from tests.shading.test_refine import Shade, flash, matte, photographs, rippled
 
 RADIUS = 0.7
 CONFIG = MeshConfig(poisson_depth=6)
@@ -65,6 +67,20 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
 
     assert tilt(CONFIG.smoothing_angle) < 0.6 * tilt(None)
     assert tilt(0) == pytest.approx(tilt(None), rel=1e-12)  # fusion may give the facets in another order
+
+
+@pytest.mark.parametrize(("shade", "light"), [(matte, Light.UNKNOWN), (flash, Light.FLASH)])
+def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: Light) -> None:
+    seen = photographs(ball(RADIUS), shade, side=64)
+    rendered = views_of(rippled(), [view.camera for view in seen])
+    config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, smoothing_angle=None)
+    kept, smoothed = (
+        extract_mesh(rendered, replace(config, wave_angle=angle), photographs=seen, go_on=lambda: False)
+        for angle in (None, 10.0)
+    )
+    assert kept.light is smoothed.light is light
+    left = radial_error(smoothed).mean() / radial_error(kept).mean()
+    assert left == 1 if light is Light.FLASH else left < 0.9
 
 
 def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:

@@ -4,7 +4,7 @@
 
 Each choice is a line of the C++ sources. It is changed in a copy of them, which is built beside and measured as
 `kernels.py` does, on this processor's best vector variant; the sources as they are come first. It takes some minutes,
-most of them the compiler's. With --keep the rows go to kernels.csv.
+most of them the compiler's. With --keep the rows go to kernel_choices.csv.
 """
 
 from __future__ import annotations
@@ -18,6 +18,10 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+
+from mgsr.bench.kernel_page import kernel_table
+from mgsr.bench.kernel_results import AS_IT_IS
+from mgsr.bench.kernel_results import CHOICES as CHOICES_FILE
 
 ROOT = Path(__file__).parents[1]
 RASTERIZERS = ("_volumes", "_surfels")
@@ -44,7 +48,7 @@ class Choice:
 
 
 CHOICES = (
-    Choice("as it is"),
+    Choice(AS_IT_IS),
     Choice("tiles of 8 x 8", (Change(COMMON + "binning.h", TILE, "constexpr int kTile = 8;"),)),
     # Least squares of the relative error at Chebyshev's points, as for the degree that is used.
     Choice(
@@ -102,7 +106,6 @@ def measure(choice: str, built: Path, args: argparse.Namespace) -> None:
         sys.modules[f"mgsr.native.{name}"] = module
         spec.loader.exec_module(module)
     from benchmarks import kernels
-    from mgsr.bench.kernel_page import kernel_table
     from mgsr.native import runtime
 
     runtime.set_threads(0)
@@ -111,10 +114,10 @@ def measure(choice: str, built: Path, args: argparse.Namespace) -> None:
         kernels.rows_of(case, [isa], args.runs, args.note)[0]
         for case in kernels.raster_cases(args.folder / f"{args.scene}.npz")
     ]
-    rows = [replace(row, variant=f"{isa}, {choice}") for row in found]
+    rows = [replace(row, variant=choice) for row in found]
     print(kernel_table(rows), flush=True)
     if args.keep is not None:
-        kernels.keep(args.keep, rows)
+        kernels.keep(args.keep / CHOICES_FILE, rows)
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -378,11 +378,11 @@ def _row(case: Case, variant: str, compute: Compute, measured: list[Times], note
     )
 
 
-def keep(folder: Path, rows: list[KernelRow]) -> None:
-    """Take the rows into kernels.csv."""
+def keep(file: Path, rows: list[KernelRow]) -> None:
+    """Take the rows into a table."""
     new = {(row.kernel, row.variant, row.size): row for row in rows}
-    old = {(row.kernel, row.variant, row.size): row for row in read_kernels(folder / KERNELS)}
-    write_kernels(folder / KERNELS, list((old | new).values()))
+    old = {(row.kernel, row.variant, row.size): row for row in read_kernels(file)}
+    write_kernels(file, list((old | new).values()))
 
 
 def main() -> None:
@@ -404,7 +404,7 @@ def main() -> None:
     rows = [row for case in cases for row in rows_of(case, variants, args.runs, args.note)]
     print(kernel_table(rows))
     if args.keep is not None:
-        keep(args.keep, rows)
+        keep(args.keep / KERNELS, rows)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from mgsr.bench.comparing import compare, is_busy, plain_runs
 from mgsr.bench.csv_rows import read_csv
 from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section
 from mgsr.bench.kernel_page import kernel_section
-from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels
+from mgsr.bench.kernel_results import CHOICES, KERNELS, KernelRow, read_kernels
 from mgsr.bench.need_page import need_section
 from mgsr.bench.plots import write_kernel_plot, write_plots
 from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, latest, read_curves, read_rows
@@ -44,7 +44,7 @@ class SceneFacts:
 @dataclass(frozen=True)
 class Evidence:
     """All result files. rows: of each cell the newest; behind: those that gave way to newer ones, which variants of
-    their commit are held against."""
+    their commit are held against. choices: kernels in which something was chosen otherwise."""
 
     rows: list[Row]
     curves: list[Curve]
@@ -52,6 +52,7 @@ class Evidence:
     kernels: list[KernelRow]
     exposures: list[ExposureRow] = field(default_factory=list)
     behind: list[Row] = field(default_factory=list)
+    choices: list[KernelRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -67,9 +68,10 @@ def read_evidence(results: Path) -> Evidence:
         ]
     rows = [row for row in read_rows(results / RUNS) if row.state == DONE]
     newest = latest(rows)
-    kernels, exposures = read_kernels(results / KERNELS), read_csv(results / EXPOSURES, ExposureRow)
+    kernels, choices = (read_kernels(results / name) for name in (KERNELS, CHOICES))
+    exposures = read_csv(results / EXPOSURES, ExposureRow)
     curves, behind = read_curves(results / CURVES), [row for row in rows if row not in newest]
-    return Evidence(newest, curves, scenes, kernels, exposures, behind)
+    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices)
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
@@ -96,7 +98,7 @@ def evidence_page(evidence: Evidence) -> str:
         exposure_section(evidence.exposures),
         ablation_section(evidence.all_rows),
         choices_section(evidence.all_rows),
-        kernel_section(evidence.kernels),
+        kernel_section(evidence.kernels, evidence.choices),
         _making_section(evidence),
     )
     return "\n\n".join(section for section in sections if section) + "\n"
@@ -328,6 +330,7 @@ def _making_section(evidence: Evidence) -> str:
             "mgsr bench ../shared/data/scenes/{spot_soft,bunny_flash} -o out/bench --variant ablations \\\n"
             "    --variant paper-choices --evaluate ../shared/tools/evaluate.py --keep benchmarks/results\n"
             "PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster --keep benchmarks/results\n"
+            "PYTHONPATH=. python benchmarks/kernel_choices.py ../shared/data/raster --keep benchmarks/results\n"
             f"{COMMAND}\n"
             "```",
         )

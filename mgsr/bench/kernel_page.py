@@ -4,30 +4,66 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mgsr.bench.kernel_results import KernelRow
+from mgsr.bench.kernel_results import AS_IT_IS, KernelRow
 from mgsr.bench.table import markdown, number
 
 # Where an image is off by more than this, a splat crossed a threshold (1/255 of alpha) that it did not in float64.
 ROUNDING = 1e-4
 
 
-def kernel_section(rows: Sequence[KernelRow]) -> str:
-    """The table, the plot, and what they come to; empty without rows."""
+def kernel_section(rows: Sequence[KernelRow], choices: Sequence[KernelRow] = ()) -> str:
+    """The table, the plot, and what they come to; empty without rows. choices: rows whose variant is what was chosen
+    otherwise."""
     if not rows:
         return ""
-    notes = dict.fromkeys(f"{row.machine}, {row.commit}{': ' + row.note if row.note else ''}" for row in rows)
     return "\n\n".join(
         (
             "## The kernels: time against error",
             "Every kernel computes in float32; the errors are those against float64 (outputs in their own units, "
             "gradients relative to the largest and to the mean true gradient of the same input). Times are "
             "milliseconds with all threads; CPU is what all threads spent together; `torch` is plain float32 torch, "
-            f"which shows how large float32's own error is. {'; '.join(notes)}.",
+            f"which shows how large float32's own error is. {_machines(rows)}.",
             "![Milliseconds against the largest error of each kernel and variant](images/evidence/kernels.svg)",
             kernel_table(rows),
             _words(rows),
+            *_choices(choices),
         )
     )
+
+
+def _machines(rows: Sequence[KernelRow]) -> str:
+    return "; ".join(dict.fromkeys(f"{row.machine}, {row.commit}{': ' + row.note if row.note else ''}" for row in rows))
+
+
+def _choices(rows: Sequence[KernelRow]) -> list[str]:
+    """The rasterizers with one choice made otherwise, each held against the sources as they are."""
+    usual = {row.kernel: row for row in rows if row.variant == AS_IT_IS}
+    others = [row for row in rows if row.variant != AS_IT_IS and row.kernel in usual]
+    if not others:
+        return []
+    head = ["kernel", "choice", "CPU, ms", "largest error", "gradient: largest"]
+    cells = [
+        [
+            row.kernel,
+            row.variant,
+            f"{row.cpu:.2f} ({row.cpu / usual[row.kernel].cpu - 1:+.0%})",
+            *(_beside(own, was) for own, was in _pairs(row, usual[row.kernel])),
+        ]
+        for row in others
+    ]
+    return [
+        "Tile sizes and the exponential are fixed when the kernels are built. Built with one of them chosen otherwise, "
+        f"and in brackets how that differs from the kernels as they are ({_machines(rows)}):",
+        markdown(head, cells),
+    ]
+
+
+def _pairs(row: KernelRow, usual: KernelRow) -> list[tuple[float | None, float | None]]:
+    return [(row.error_max, usual.error_max), (row.gradient_max, usual.gradient_max)]
+
+
+def _beside(own: float | None, usual: float | None) -> str:
+    return f"{number(own, '.1e')} ({number(usual, '.1e')})"
 
 
 def kernel_table(rows: Sequence[KernelRow]) -> str:
@@ -61,7 +97,6 @@ def _words(rows: Sequence[KernelRow]) -> str:
     )
     lacking = [name for name in ("avx512", "cuda") if name not in variants]
     told.append(f"Not measured, for want of such a machine: {', '.join(lacking)}." if lacking else "")
-    told.append("Tile sizes and the fast exponential are fixed when the kernels are built, so they have no rows.")
     return " ".join(words for words in told if words)
 
 

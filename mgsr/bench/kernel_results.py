@@ -1,4 +1,5 @@
-"""Time and error of the kernels, as `benchmarks/kernels.py` measures them: a row for each kernel and variant."""
+"""Time and error of the kernels, as `benchmarks/kernels.py` measures them: a row for each kernel and variant; and as
+`benchmarks/kernel_choices.py` does, where the variant is what was chosen otherwise."""
 
 from __future__ import annotations
 
@@ -9,6 +10,8 @@ from pathlib import Path
 from mgsr.bench.csv_rows import read_csv, write_csv
 
 KERNELS = "kernels.csv"
+CHOICES = "kernel_choices.csv"
+AS_IT_IS = "as it is"  # the variant of a choice's row in which nothing is changed
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from benchmarks.kernel_choices import CHOICES, ROOT, Choice, changed_sources
 from benchmarks.kernels import Case, errors, image_cases, keep, raster_cases, rows_of, splat_cases
 from mgsr.bench.kernel_page import kernel_section
-from mgsr.bench.kernel_results import KERNELS, read_kernels
+from mgsr.bench.kernel_results import AS_IT_IS, KERNELS, read_kernels
 from tests.ops.splat_scenes import camera, random_splats
 
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
@@ -62,9 +63,9 @@ def test_the_scenes_own_reference_judges_the_3d_image(cases: dict[str, Case]) ->
 def test_rows_are_kept_and_replaced_and_told(cases: dict[str, Case], tmp_path: Path) -> None:
     rows = rows_of(cases["TV of 3 channels"], ["baseline"], 2, "a note")
     assert [row.variant for row in rows] == ["baseline", "torch"] and all(row.cost > 0 for row in rows)
-    keep(tmp_path, rows)
+    keep(tmp_path / KERNELS, rows)
     other = [replace(rows[0], forward=9.0), replace(rows[0], variant="cuda")]
-    keep(tmp_path, other)
+    keep(tmp_path / KERNELS, other)
     kept = read_kernels(tmp_path / KERNELS)
     assert [(row.variant, row.forward == 9.0) for row in kept] == [
         ("baseline", True),
@@ -74,3 +75,22 @@ def test_rows_are_kept_and_replaced_and_told(cases: dict[str, Case], tmp_path: P
     page = kernel_section(kept)
     assert "a note" in page and "Not measured, for want of such a machine: avx512." in page
     assert kernel_section([]) == ""
+
+
+def test_choices_are_held_against_the_kernels_as_they_are(cases: dict[str, Case]) -> None:
+    usual = replace(rows_of(cases["TV of 3 channels"], ["baseline"], 1, "")[0], variant=AS_IT_IS, cpu=2.0)
+    other = replace(usual, variant="larger", cpu=3.0, error_max=0.5, gradient_max=None)
+    page = kernel_section([usual], [usual, other])
+    assert f"| {usual.kernel} | larger | 3.00 (+50%) | 5.0e-01 ({usual.error_max:.1e}) | - (" in page
+    assert "larger" not in kernel_section([usual], [other])
+
+
+@pytest.mark.parametrize("choice", CHOICES, ids=lambda choice: choice.name)
+def test_what_is_chosen_otherwise_is_in_the_sources(choice: Choice, tmp_path: Path) -> None:
+    changed_sources(choice, tmp_path)
+    differing = {
+        str(file.relative_to(tmp_path))
+        for file in tmp_path.rglob("*.h")
+        if file.read_text() != (ROOT / file.relative_to(tmp_path)).read_text()
+    }
+    assert differing == {change.file for change in choice.changes}

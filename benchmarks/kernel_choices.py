@@ -3,15 +3,18 @@
     PYTHONPATH=. python benchmarks/kernel_choices.py ../shared/data/raster [--keep benchmarks/results]
 
 Each choice is a line of the C++ sources. It is changed in a copy of them, which is built beside and measured as
-`kernels.py` does, on this processor's best vector variant; the sources as they are come first. It takes some minutes,
-most of them the compiler's. With --keep the rows go to kernel_choices.csv.
+`kernels.py` does, on this processor's best vector variant; the choices take turns, each in a process of its own, so
+that their ratio holds where the times drift. It takes some minutes, half of them the compiler's. With --keep the rows
+become kernel_choices.csv.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import multiprocessing
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -20,7 +23,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mgsr.bench.kernel_page import kernel_table
-from mgsr.bench.kernel_results import AS_IT_IS
+from mgsr.bench.kernel_results import AS_IT_IS, KernelRow, read_kernels, write_kernels
 from mgsr.bench.kernel_results import CHOICES as CHOICES_FILE
 
 ROOT = Path(__file__).parents[1]
@@ -95,13 +98,15 @@ def build(folder: Path) -> None:
     subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
 
 
-def measure(choice: str, built: Path, args: argparse.Namespace) -> None:
-    """The rasterizers in `built`, which take the place of the installed ones in this process."""
+def measure(choice: str, built: Path, scene: Path, runs: int, rows: Path) -> None:
+    """The rasterizers in `built`, which take the place of the installed ones in this process, into the file `rows`."""
     for name in RASTERIZERS:
         file = next((built / "mgsr" / "native").glob(f"{name}.*.so"))
         spec = importlib.util.spec_from_file_location(f"mgsr.native.{name}", file)
         if spec is None or spec.loader is None:
             raise SystemExit(f"{file}: can't be loaded")
+        if f"mgsr.native.{name}" in sys.modules:
+            raise SystemExit(f"{name} is loaded already, so {file} would not be measured")
         module = importlib.util.module_from_spec(spec)
         sys.modules[f"mgsr.native.{name}"] = module
         spec.loader.exec_module(module)
@@ -110,37 +115,53 @@ def measure(choice: str, built: Path, args: argparse.Namespace) -> None:
 
     runtime.set_threads(0)
     isa = runtime.isas()[0]
-    found = [
-        kernels.rows_of(case, [isa], args.runs, args.note)[0]
-        for case in kernels.raster_cases(args.folder / f"{args.scene}.npz")
-    ]
-    rows = [replace(row, variant=choice) for row in found]
-    print(kernel_table(rows), flush=True)
-    if args.keep is not None:
-        kernels.keep(args.keep / CHOICES_FILE, rows)
+    found = [kernels.rows_of(case, [isa], runs, "")[0] for case in kernels.raster_cases(scene)]
+    write_kernels(rows, [replace(row, variant=choice) for row in found])
+
+
+def merged(rows: Sequence[KernelRow]) -> KernelRow:
+    """One row of several processes' of the same kernel and choice."""
+    backward = [row.backward for row in rows if row.backward is not None]
+    return replace(
+        rows[0],
+        forward=statistics.median(row.forward for row in rows),
+        backward=statistics.median(backward) if backward else None,
+        least=min(row.least for row in rows),
+        cpu=statistics.median(row.cpu for row in rows),
+    )
 
 
 def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="the raster scenes")
     parser.add_argument("--scene", default="s20k_256")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("--note", default="", help="what else is to be known of the machine")
+    parser.add_argument("--rounds", type=int, default=7, help="processes for each choice, in turn")
+    parser.add_argument("--runs", type=int, default=5, help="in each process")
     parser.add_argument("--keep", type=Path, help="a results folder")
-    parser.add_argument("--built", type=Path, help="measure the rasterizers that were built here, nothing else")
-    parser.add_argument("--choice", help="what they are called")
     args = parser.parse_args(arguments)
-    if args.built is not None:
-        measure(args.choice, args.built, args)
-        return
+    scene = args.folder / f"{args.scene}.npz"
+    found: dict[tuple[str, str], list[KernelRow]] = {}
     with tempfile.TemporaryDirectory() as scratch:
-        for number, choice in enumerate(CHOICES):
-            folder = Path(scratch) / str(number)
+        folders = [Path(scratch) / str(number) for number in range(len(CHOICES))]
+        for choice, folder in zip(CHOICES, folders, strict=True):
             changed_sources(choice, folder)
             build(folder)
-        for number, choice in enumerate(CHOICES):  # once all are built, so that the times lie close together
-            built = ["--built", str(Path(scratch) / str(number)), "--choice", choice.name]
-            subprocess.run([sys.executable, __file__, *arguments, *built], check=True)
+        for _ in range(args.rounds):
+            for choice, folder in zip(CHOICES, folders, strict=True):
+                context = multiprocessing.get_context("spawn")
+                process = context.Process(
+                    target=measure, args=(choice.name, folder, scene, args.runs, folder / "rows.csv")
+                )
+                process.start()
+                process.join()
+                if process.exitcode:
+                    raise SystemExit(f"{choice.name}: the measuring process ended with {process.exitcode}")
+                for row in read_kernels(folder / "rows.csv"):
+                    found.setdefault((row.kernel, row.variant), []).append(row)
+    rows = [merged(each) for each in found.values()]
+    print(kernel_table(rows))
+    if args.keep is not None:
+        write_kernels(args.keep / CHOICES_FILE, rows)
 
 
 if __name__ == "__main__":

@@ -47,19 +47,16 @@ def _choices(rows: Sequence[KernelRow]) -> list[str]:
             row.kernel,
             row.variant,
             f"{row.cpu:.2f} ({row.cpu / usual[row.kernel].cpu - 1:+.0%})",
-            *(_beside(own, was) for own, was in _pairs(row, usual[row.kernel])),
+            _beside(row.error_max, usual[row.kernel].error_max),
+            _beside(row.gradient_max, usual[row.kernel].gradient_max),
         ]
         for row in others
     ]
     return [
         "Tile sizes and the exponential are fixed when the kernels are built. Built with one of them chosen otherwise, "
-        f"and in brackets how that differs from the kernels as they are ({_machines(rows)}):",
+        f"and in brackets what the kernels as they are have, or how far from that it is ({_machines(rows)}):",
         markdown(head, cells),
     ]
-
-
-def _pairs(row: KernelRow, usual: KernelRow) -> list[tuple[float | None, float | None]]:
-    return [(row.error_max, usual.error_max), (row.gradient_max, usual.gradient_max)]
 
 
 def _beside(own: float | None, usual: float | None) -> str:

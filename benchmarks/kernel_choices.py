@@ -91,8 +91,8 @@ def changed_sources(choice: Choice, folder: Path) -> None:
 def build(folder: Path) -> None:
     """The rasterizers' modules, beside their sources."""
     tools = Path(sys.executable).parent
-    python = f"-DPython_EXECUTABLE={sys.executable}"
-    configure = [tools / "cmake", "-S", folder, "-B", folder / "build", "-DCMAKE_BUILD_TYPE=Release", python]
+    options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_CXX_FLAGS=-w"]
+    configure = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
     subprocess.run(configure, check=True, stdout=subprocess.DEVNULL)
     make = [tools / "cmake", "--build", folder / "build", "--parallel", "--target", *RASTERIZERS]
     subprocess.run(make, check=True, stdout=subprocess.DEVNULL)

@@ -392,10 +392,10 @@ class Config:
     output: OutputConfig = field(default_factory=OutputConfig)
 
 
-# What each preset changes; times are for 48 views at 256 x 256 on two fast cores, with the meshing. Slow cores take up
-# to three times as long.
+# What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing. Slow cores take up to
+# twice as long.
 PRESETS: dict[str, dict[str, str]] = {
-    "draft": {  # about 25 seconds
+    "draft": {  # 25 to 50 seconds
         "warmup.surfel_iterations": "250",
         "warmup.volume_iterations": "300",
         "mutual.iterations": "200",
@@ -412,8 +412,8 @@ PRESETS: dict[str, dict[str, str]] = {
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
     },
-    "standard": {},  # about 90 seconds
-    "high": {  # up to two fifths longer; training that lasts longer makes surfaces rougher, and renders hardly better
+    "standard": {},  # two to three minutes
+    "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
         "volumes.max_start": "20000",

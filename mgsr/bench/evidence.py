@@ -18,6 +18,7 @@ from mgsr.bench.csv_rows import read_csv
 from mgsr.bench.exposure_page import EXPOSURES, ExposureRow, exposure_section
 from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import CHOICES, KERNELS, KernelRow, read_kernels
+from mgsr.bench.length_page import early_ends, length_section
 from mgsr.bench.need_page import need_section
 from mgsr.bench.plots import write_kernel_plot, write_plots
 from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, latest, read_curves, read_rows
@@ -95,6 +96,7 @@ def evidence_page(evidence: Evidence) -> str:
         _curve_section(evidence),
         _light_section(evidence),
         _need_section(evidence),
+        length_section(evidence.all_rows),
         exposure_section(evidence.exposures),
         ablation_section(evidence.all_rows),
         choices_section(evidence.all_rows),
@@ -137,6 +139,10 @@ def _weak_scores(evidence: Evidence) -> list[str]:
         points.append(f"The light split does harm (the photograph itself is nearer to the matte look): {told}.")
     low = [row for row in mgsr.values() if row.f_score is not None and row.f_score < 0.8]
     points += [f"On {row.scene} only {row.f_score:.0%} of the surface lies within 0.5% (F)." for row in low]
+    ways = early_ends(evidence.all_rows)
+    if ways and not any(way.pays for way in ways):
+        most = max(ways, key=lambda way: way.saved)
+        points.append(f"No way to end earlier pays. The most that one saves is {most.words}: {most.meaning}.")
     return points
 
 

@@ -4,7 +4,8 @@ Once the photographs are read, their size is chosen; once an iteration of each s
 line of settings (`mgsr.budget.line`). From then on the settings stay and the lengths of the stages follow the clock.
 What comes after training can't be made longer or shorter at will, and nobody knows well how long it takes: so the
 surface is made before the branch that renders has learnt all it can, which then learns on until just the report is
-left. That last stage can end at any iteration.
+left. That last stage can end at any iteration, and the surface's refinement, which betters it more than training does
+that lasts as long, after any round.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from typing import Any
 
 from mgsr.budget import costs
 from mgsr.budget.costs import Facts
-from mgsr.budget.line import HIGHEST, LOWEST, Line
+from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, Line
 from mgsr.config import Branches, Config, MeshConfig, Reflection, SurfelConfig, VolumeConfig
 from mgsr.training.pace import FINISH, StageLength
 
 AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
 UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
+LEAST_REFINED = 0.3  # share of the refinement's time; with less it is not begun
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
@@ -34,6 +36,7 @@ class TimeBudget:
     says nothing of the processor's.
 
     place: on the line of settings; scale: of the training photographs' sides. Both are None until they are chosen.
+    refined: the share of its time that the surface's refinement is planned to have.
     """
 
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
@@ -45,6 +48,8 @@ class TimeBudget:
         self.scale: float | None = None
         self.planned: dict[str, float] = {}
         self.least = 0.0
+        self.refined = 1.0
+        self._cut = False
         self._mesh = MeshConfig()
         self._clock, self._earlier = clock, 0.0
         self._slowness: float | None = None
@@ -108,7 +113,9 @@ class TimeBudget:
             middle = (low + high) / 2
             fits = self.spent + self._total(self.line.at(middle)) <= self._aim
             low, high = (middle, high) if fits else (low, middle)
-        self.place = low
+        self.place, self.refined = low, 1.0
+        if low < JUST_ABOVE_DRAFT and (share := self._refinable(self.line.at(JUST_ABOVE_DRAFT))) >= LEAST_REFINED:
+            self.place, self.refined = JUST_ABOVE_DRAFT, share
         self._settle()
         return self.place
 
@@ -129,24 +136,28 @@ class TimeBudget:
         return min(iterations, self._ceilings.get(stage.name, iterations))
 
     def mesh_settings(self) -> MeshConfig:
-        """The best settings of the surface, up to those of the plan, that still fit."""
+        """The best settings of the surface, up to those of the plan, that still fit; of its refinement, the least."""
         assert self.place is not None
-        place = self.place
+        place, least = self.place, min(self.refined, LEAST_REFINED)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
-        while place > LOWEST and self.spent + self._after(self._facts, self._mesh, unsure=0.15) > self._aim:
+        while place > LOWEST and self.spent + self._after(self._facts, self._mesh, 0.15, least) > self._aim:
             place = max(LOWEST, place - 0.25)
             self._mesh = self.line.at(place).mesh
         return self._mesh
 
     def learn_surface(self, surface: float, judging: float) -> None:
         """Take in how many seconds the surface, and its scores and pictures, took."""
-        self.learn(costs.mesh_cost(self._facts, self._mesh), surface)
+        if not self._cut:
+            usual = costs.surface_cost(self._facts, self._mesh) + costs.refinement_cost(self._facts, self._mesh)
+            self.learn(usual, surface)
         self.learn(costs.judging_cost(self._facts), judging)
 
     def go_on(self) -> bool:
-        """Whether there is time to refine the surface further."""
+        """Whether there is time for another round of refining the surface."""
         rest = costs.judging_cost(self._facts) + costs.closing_cost(self._facts)
-        return self.spent + self.slowness * rest < self._aim
+        fits = self.spent + self.slowness * (costs.round_cost(self._facts, self._mesh) + rest) < self._aim
+        self._cut |= not fits
+        return fits
 
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps of it."""
@@ -154,6 +165,7 @@ class TimeBudget:
             "spent": self.spent,
             "place": self.place,
             "scale": self.scale,
+            "refined": self.refined,
             "planned": self.planned,
             "least": self.least,
             "slowness": self.slowness,
@@ -164,7 +176,7 @@ class TimeBudget:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` gave: with its seconds, and the settings that were chosen then."""
         self._earlier = state["spent"]
-        self.place, self.scale = state["place"], state["scale"]
+        self.place, self.scale, self.refined = state["place"], state["scale"], state["refined"]
         self.planned, self.least = dict(state["planned"]), state["least"]
         self._slowness = state["slowness"]
         self._costs, self._probed = dict(state["costs"]), dict(state["probed"])
@@ -193,7 +205,8 @@ class TimeBudget:
         self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
         self._ceilings = {name: _iterations(most, name) for name in self._costs}
         if not self.planned:
-            surface = self.slowness * costs.mesh_cost(self._facts, chosen.mesh)
+            refinement = self.refined * costs.refinement_cost(self._facts, chosen.mesh)
+            surface = self.slowness * (costs.surface_cost(self._facts, chosen.mesh) + refinement)
             closing = self.slowness * costs.closing_cost(self._facts)
             judging = self.slowness * costs.judging_cost(self._facts)
             training = max(self._aim - self.spent - surface - judging - closing, sum(self._weights.values()))
@@ -205,9 +218,16 @@ class TimeBudget:
                 "report": closing,
             }
 
-    def _total(self, config: Config, unsure: float = UNSURE) -> float:
+    def _total(self, config: Config, unsure: float = UNSURE, refined: float = 1.0) -> float:
         """Seconds that these settings take from the first iteration on."""
-        return sum(self._stage(name, config) for name in self._costs) + self._after(self._facts, config.mesh, unsure)
+        training = sum(self._stage(name, config) for name in self._costs)
+        return training + self._after(self._facts, config.mesh, unsure, refined)
+
+    def _refinable(self, config: Config) -> float:
+        """The share of the refinement's time that these settings leave for it, at most 1; 0 where there is none."""
+        whole = self.slowness * costs.refinement_cost(self._facts, config.mesh)
+        left = self._aim - self.spent - self._total(config, refined=0.0)
+        return min(left / whole, 1.0) if whole else 0.0
 
     def _stage(self, name: str, config: Config) -> float:
         splats = _splats(name, config)
@@ -240,10 +260,12 @@ class TimeBudget:
         surface_begins = self._aim - self._after(self._facts, self._mesh)
         return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
-    def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE) -> float:
-        """Seconds that are kept for what comes after training."""
-        surface = (1 + unsure) * (costs.mesh_cost(facts, mesh) + costs.judging_cost(facts))
-        return self.slowness * (surface + costs.closing_cost(facts))
+    def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE, refined: float | None = None) -> float:
+        """Seconds that are kept for what comes after training. refined: the share of the refinement's time, None for
+        the planned one; none is kept for its taking longer, since it can end before."""
+        surface = (1 + unsure) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
+        refinement = (self.refined if refined is None else refined) * costs.refinement_cost(facts, mesh)
+        return self.slowness * (surface + refinement + costs.closing_cost(facts))
 
 
 def _scaled(facts: Facts, scale: float) -> Facts:

@@ -14,6 +14,7 @@ from mgsr.config import MeshConfig
 USUAL_PIXELS = 256 * 256
 STEREO = 0.4  # a view
 WAVES = 3.0  # of the surface, taken off
+ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
 LEARNED = 12.0  # masks that are learned from small photographs
 
 
@@ -61,18 +62,27 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
     return surfels if stage == "warmup_surfels" or not full else volumes
 
 
-def mesh_cost(facts: Facts, config: MeshConfig) -> float:
-    """The views of the surface, and the surface from them."""
+def surface_cost(facts: Facts, config: MeshConfig) -> float:
+    """The views of the surface, and the surface from them, as it is before its refinement."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
-    surface = 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8
-    if config.wave_angle and not facts.flash:
-        surface += WAVES
+    waves = WAVES if config.wave_angle and not facts.flash else 0.0
+    return 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8 + waves
+
+
+def refinement_cost(facts: Facts, config: MeshConfig) -> float:
+    """Holding the surface against the photographs, in all its rounds. It reads them at every vertex, of which there is
+    one for each cell of the surface, but none finer than pixels."""
     if config.shading_ratio is None:
-        return surface
-    shading, parallax = (76.0, 52.0) if facts.flash else (2.0 if facts.shiny else 0.0, 17.0)
+        return 0.0
+    shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
     held = (facts.masked or facts.learned) and config.parallax_reach is not None
-    refinement = shading + (parallax if held else 0.0)
-    return surface + refinement * (facts.views / 48 * facts.size) ** 0.7
+    cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
+    return (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
+
+
+def round_cost(facts: Facts, config: MeshConfig) -> float:
+    """A round of the refinement, with what it may have to prepare."""
+    return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
 
 
 def judging_cost(facts: Facts) -> float:

@@ -1,11 +1,13 @@
 """The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
 
 Between two presets a number lies between theirs, in equal ratios; below draft it goes on in the same way.
-What is no number, or 0 for none, is that of the nearest preset.
+What is no number, or 0 for none, is that of the nearest preset; but what a preset goes without altogether begins just
+above it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import reduce
 from typing import Any
@@ -13,6 +15,7 @@ from typing import Any
 from mgsr.config import PRESETS, Config, field_types, make_config
 
 LOWEST, HIGHEST = -0.75, 2.0  # below, too little is trained to be of use; above, more splats learn the noise
+JUST_ABOVE_DRAFT = 0.01  # where what draft goes without begins
 
 
 class Line:
@@ -41,6 +44,8 @@ class Line:
 
 def value_at(values: list[Any], place: float) -> Any:
     """The value at a place on a line whose points 0, 1, ... have these values."""
+    if None in values:
+        return values[min(max(math.ceil(place), 0), len(values) - 1)]
     if not all(isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0 for value in values):
         return values[min(max(round(place), 0), len(values) - 1)]
     first = min(max(int(place // 1), 0), len(values) - 2)

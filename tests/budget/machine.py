@@ -67,12 +67,14 @@ class Stage:
 
 @dataclass(frozen=True)
 class Ran:
-    """How a run went: its seconds, its budget, its stages, and the settings of its surface."""
+    """How a run went: its seconds, its budget, its stages, the settings of its surface, and the share of the rounds of
+    refinement that this had."""
 
     seconds: float
     budget: TimeBudget
     stages: list[Stage]
     mesh: MeshConfig
+    refined: float
 
 
 def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ran:
@@ -94,12 +96,17 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     for index in range(3):
         _run_stage(machine, budget, stages, index, facts, full)
     mesh = budget.mesh_settings()
-    surface = machine.work("mesh", costs.mesh_cost(facts, mesh))
+    surface = machine.work("mesh", costs.surface_cost(facts, mesh))
+    rounds = 15 if facts.flash else 4  # that `mgsr.mesh.refinement` asks for
+    done = 0
+    while mesh.shading_ratio is not None and done < rounds and budget.go_on():
+        surface += machine.work("mesh", costs.refinement_cost(facts, mesh) / rounds)
+        done += 1
     judging = machine.work("evaluate", costs.judging_cost(facts))
     budget.learn_surface(surface, judging)
     _run_stage(machine, budget, stages, 3, facts, full)
     machine.work("report", costs.closing_cost(facts))
-    return Ran(machine.now, budget, stages, mesh)
+    return Ran(machine.now, budget, stages, mesh, done / rounds)
 
 
 def _run_stage(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,32 @@ def test_a_resumed_run_keeps_its_plan_and_its_seconds() -> None:
 def test_the_surface_gets_cheaper_where_the_run_is_late() -> None:
     seconds = 300.0
     planned = run_on(Machine(steady(1.0)), USUAL, CONFIG, seconds)
-    late = run_on(Machine(stepped(1.0, 0.6 * seconds, 3.0)), USUAL, CONFIG, seconds)
-    assert late.mesh.view_scale < late.budget.settings.mesh.view_scale
+    late = run_on(Machine(stepped(1.0, 0.6 * seconds, 5.0)), USUAL, CONFIG, seconds)
     assert planned.mesh == planned.budget.settings.mesh
+    assert late.mesh.view_scale < late.budget.settings.mesh.view_scale
+
+
+def test_the_surface_is_refined_in_fewer_rounds_where_the_run_is_late() -> None:
+    facts, seconds = replace(USUAL, flash=True), 300.0
+    planned = run_on(Machine(steady(1.0)), facts, CONFIG, seconds)
+    late = run_on(Machine(stepped(1.0, 0.5 * seconds, 2.0)), facts, CONFIG, seconds)
+    assert planned.refined == 1 and 0 < late.refined < 1
+    assert late.mesh == late.budget.settings.mesh and late.seconds <= 1.05 * seconds
+
+
+@pytest.mark.parametrize("seconds", [80.0, 110.0, 130.0, 180.0])
+def test_under_a_flash_refining_the_surface_comes_before_longer_training(seconds: float) -> None:
+    facts = replace(USUAL, flash=True)
+    ran = run_on(Machine(steady(1.0)), facts, CONFIG, seconds)
+    whole = run_on(Machine(steady(1.0)), facts, CONFIG, 2 * seconds)
+    assert 0.9 <= ran.seconds / seconds <= 1.05
+    assert ran.mesh.shading_ratio is not None and 0.25 < ran.refined <= whole.refined
+    if ran.refined < 1:
+        draft = make_config("draft").train
+        assert ran.stages[2].iteration < 1.3 * draft.mutual.iterations
+
+
+def test_a_refinement_that_could_hardly_begin_is_left_out() -> None:
+    facts = replace(USUAL, flash=True)
+    ran = run_on(Machine(steady(1.0)), facts, CONFIG, 62.0)
+    assert ran.refined == 0 and ran.mesh.shading_ratio is None and 0.9 <= ran.seconds / 62.0 <= 1.05

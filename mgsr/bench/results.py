@@ -133,8 +133,8 @@ def _identity(cell: Cell) -> dict[str, Any]:
 def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
     """Both, sorted; a new row takes the place of the old one of its cell, unless it is broken.
 
-    A plain run that gives way stays behind it as long as there are variants of its scene and commit, which only it can
-    be held against.
+    A plain run that gives way stays behind it as long as there are variants or other methods of its scene, preset and
+    commit, which only it can be held against.
     """
     kept: dict[tuple[str | int, ...], Row] = {}
     behind: dict[tuple[str | int, ...], Row] = {}
@@ -143,9 +143,18 @@ def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
     for row in (*(row for row in new if row.state == DONE or row.key not in known), *old):
         if kept.setdefault(row.key, row).commit != row.commit:
             behind.setdefault((*row.key, row.commit), row)
-    varied = {(row.scene, row.commit) for row in kept.values() if row.variant}
-    needed = [row for row in behind.values() if not row.variant and (row.scene, row.commit) in varied]
+    others = {_circumstances(row) for row in kept.values() if not _is_plain(row)}
+    needed = [row for row in behind.values() if _is_plain(row) and _circumstances(row) in others]
     return sorted([*kept.values(), *needed], key=lambda row: row.key)
+
+
+def _is_plain(row: Row) -> bool:
+    return not row.variant and row.method == "mgsr"
+
+
+def _circumstances(row: Row) -> tuple[str, str, str]:
+    """In which runs can be held against each other."""
+    return row.scene, row.preset, row.commit
 
 
 def latest(rows: Iterable[Row]) -> list[Row]:

@@ -17,7 +17,7 @@ from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError, in_short
 
-FORMAT = 5
+FORMAT = 6
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:

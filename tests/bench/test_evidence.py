@@ -154,6 +154,14 @@ def test_an_older_run_serves_its_variants_alone(tmp_path: Path) -> None:
     assert "| 2 | 33.50 (-0.50) |" in line
 
 
+def test_an_older_run_stays_for_another_method_of_its_commit() -> None:
+    older = [sample_row("apple"), sample_row("apple", method="2dgs", psnr=30.0)]
+    kept = keep_rows(older, [replace(sample_row("apple", psnr=35.0), commit="def")])
+    assert [(row.method, row.commit) for row in kept] == [("2dgs", "abc1234"), ("mgsr", "def"), ("mgsr", "abc1234")]
+    kept = keep_rows(kept, [replace(sample_row("apple", method="2dgs", psnr=31.0), commit="def")])
+    assert [(row.method, row.commit) for row in kept] == [("2dgs", "def"), ("mgsr", "def")]
+
+
 def test_what_differing_exposures_cost(tmp_path: Path) -> None:
     rows = [
         ExposureRow("apple", kind, deviation, "draft", psnr, 3.0, 0.9, 6.0, "abc")

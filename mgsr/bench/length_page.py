@@ -39,7 +39,7 @@ class EarlyEnd:
     @property
     def words(self) -> str:
         """What it saves and gives away."""
-        return f"{self.saved:.0%} of the time for {self.psnr_lost:.2f} dB and {self.chamfer_lost:.1%} of Chamfer"
+        return f"{self.saved:z.0%} of the time for {self.psnr_lost:z.2f} dB and {self.chamfer_lost:z.1%} of Chamfer"
 
 
 def early_ends(rows: Sequence[Row]) -> list[EarlyEnd]:

@@ -49,7 +49,7 @@ class TimeBudget:
         self.planned: dict[str, float] = {}
         self.least = 0.0
         self.refined = 1.0
-        self._cut = False
+        self._cut = False  # whether the refinement ended before its last round, so that its time tells nothing
         self._mesh = MeshConfig()
         self._clock, self._earlier = clock, 0.0
         self._slowness: float | None = None

@@ -148,8 +148,7 @@ class TimeBudget:
     def learn_surface(self, surface: float, judging: float) -> None:
         """Take in how many seconds the surface, and its scores and pictures, took."""
         if not self._cut:
-            usual = costs.surface_cost(self._facts, self._mesh) + costs.refinement_cost(self._facts, self._mesh)
-            self.learn(usual, surface)
+            self.learn(costs.mesh_cost(self._facts, self._mesh, refined=1.0), surface)
         self.learn(costs.judging_cost(self._facts), judging)
 
     def go_on(self) -> bool:
@@ -205,8 +204,7 @@ class TimeBudget:
         self._floors = {name: min(_iterations(chosen, name), _iterations(least, name)) for name in self._costs}
         self._ceilings = {name: _iterations(most, name) for name in self._costs}
         if not self.planned:
-            refinement = self.refined * costs.refinement_cost(self._facts, chosen.mesh)
-            surface = self.slowness * (costs.surface_cost(self._facts, chosen.mesh) + refinement)
+            surface = self.slowness * costs.mesh_cost(self._facts, chosen.mesh, self.refined)
             closing = self.slowness * costs.closing_cost(self._facts)
             judging = self.slowness * costs.judging_cost(self._facts)
             training = max(self._aim - self.spent - surface - judging - closing, sum(self._weights.values()))

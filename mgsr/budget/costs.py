@@ -80,6 +80,11 @@ def refinement_cost(facts: Facts, config: MeshConfig) -> float:
     return (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
 
 
+def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
+    """The surface with a share `refined` of its refinement."""
+    return surface_cost(facts, config) + refined * refinement_cost(facts, config)
+
+
 def round_cost(facts: Facts, config: MeshConfig) -> float:
     """A round of the refinement, with what it may have to prepare."""
     return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)

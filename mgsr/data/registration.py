@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from mgsr.errors import SceneError
 
 
-def check_share(kept: int, total: int, least: float, what: str, cure: str) -> tuple[str, ...]:
+def check_share(
+    kept: int, total: int, least: float, what: str, cure: str, missing: Sequence[str] = ()
+) -> tuple[str, ...]:
     """A note for the person if fewer than all photographs are used, else nothing.
 
-    what: what the used ones have in common ("have a pose in cameras.xml"). Raises SceneError, with the cure, where the
-    share of those is under `least`.
+    what: what the used ones have in common ("have a pose in cameras.xml"). missing: names of photographs that were
+    looked for and aren't there. Raises SceneError, with the cure and the first of those, where the share of the used
+    ones is under `least`.
     """
     if kept == total:
         return ()
     text = f"{kept} of {total} photographs {what}"
     if kept < least * total:
-        raise SceneError(f"only {text}; {cure}")
+        example = f" ({missing[0][:200]!r} is missing)" if missing else ""
+        raise SceneError(f"only {text}{example}; {cure}")
     return (f"{text}; the others are left out",)

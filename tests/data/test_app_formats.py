@@ -131,6 +131,7 @@ def test_two_photographs_for_one_label(tmp_path):
 # RealityCapture
 
 HEADER = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
+REALITYSCAN_HEADER = "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2"
 
 
 def realitycapture(root, *rows, header=HEADER, first=""):
@@ -155,15 +156,25 @@ def test_realitycapture_looks_down_with_north_up(tmp_path):
     np.testing.assert_allclose(project(c, np.array([horizon])), [[48, 32]], atol=1e-9)
 
 
-def test_realitycapture_lens_and_principal_point(tmp_path):
-    row = "a.jpg,0,0,10,0,0,0,18,0.36,-0.72,0.1,-0.05,0.01,0,0.002,-0.003"
-    (photo,) = read_capture(realitycapture(tmp_path, row), "realitycapture").photos
+@pytest.mark.parametrize("header", [HEADER, REALITYSCAN_HEADER])
+def test_realitycapture_lens_and_principal_point(tmp_path, header):
+    """RealityScan's own template for OpenCV writes the terms as k1, k2, t2, t1, k3, and the principal point in pixels
+    as half the image's side and px times the larger side."""
+    row = "a.jpg,0,0,10,0,0,0,18,0.01,-0.02,0.1,-0.05,0.01,0,0.002,-0.003"
+    (photo,) = read_capture(realitycapture(tmp_path, row, header=header), "realitycapture").photos
     K = np.array([[48, 0, 48 + 0.96], [0, 48, 32 - 1.92], [0, 0, 1]])
     points = np.array([[1.0, 2, 0], [-2, 0.5, 1]])
     turn = np.diag([1.0, -1, -1])
-    terms = np.array([0.1, -0.05, 0.002, -0.003, 0.01])
+    terms = np.array([0.1, -0.05, -0.003, 0.002, 0.01])
     expected, _ = cv2.projectPoints(points, cv2.Rodrigues(turn)[0], np.array([0, 0, 10.0]), K, terms)
     np.testing.assert_allclose(project(photo, points), expected[:, 0], atol=1e-9)
+
+
+def test_realitycapture_upright_photographs_have_the_principal_point_in_their_height(tmp_path):
+    draw(tmp_path / "a.jpg", 64, 96)
+    (tmp_path / "export.csv").write_text(HEADER + "\na.jpg,0,0,10,0,0,0,18,0.01,-0.02,0,0,0,0,0,0\n")
+    (photo,) = read_capture(tmp_path, "realitycapture").photos
+    np.testing.assert_allclose(photo.K, [[48, 0, 32 + 0.96], [0, 48, 48 - 1.92], [0, 0, 1]])
 
 
 def test_realitycapture_left_out_columns_and_photographs(tmp_path):
@@ -173,7 +184,32 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path):
     capture = read_capture(tmp_path, "realitycapture")
     assert capture.notes == ("2 of 3 photographs named by export.csv are there; the others are left out",)
     (tmp_path / "images/c.jpg").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 3 photographs named by export\.csv are there"):
+    with pytest.raises(SceneError, match=r"only 1 of 3 .* named by export\.csv are there \('b\.jpg' is missing\); put"):
+        read_capture(tmp_path, "realitycapture")
+
+
+def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path):
+    """Photographs count by their file names. AppleDouble files and tables of another kind hide no good one."""
+    realitycapture(tmp_path, "a.jpg,0,0,10,0,0,0,18", header="#name,x,y,alt,heading,pitch,roll,f", first="#cameras 1")
+    table = tmp_path / "export.csv"
+    table.write_text(table.read_text().replace("a.jpg", r"C:\photos\a.jpg"))
+    (tmp_path / "._a.csv").write_text(HEADER)
+    (tmp_path / "a.csv").write_text("#name,x,y,alt\na.jpg,0,0,10\n")
+    (photo,) = read_capture(tmp_path, "realitycapture").photos
+    assert photo.image == tmp_path / "images/a.jpg"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEADER + "\n", "export.csv: no rows after the columns' names; align the photographs"),
+        (HEADER.replace(",", ";"), r"export\.csv: its columns are #name;x;y;alt.*with commas between them"),
+        ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"its columns are #name,x,y,alt; expected #name,x,.*External"),
+    ],
+)
+def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path, text, message):
+    (tmp_path / "export.csv").write_text(text)
+    with pytest.raises(SceneError, match=message):
         read_capture(tmp_path, "realitycapture")
 
 

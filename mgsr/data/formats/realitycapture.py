@@ -1,8 +1,13 @@
-"""RealityCapture / RealityScan: the CSV of its "Internal/External camera parameters" export, and the photographs."""
+"""RealityCapture / RealityScan: the CSV of its "Internal/External camera parameters" export, and the photographs.
+
+Source: the export templates that RealityScan 2.2 ships (calibration.xml), which write the same cameras for OpenCV too,
+and "RealityCapture XMP Camera Math" of its knowledge base.
+"""
 
 from __future__ import annotations
 
 import csv
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +24,16 @@ from mgsr.errors import SceneError, in_short
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll")
 _NEEDED = ("#name", *_POSE, "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "t1", "t2", "k3", "k4")
-_FILM = 36.0  # millimetres: lengths on the sensor are those of 35 mm film, whose larger side this is
+_SINCE_2 = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}  # names of RealityScan 2 for the same
+_FILM = 36.0  # millimetres: the focal length is that of 35 mm film, whose larger side this is
 
 
 def recognises(root: Path) -> str | None:
-    """The first .csv of the folder whose header has the needed columns."""
-    paths = (path for path in sorted(root.glob("*.csv")) if path.is_file())
-    return next((path.name for path in paths if _header(path) is not None), None)
+    """The first .csv of the folder whose header has the needed columns, else the first with one of RealityCapture's
+    other headers."""
+    paths = (path for path in sorted(root.glob("[!.]*.csv")) if path.is_file())
+    found = [(path.name, header) for path in paths if (header := _header(path))]
+    return min(found, key=lambda item: not item[1].fits)[0] if found else None
 
 
 def read(root: Path) -> Capture:
@@ -39,34 +47,60 @@ def read(root: Path) -> Capture:
     index = ImageIndex(root)
     found = [(i, row, index.find(row["#name"], f"{name}, row {i}")) for i, row in enumerate(rows, start=1)]
     photos = [_photo(root, row, image, f"{name}, row {i} ({image.name})") for i, row, image in found if image]
-    cure = f"put the missing ones into {root.name}"
-    return Capture(photos, notes=check_share(len(photos), len(rows), 0.5, f"named by {name} are there", cure))
+    cure = f"put the missing ones into {root.name}, under their file names, in any folder of it"
+    missing = [row["#name"] for _, row, image in found if image is None]
+    return Capture(photos, notes=check_share(len(photos), len(rows), 0.5, f"named by {name} are there", cure, missing))
 
 
-def _header(path: Path) -> int | None:
-    """The number of the line with the columns' names: the first, or after a line that counts the cameras."""
+@dataclass(frozen=True)
+class _Header:
+    """The line with the columns' names: how many lines stand before it, and the names, in small letters."""
+
+    line: int
+    columns: tuple[str, ...]
+
+    @property
+    def fits(self) -> bool:
+        """Whether all needed columns are there."""
+        return set(_NEEDED) <= set(self.columns)
+
+
+def _header(path: Path) -> _Header | None:
+    """The first line, or the second after one that counts the cameras, if it begins as RealityCapture's do."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            head = [file.readline(10_000) for _ in range(2)]
+            head = [file.readline(10_000).strip().lower() for _ in range(2)]
     except (OSError, UnicodeDecodeError):
         return None
-    return next((i for i, line in enumerate(head) if set(_NEEDED) <= set(line.strip().lower().split(","))), None)
+    found = next((i for i, line in enumerate(head) if line.startswith("#name")), None)
+    if found is None:
+        return None
+    names = (name.strip() for name in head[found].split(","))
+    return _Header(found, tuple(_SINCE_2.get(name, name) for name in names))
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
+    header = _header(path)
+    if header is None or not header.fits:
+        columns = ",".join(header.columns)[:200] if header else "unreadable"
+        raise SceneError(
+            f"{path.name}: its columns are {columns}; expected {','.join(_NEEDED)}, with commas between them: "
+            'export "Internal/External camera parameters" with the default settings'
+        )
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            for _ in range(_header(path) or 0):
-                file.readline()
-            reader = csv.reader(file)
-            names = [name.strip().lower() for name in next(reader)]
-            rows = [row for row in reader if row]
+            rows = [row for row in list(csv.reader(file))[header.line + 1 :] if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SceneError(f"{path.name}: can't be read as CSV: {in_short(error)}; export it again") from error
+    if not rows:
+        raise SceneError(f"{path.name}: no rows after the columns' names; align the photographs and export it again")
     for i, row in enumerate(rows, start=1):
-        if len(row) != len(names):
-            raise SceneError(f"{path.name}, row {i}: expected {len(names)} values, got {len(row)}; export it again")
-    return [dict(zip(names, row, strict=True)) for row in rows]
+        if len(row) != len(header.columns):
+            raise SceneError(
+                f"{path.name}, row {i}: expected {len(header.columns)} values, got {len(row)}; export it again, with "
+                "commas between the values and points in the numbers"
+            )
+    return [dict(zip(header.columns, row, strict=True)) for row in rows]
 
 
 def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
@@ -76,13 +110,14 @@ def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
     # Zero angles look straight down with north at the top; heading turns clockwise.
     pose[:3, :3] = Rotation.from_euler("ZXY", [-heading, pitch, roll], degrees=True).as_matrix()
     pose[:3, 3] = x, y, alt
-    unit = max(size) / _FILM
+    # The principal point is counted from the middle of the image, in its larger sides.
+    side = max(size)
     px, py, k1, k2, t1, t2, k3, k4 = (_value(row, name, source) if name in row else 0.0 for name in _OPTIONAL)
-    focal = _value(row, "f", source) * unit
-    lens = Lens(k1, k2, t1, t2, (k3, k4))
+    focal = _value(row, "f", source) / _FILM * side
+    lens = Lens(k1, k2, p1=t2, p2=t1, higher=(k3, k4))
     return Photo(
         image=image,
-        K=intrinsics(focal, focal, size[0] / 2 + px * unit, size[1] / 2 + py * unit),
+        K=intrinsics(focal, focal, size[0] / 2 + px * side, size[1] / 2 + py * side),
         size=size,
         cam_from_world=from_opengl(pose, source),
         source=source,

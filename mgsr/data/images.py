@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.data.channels import Channels, find_channels
 from mgsr.errors import SceneError, in_short
 
 # No camera has more pixels in one picture; files that claim more would fill the memory.
 MAX_PIXELS = 1 << 28
 
-_HEIF = (".heic", ".heif")
+# Float TIFFs hold 0 to 1; where most of what is not black lies above this, they were meant otherwise.
+_MOST_IN_FLOAT = 1.5
+
+_FLOATS = ("half", "float", "double")
 _HEIF_ERRORS = (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexError)  # what pillow-heif raises
 
 
@@ -28,15 +32,23 @@ class Picture:
 
 
 def image_size(path: Path, source: str) -> tuple[int, int]:
-    """Width and height, as stored, from the file's header. Raises SceneError for files that can't be read or are
-    larger than MAX_PIXELS; `source` names the file that asks for the image."""
-    if path.suffix.lower() in _HEIF:
+    """Width and height of what `read_picture` gives, from the file's header. Raises SceneError for files that can't be
+    read or are larger than MAX_PIXELS; `source` names the file that asks for the image."""
+    if is_heif(path):
         width, height = _open_heif(path, source).size
         return width, height
     handle = _open(path, source)
-    spec = handle.spec()
+    window = _shown_window(handle)
     handle.close()
-    return spec.width, spec.height
+    return window.width, window.height
+
+
+def is_heif(path: Path) -> bool:
+    """Whether the file is HEIC or HEIF by its content: phones and messengers rename them to .jpg, and back."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(8)[4:] == b"ftyp"
 
 
 def read_image(path: Path, source: str) -> tuple[np.ndarray, np.ndarray | None]:
@@ -49,15 +61,16 @@ def read_picture(path: Path, source: str) -> Picture:
     """The file's pixels as they are stored, not yet turned by their EXIF orientation.
 
     Grey images become RGB, and CMYK too. Files that say they are linear, and float images that say nothing (EXR, HDR),
-    get the sRGB curve; all others are taken as sRGB, whatever their depth. Raises SceneError naming the file.
+    get the sRGB curve; all others are taken as sRGB, whatever their depth. Colours that the file has multiplied by
+    alpha (EXR, TIFF) are divided by it, before the curve. Of an EXR, the display window is given, black and transparent
+    where the file has no pixels. Raises SceneError naming the file.
     """
-    if path.suffix.lower() in _HEIF:
+    if is_heif(path):
         return _read_heif(path, source)
-    pixels, orientation = _read_pixels(path, source)
-    count = pixels.shape[2]
-    alpha = np.ascontiguousarray(pixels[..., -1]) if count in (2, 4) else None
-    colors = pixels[..., :3] if count >= 3 else np.repeat(pixels[..., :1], 3, axis=2)
-    return Picture(np.ascontiguousarray(colors), alpha, orientation)
+    pixels, channels, orientation = _read_pixels(path, source)
+    alpha = None if channels.alpha is None else np.ascontiguousarray(pixels[..., -1])
+    colors = pixels[..., : len(channels.colors)]
+    return Picture(_as_rgb(colors), alpha, orientation)
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -117,36 +130,109 @@ def linear_to_srgb(light: np.ndarray) -> np.ndarray:
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)
 
 
-def _encode_srgb(linear: np.ndarray) -> np.ndarray:
-    """8-bit sRGB from linear light; alpha (the last of 2 or 4 channels) is left linear."""
-    light = np.clip(np.nan_to_num(linear), 0, 1)
-    curve = linear_to_srgb(light)
-    if linear.shape[2] in (2, 4):
-        curve[..., -1] = light[..., -1]
+def _encode_srgb(linear: np.ndarray, has_alpha: bool) -> np.ndarray:
+    """8-bit sRGB from linear light 0..1; alpha, the last channel where there is one, is left linear."""
+    curve = linear_to_srgb(linear)
+    if has_alpha:
+        curve[..., -1] = linear[..., -1]
     return to_uint8(curve * 255)
 
 
-def _read_pixels(path: Path, source: str) -> tuple[np.ndarray, int]:
-    """All channels [H,W,1..4] uint8, and EXIF's orientation."""
+def _as_rgb(colors: np.ndarray) -> np.ndarray:
+    return np.repeat(colors, 3, axis=2) if colors.shape[2] == 1 else np.ascontiguousarray(colors)
+
+
+def _read_pixels(path: Path, source: str) -> tuple[np.ndarray, Channels, int]:
+    """The colours and, where there is one, alpha [H,W,1..4] uint8; which channels they are; EXIF's orientation."""
     handle = _open(path, source)
+    window = _shown_window(handle)
+    channels = find_channels(handle, path.name, source)
     spec = handle.spec()
-    is_linear = _is_linear(spec)
-    pixels = handle.read_image(0, 0, 0, spec.nchannels, "float" if is_linear else "uint8")
-    trouble = handle.geterror()
+    _check_size(path, spec.width, spec.height, source)
+    pixels = _in_window(_decoded(handle, channels, path, source), spec, window)
+    if pixels.dtype != np.uint8:
+        if handle.format_name() == "tiff":
+            _check_range(path, pixels, source)
+        pixels = _as_bytes(pixels, channels, _is_linear(spec))
     handle.close()
+    orientation = spec.getattribute("Orientation")
+    return pixels, channels, orientation if orientation in range(1, 9) else 1
+
+
+def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.ndarray:
+    """The wanted channels [h,w,1..4] of what the file holds: uint8, or float32 where these have to be computed."""
+    spec = handle.spec()
+    as_float = channels.multiplied or _is_linear(spec) or str(spec.format) in _FLOATS
+    first, end = min(channels.all), max(channels.all) + 1
+    pixels = handle.read_image(channels.part, 0, first, end, "float" if as_float else "uint8")
+    trouble = handle.geterror()
     if pixels is None or trouble:
         raise SceneError(
             f"{path.name}: damaged image: {in_short(trouble) or 'no pixels'} (asked for by {source}); copy it again"
         )
-    pixels = pixels.reshape(spec.height, spec.width, spec.nchannels)[..., :4]
-    orientation = spec.getattribute("Orientation")
-    return _encode_srgb(pixels) if is_linear else pixels, orientation if orientation in range(1, 9) else 1
+    pixels = pixels.reshape(spec.height, spec.width, end - first)
+    if channels.all == tuple(range(first, end)):
+        return pixels
+    return pixels[..., [channel - first for channel in channels.all]]
+
+
+def _as_bytes(pixels: np.ndarray, channels: Channels, is_linear: bool) -> np.ndarray:
+    """Float pixels as 8-bit sRGB, straight; alpha, where there is one, is the last channel and has no curve."""
+    pixels = np.clip(np.nan_to_num(_divided(pixels) if channels.multiplied else pixels), 0, 1)
+    return _encode_srgb(pixels, channels.alpha is not None) if is_linear else to_uint8(pixels * 255)
+
+
+def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
+    bright = pixels[..., 0] > 0
+    if bright.any() and np.median(pixels[..., 0][bright]) > _MOST_IN_FLOAT:
+        raise SceneError(
+            f"{path.name}: float values up to {pixels.max():.4g}; expected linear light from 0 to 1: divide them, or "
+            f"save 8 or 16 bits (asked for by {source})"
+        )
+
+
+def _divided(pixels: np.ndarray) -> np.ndarray:
+    """Straight colours from those that come multiplied by alpha, the last channel."""
+    alpha = pixels[..., -1:]
+    straight = pixels / np.where(alpha > 0, alpha, 1)
+    straight[..., -1:] = alpha
+    return straight
+
+
+@dataclass(frozen=True)
+class _Window:
+    """A rectangle of pixels; x and y are its left upper corner in the file's own pixels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+def _shown_window(handle: Any) -> _Window:
+    """What is to be seen: of an EXR its display window, around which or in which its pixels may lie."""
+    spec = handle.spec()
+    if handle.format_name() != "openexr":
+        return _Window(spec.x, spec.y, spec.width, spec.height)
+    return _Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+
+
+def _in_window(pixels: np.ndarray, spec: Any, window: _Window) -> np.ndarray:
+    """The pixels that lie in the window, which is 0 elsewhere."""
+    if window == _Window(spec.x, spec.y, spec.width, spec.height):
+        return pixels
+    placed = np.zeros((window.height, window.width, pixels.shape[2]), pixels.dtype)
+    left, top = spec.x - window.x, spec.y - window.y
+    inside = placed[max(top, 0) : max(top + spec.height, 0), max(left, 0) : max(left + spec.width, 0)]
+    height, width = inside.shape[:2]
+    inside[:] = pixels[max(-top, 0) :, max(-left, 0) :][:height, :width]
+    return placed
 
 
 def _is_linear(spec: Any) -> bool:
     space = spec.getattribute("oiio:ColorSpace")
     if space is None:
-        return str(spec.format) in ("half", "float", "double")
+        return str(spec.format) in _FLOATS
     return str(space).lower().startswith("lin")
 
 
@@ -160,9 +246,11 @@ def _open(path: Path, source: str) -> Any:
     handle = OpenImageIO.ImageInput.open(str(path), config)
     if handle is None:
         reason = in_short(OpenImageIO.geterror()) or "unknown type"
-        raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); copy it again")
-    spec = handle.spec()
-    _check_size(path, spec.width, spec.height, source)
+        cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO's own limits come before ours
+        raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); {cure}")
+    spec, window = handle.spec(), _shown_window(handle)
+    for width, height in ((spec.width, spec.height), (window.width, window.height)):
+        _check_size(path, width, height, source)
     return handle
 
 
@@ -190,9 +278,8 @@ def _read_heif(path: Path, source: str) -> Picture:
         reason = in_short(error)
         raise SceneError(f"{path.name}: damaged image: {reason} (asked for by {source}); copy it again") from error
     pixels = pixels.reshape(*pixels.shape[:2], -1)
-    colors = np.repeat(pixels[..., :1], 3, axis=2) if pixels.shape[2] < 3 else pixels[..., :3]
-    alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None
-    return Picture(np.ascontiguousarray(colors), alpha)
+    alpha = np.ascontiguousarray(pixels[..., -1]) if pixels.shape[2] in (2, 4) else None
+    return Picture(_as_rgb(pixels[..., : 1 if pixels.shape[2] < 3 else 3]), alpha)
 
 
 def _check_there(path: Path, source: str) -> None:

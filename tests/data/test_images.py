@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import zlib
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image, ImageOps
 
 from mgsr.data import images
@@ -70,6 +72,162 @@ def test_float_images_that_say_they_are_srgb_are_left_as_they_are(tmp_path, name
     assert (colors == (51 if says_srgb(tmp_path / name) else 124)).all()
 
 
+def write_exr(path, channels: dict[str, float], window=(0, 0, 4, 3), display=None):
+    """Flat channels. window, display: x, y, width and height, by default the same."""
+    import OpenImageIO
+
+    _, _, width, height = window
+    spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
+    spec.channelnames = tuple(channels)
+    spec.x, spec.y, spec.width, spec.height = window
+    spec.full_x, spec.full_y, spec.full_width, spec.full_height = display or window
+    output = OpenImageIO.ImageOutput.create(str(path))
+    assert output.open(str(path), spec), output.geterror()
+    output.write_image(np.broadcast_to(np.array(list(channels.values()), np.float32), (height, width, len(channels))))
+    output.close()
+    return path
+
+
+def as_read(path):
+    """A flat image's colour and alpha."""
+    colors, alpha = read_image(path, "view 3")
+    assert (colors == colors[0, 0]).all() and (alpha is None or (alpha == alpha[0, 0]).all())
+    return colors[0, 0].tolist(), None if alpha is None else int(alpha[0, 0])
+
+
+# Linear light of 0.18 and 0.5 is 118 and 188 of 255.
+LIGHT, SHOWN = {"R": 0.18, "G": 0.5, "B": 1.0}, [118, 188, 255]
+
+
+def layer(name, **channels):
+    return {f"{name}.{channel}": value for channel, value in channels.items()}
+
+
+@pytest.mark.parametrize(
+    ("channels", "colors", "alpha"),
+    [
+        ({"R": 0.09, "G": 0.25, "B": 0.5, "A": 0.5}, SHOWN, 128),
+        ({"R": 0.09, "G": 0.25, "B": 0.5, "A": 0.0}, [85, 137, 188], 0),
+        ({"Y": 0.25, "A": 0.5}, [188] * 3, 128),
+        ({"Y": 0.5}, [188] * 3, None),
+        ({"matte": 0.5}, [188] * 3, None),
+        (LIGHT | {"Z": 3.0}, SHOWN, None),
+        (LIGHT | {"A": 1.0, "Z": 3.0}, SHOWN, 255),
+        (layer("Depth", Z=9.0) | layer("main", **LIGHT, A=1.0), SHOWN, 255),
+        (layer("Diffuse", R=0.1, G=0.1, B=0.1) | layer("View.Combined", **LIGHT, A=1.0), SHOWN, 255),
+        (layer("Diffuse", R=0.1, G=0.1, B=0.1, A=0.3) | LIGHT, SHOWN, None),
+        (layer("Normal", X=0.0, Y=0.0, Z=1.0) | {"Y": 0.5}, [188] * 3, None),
+    ],
+)
+def test_channels_of_an_exr_go_by_their_names(tmp_path, channels, colors, alpha):
+    """Colours of an EXR come multiplied by alpha (OpenEXR's technical introduction): 0.09 at 0.5 is 0.18."""
+    assert as_read(write_exr(tmp_path / "a.exr", channels)) == (colors, alpha)
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        layer("Normal", X=0.0, Y=0.0, Z=1.0),
+        {"Z": 1.0, "V": 2.0},
+        layer("Diffuse", **LIGHT) | layer("Glossy", **LIGHT),
+    ],
+)
+def test_an_exr_of_which_no_layer_is_the_picture(tmp_path, channels):
+    write_exr(tmp_path / "a.exr", channels)
+    name = next(iter(channels))
+    with pytest.raises(SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*layer alone"):
+        read_image(tmp_path / "a.exr", "view 3")
+
+
+def test_an_exr_whose_second_part_is_the_picture(tmp_path):
+    import OpenImageIO
+
+    path, specs = str(tmp_path / "a.exr"), []
+    for names in (("V", "Z"), ("R", "G", "B")):
+        specs.append(OpenImageIO.ImageSpec(4, 3, len(names), "float"))
+        specs[-1].channelnames = names
+        specs[-1].attribute("oiio:subimagename", "-".join(names))
+    output = OpenImageIO.ImageOutput.create(path)
+    assert output.open(path, tuple(specs))
+    output.write_image(np.full((3, 4, 2), 9, np.float32))
+    assert output.open(path, specs[1], "AppendSubimage")
+    output.write_image(np.broadcast_to(np.array([0.18, 0.5, 1], np.float32), (3, 4, 3)))
+    output.close()
+    assert as_read(tmp_path / "a.exr") == (SHOWN, None)
+
+
+@pytest.mark.parametrize(
+    ("window", "display", "rows", "columns"),
+    [
+        ((2, 1, 4, 3), (0, 0, 10, 8), range(1, 4), range(2, 6)),  # a render cropped to what is not empty
+        ((102, 101, 4, 3), (100, 100, 10, 8), range(1, 4), range(2, 6)),
+        ((-2, -1, 14, 12), (0, 0, 10, 8), range(8), range(10)),  # overscan
+        ((-2, 5, 4, 9), (0, 0, 10, 8), range(5, 8), range(2)),
+        ((20, 1, 4, 3), (0, 0, 10, 8), range(0), range(0)),
+        ((-20, 1, 4, 3), (0, 0, 10, 8), range(0), range(0)),
+    ],
+)
+def test_the_display_window_of_an_exr_is_read(tmp_path, window, display, rows, columns):
+    path = write_exr(tmp_path / "a.exr", LIGHT | {"A": 1.0}, window, display)
+    colors, alpha = read_image(path, "test")
+    expected = np.zeros((8, 10), np.uint8)
+    expected[rows.start : rows.stop, columns.start : columns.stop] = 255
+    np.testing.assert_array_equal(alpha, expected)
+    np.testing.assert_array_equal(colors, (expected[..., None] > 0) * np.array(SHOWN, np.uint8))
+    assert image_size(path, "test") == (10, 8)
+
+
+def test_a_display_window_that_would_fill_the_memory(tmp_path):
+    path = write_exr(tmp_path / "a.exr", LIGHT, display=(0, 0, 1 << 20, 1 << 20))
+    for read in (image_size, read_image):
+        with pytest.raises(SceneError, match=r"a\.exr: 1048576x1048576 pixels; at most .*: reduce it"):
+            read(path, "test")
+
+
+PIXEL = [100, 60, 20, 128]
+
+
+@pytest.mark.parametrize(
+    ("pixel", "kinds", "colors", "alpha"),
+    [
+        (PIXEL, ["assocalpha"], [199, 120, 40], 128),  # 100 * 255 / 128, and so on
+        (PIXEL, ["unassalpha"], [100, 60, 20], 128),
+        (PIXEL, ["unspecified"], [100, 60, 20], None),  # near infrared, say
+        ([100, 60, 20, 7, 128], ["unspecified", "assocalpha"], [199, 120, 40], 128),
+        ([100, 128], ["assocalpha"], [199] * 3, 128),
+        ([100, 128], ["unspecified"], [100] * 3, None),
+    ],
+)
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_extra_samples_of_a_tiff(tmp_path, pixel, kinds, colors, alpha, depth):
+    values = np.broadcast_to(np.array(pixel, depth) * (257 if depth == np.uint16 else 1), (4, 6, len(pixel)))
+    photometric = "rgb" if len(pixel) > 2 else "minisblack"
+    how = {"photometric": photometric, "extrasamples": kinds, "planarconfig": "contig"}
+    tifffile.imwrite(tmp_path / "a.tif", values.astype(depth), **how)
+    assert as_read(tmp_path / "a.tif") == (colors, alpha)
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"),
+    [*((f"a.{end}", "RGBA") for end in ("png", "webp", "bmp", "tif")), ("a.png", "LA"), ("a.tif", "LA")],
+)
+def test_alpha_that_is_straight_in_the_file(tmp_path, name, mode):
+    image = Image.new("RGBA", (6, 4), (100, 60, 20, 128)).convert(mode)
+    image.save(tmp_path / name, lossless=True)
+    assert as_read(tmp_path / name) == (list(image.convert("RGB").getpixel((0, 0))), 128)
+
+
+def test_a_float_tiff_with_values_of_8_bits(tmp_path):
+    values = np.full((4, 6, 3), 128, np.float32)
+    values[:, :4] = 0  # most of it is black
+    values[0, 5] = 217.5
+    tifffile.imwrite(tmp_path / "a.tif", values, photometric="rgb")
+    with pytest.raises(SceneError, match=r"a\.tif: float values up to 217\.5; .* 0 to 1: divide them.*view 3"):
+        read_image(tmp_path / "a.tif", "view 3")
+    tifffile.imwrite(tmp_path / "a.tif", values / 255, photometric="rgb")
+    assert read_image(tmp_path / "a.tif", "view 3")[0][3, 5].tolist() == [188] * 3  # 128 / 255 is 0.502
+
+
 def says_srgb(path) -> bool:
     """Not every file type has a place for it."""
     import OpenImageIO
@@ -109,6 +267,18 @@ def test_heic_agrees_with_pillow(tmp_path, mode):
     # What lossy coding does to smooth colours.
     assert np.abs(colors.astype(int) - np.asarray(image.convert("RGB"))).mean() < 4
     assert (alpha is not None) == (mode == "RGBA")
+
+
+@pytest.mark.parametrize(("written", "named"), [("a.heic", "a.jpg"), ("a.jpg", "b.heic"), ("a.png", "b.heic")])
+def test_content_and_not_the_name_tells_the_kind(tmp_path, written, named):
+    """Phones and messengers rename photographs."""
+    pillow_heif = pytest.importorskip("pillow_heif")
+    image = Image.new("RGB", (96, 64), (200, 100, 50))
+    (pillow_heif.from_pillow(image) if written == "a.heic" else image).save(tmp_path / written)
+    shutil.copy(tmp_path / written, tmp_path / named)
+    colors, _ = read_image(tmp_path / named, "test")
+    assert image_size(tmp_path / named, "test") == (96, 64)
+    assert np.abs(colors.astype(int) - [200, 100, 50]).max() <= 3, "what lossy coding does"
 
 
 def test_truncated_jpeg(tmp_path):
@@ -160,7 +330,7 @@ def test_images_too_large_for_any_machine_are_refused_by_their_header(tmp_path):
         chunk(b"IEND", b""),
     ]
     (tmp_path / "a.png").write_bytes(b"".join(parts))
-    with pytest.raises(SceneError, match=r"a\.png: .*image size 28610.* MB exceeds.*asked for by view 3"):
+    with pytest.raises(SceneError, match=r"a\.png: .*image size 28610.* MB exceeds.*asked for by view 3\); reduce it"):
         read_image(tmp_path / "a.png", "view 3")
 
 
@@ -203,7 +373,7 @@ def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
     import pillow_heif
 
     path = tmp_path / "a.heic"
-    path.write_bytes(b"damaged")
+    path.write_bytes(b"\0\0\0\x18ftypheic")
     monkeypatch.setattr(pillow_heif, "open_heif", lambda *_, **__: [][0])
     with pytest.raises(SceneError, match="not an image that can be read: list index"):
         read_picture(path, "test")

@@ -1,0 +1,80 @@
+"""Which of a file's channels are its colours and its alpha."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from mgsr.errors import SceneError, in_short
+
+# Of several layers with colours, those that programs give the whole picture.
+_WHOLE = ("", "combined", "beauty", "rgba", "rgb", "color")
+
+
+@dataclass(frozen=True)
+class Channels:
+    """part: the file's subimage, of which all but EXRs of several parts have one. colors: the channels that are red,
+    green and blue, or grey alone. alpha: the one that is alpha, or None. multiplied: whether the colours come
+    multiplied by it."""
+
+    part: int
+    colors: tuple[int, ...]
+    alpha: int | None
+    multiplied: bool
+
+    @property
+    def all(self) -> tuple[int, ...]:
+        return self.colors if self.alpha is None else (*self.colors, self.alpha)
+
+
+def find_channels(handle: Any, name: str, source: str) -> Channels:
+    """The channels of an opened image (OpenImageIO's ImageInput), which is left at their part. Raises SceneError for
+    an EXR without colours, or with several layers of them of which none is known to be the whole picture; `name` is
+    the file's, `source` that of the file that asks for it."""
+    if handle.format_name() != "openexr":
+        return _by_place(handle)
+    known: list[str] = []
+    part = 0
+    while handle.seek_subimage(part, 0):
+        names = handle.spec().channelnames
+        layer = _layer(_layers(names))
+        if layer is not None:
+            return Channels(part, *layer, multiplied=layer[1] is not None)
+        known += names
+        part += 1
+    raise SceneError(
+        f"{name}: expected channels R, G, B (and A) or Y, got {in_short(', '.join(known))} (asked for by {source}); "
+        "save the photograph's layer alone"
+    )
+
+
+def _by_place(handle: Any) -> Channels:
+    """Colours come first in all formats but EXR."""
+    spec = handle.spec()
+    colors = (0, 1, 2) if spec.nchannels >= 3 else (0,)
+    alpha = spec.channelnames.index("A") if "A" in spec.channelnames else None
+    straight = spec.getattribute("oiio:UnassociatedAlpha")
+    # Only TIFF can have it either way; what OpenImageIO says of BMP and GIF is not so.
+    return Channels(0, colors, alpha, alpha is not None and handle.format_name() == "tiff" and not straight)
+
+
+def _layers(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
+    """By layer (what stands before the last dot), the places of its channels by their last name."""
+    layers: dict[str, dict[str, int]] = {}
+    for place, name in enumerate(names):
+        layer, _, channel = name.rpartition(".")
+        layers.setdefault(layer, {})[channel.upper()] = place
+    return layers
+
+
+def _layer(layers: dict[str, dict[str, int]]) -> tuple[tuple[int, ...], int | None] | None:
+    """Colours and alpha of the layer that is the whole picture, if one is."""
+    for wanted in ("RGB", "Y"):
+        # X and Y with each other are no colours but coordinates.
+        fitting = {name: of for name, of in layers.items() if set(wanted) <= set(of) and "X" not in of}
+        whole = [of for name, of in fitting.items() if name.rpartition(".")[2].lower() in _WHOLE]
+        chosen = whole[:1] or list(fitting.values())
+        if len(chosen) == 1:
+            return tuple(chosen[0][channel] for channel in wanted), chosen[0].get("A")
+    alone = [place for of in layers.values() for place in of.values()]
+    return ((alone[0],), None) if len(alone) == 1 else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,11 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from mgsr.config import DataConfig
+from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
-from tests.data.reading import read_capture
+from tests.data.reading import draw, read_capture
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -48,7 +50,7 @@ def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -
     camera = pycolmap.Camera.create_from_model_name(1, model, 100.0, WIDTH, HEIGHT)
     camera.params = PARAMS.get(model, camera.params)
     reconstruction.add_camera_with_trivial_rig(camera)
-    (root / "images").mkdir(parents=True)
+    (root / "images").mkdir(parents=True, exist_ok=True)
     for i, pose in enumerate(BallCapture(views=10, center=np.array([1.0, 2, 3])).poses(), start=1):
         name = f"photo {i:02d}.png"
         image = pycolmap.Image(name=name, camera_id=1, image_id=i)
@@ -59,7 +61,7 @@ def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -
     for point in points:
         reconstruction.add_point3D(point, pycolmap.Track(), np.array([10, 20, 30], np.uint8))
     folder = root / place
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (reconstruction.write_text if text else reconstruction.write_binary)(str(folder))
     return reconstruction
 
@@ -181,9 +183,93 @@ def test_few_registered_photographs(tmp_path):
         read_capture(tmp_path, "colmap")
 
 
-def test_model_in_sparse_itself(tmp_path):
-    write(tmp_path, "PINHOLE", place="sparse")
-    assert load_scene(tmp_path, DataConfig()).format == "colmap"
+@pytest.mark.parametrize(
+    ("place", "photographs"),
+    [
+        ("sparse", "images"),
+        ("sparse/0", "input"),
+        ("sparse/0", "."),
+        ("sparse/1", "images"),
+        ("colmap/sparse/0", "images"),
+        ("distorted/sparse/0", "input"),
+        (".", "images"),
+    ],
+)
+def test_layouts_of_other_programs(tmp_path, place, photographs):
+    reconstruction = write(tmp_path, "PINHOLE", place=place)
+    if photographs != "images":
+        for path in (tmp_path / "images").iterdir():
+            (tmp_path / photographs).mkdir(exist_ok=True)
+            path.rename(tmp_path / photographs / path.name)
+    capture = read_capture(tmp_path, "colmap")
+    images = {image.name: image for image in reconstruction.images.values()}
+    assert len(capture.photos) == len(images) == 10 and capture.notes == ()
+    for photo in capture.photos:
+        assert photo.image == tmp_path / photographs / photo.image.name
+        expected = images[photo.image.name].cam_from_world().matrix()
+        np.testing.assert_allclose(photo.cam_from_world[:3], expected, atol=1e-12)
+
+
+def test_distorted_models_belong_to_the_photographs_that_were_undistorted(tmp_path):
+    write(tmp_path, "OPENCV", place="distorted/sparse/0")
+    (tmp_path / "images").rename(tmp_path / "input")
+    for path in (tmp_path / "input").iterdir():
+        draw(tmp_path / "images" / path.name)
+    assert {photo.image.parent.name for photo in read_capture(tmp_path, "colmap").photos} == {"input"}
+
+
+def test_transforms_json_that_was_made_from_a_model_goes_before_it(tmp_path):
+    write(tmp_path, "PINHOLE", place="colmap/sparse/0")
+    matrix = np.eye(4).tolist()
+    frames = [{"file_path": f"images/photo {i:02d}.png", "transform_matrix": matrix} for i in range(1, 11)]
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 100, "frames": frames}))
+    assert len(read_capture(tmp_path, "nerfstudio").photos) == 10
+
+
+@pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
+def test_the_model_with_most_photographs_is_used(tmp_path, text):
+    """The mapper numbers models in the order in which it began them."""
+    reconstruction = write(tmp_path, "PINHOLE", text, place="sparse/10")
+    for number, kept in ((0, 2), (1, 7)):
+        part = pycolmap.Reconstruction(reconstruction)
+        for image in list(part.images)[kept:]:
+            part.deregister_frame(part.images[image].frame_id)
+        folder = tmp_path / f"sparse/{number}"
+        folder.mkdir()
+        (part.write_text if text else part.write_binary)(str(folder))
+    capture = read_capture(tmp_path, "colmap")
+    assert len(capture.photos) == 10
+    assert capture.notes == ("sparse/10 is used, with 10 photographs; sparse/0 has 2, sparse/1 has 7",)
+
+
+@pytest.mark.parametrize("points", ["", "1 2 -1", "7 20 -1 9 10 -1 3 4 5 6 7 8", "1.5 2.5 -1 3e1 4 7"])
+@pytest.mark.parametrize("keep", [True, False], ids=["as written", "empty lines left out"])
+def test_lines_of_points_are_no_images(tmp_path, points, keep):
+    """A file by another hand may have no lines of points, or names that are numbers."""
+    reconstruction = write(tmp_path, "PINHOLE", text=True)
+    path = tmp_path / "sparse/0/images.txt"
+    lines = path.read_text().replace("photo 03.png", "3").splitlines()
+    empty = [i for i, line in enumerate(lines) if not line]
+    assert len(empty) == 10
+    for i in empty[::3]:
+        lines[i] = points
+    path.write_text("".join(line + "\n" for line in lines if line or keep), encoding="utf-8-sig")
+    photos = read_capture(tmp_path, "colmap").photos
+    expected = [image.name.replace("photo 03.png", "3") for image in reconstruction.images.values()]
+    assert sorted(photo.image.name for photo in photos) == sorted(expected)
+
+
+def test_text_models_with_a_byte_order_mark(tmp_path):
+    write(tmp_path, "PINHOLE", text=True)
+    for path in (tmp_path / "sparse/0").glob("*.txt"):
+        path.write_text("".join(path.read_text().splitlines(keepends=True)[3:]), encoding="utf-8-sig")
+    capture = read_capture(tmp_path, "colmap")
+    assert len(capture.photos) == 10 and capture.points is not None
+
+
+def test_other_programs_images_txt_is_no_model(tmp_path):
+    (tmp_path / "images.txt").write_text("a.png\n")
+    assert not any(kind.recognises(tmp_path) for kind in all_formats())
 
 
 def test_unsupported_camera_model_names_the_cure(tmp_path):

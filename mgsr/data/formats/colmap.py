@@ -1,4 +1,5 @@
-"""COLMAP: a sparse model in sparse/0 or sparse (binary or text) and the photographs in images/.
+"""COLMAP: a sparse model in sparse/0 or sparse (binary or text) and the photographs in images/, or as other programs
+lay them out.
 
 The files' layout is that of COLMAP's documentation, "Output Format". Newer models also have rigs and frames files; the
 images file still holds every photograph's own pose, so they say nothing more about it.
@@ -6,8 +7,11 @@ images file still holds every photograph's own pose, so they say nothing more ab
 
 from __future__ import annotations
 
+import os
+import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +26,14 @@ from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
 
-_PLACES = ("sparse/0", "sparse")
+# Where models lie, numbered or alone, and the folders that may hold their photographs. The second is ns-process-data's,
+# the third that of 3D Gaussian splatting's convert.py, which undistorts the photographs of input/ into images/.
+_PLACES = {
+    "sparse": ("images", "input", "."),
+    "colmap/sparse": ("images", "input", "."),
+    "distorted/sparse": ("input", "images", "."),
+    ".": ("images", "input", "."),
+}
 
 # Fewer registered photographs than this share mean that COLMAP lost the scene.
 _LEAST_REGISTERED = 0.25
@@ -77,44 +88,101 @@ class _Image:
     camera: int
 
 
+@dataclass(frozen=True)
+class _Model:
+    """marker: the model's images file; where: the model's folder, for messages."""
+
+    marker: Path
+    where: str
+    images: list[_Image]
+
+
 def recognises(root: Path) -> str | None:
-    """The model's images file, if there is one."""
-    model = _find_model(root)
-    return str(model.relative_to(root)) if model else None
+    """The images file of a model, if there is one."""
+    _, markers = _find_models(root)
+    return str(markers[0].relative_to(root)) if markers else None
 
 
 def read(root: Path) -> Capture:
-    """Every registered image and every 3D point."""
-    marker = _find_model(root)
-    assert marker is not None, "read() is for folders that were recognised"
-    suffix = marker.suffix
-    where = str(marker.parent.relative_to(root))
-    files = {stem: marker.with_name(stem + suffix) for stem in ("cameras", "images", "points3D")}
+    """Every registered image and every 3D point of the model with most images."""
+    place, markers = _find_models(root)
+    models = [_read_images(root, marker) for marker in markers]
+    model = max(models, key=lambda candidate: len(candidate.images))
+    cameras, points = _read_scene(model)
+    folder = _photograph_folder(root, _PLACES[place], model)
+    photos = [_photo(root, folder, image, cameras, f"{model.where}/{model.marker.name}") for image in model.images]
+    return Capture(photos, points, _other_models(models, model) + _left_out(root / folder, model))
+
+
+def _find_models(root: Path) -> tuple[str, list[Path]]:
+    """The first of _PLACES that has models, and their images files."""
+    for place in _PLACES:
+        if place != "sparse" and (root / "transforms.json").is_file():
+            break  # it was made from such a model, and has masks and splits besides
+        numbered = sorted((root / place).glob("[0-9]*"), key=lambda path: (len(path.name), path.name))
+        folders = [root] if place == "." else [*numbered, root / place]
+        if markers := [marker for folder in folders if (marker := _marker(folder, alone=place != "."))]:
+            return place, markers
+    return "", []
+
+
+def _marker(folder: Path, alone: bool) -> Path | None:
+    """The images file of the model in a folder. alone: whether it needs no cameras file beside it to be one, so that
+    reading it tells what is missing; outside of sparse/ other programs may write an images.txt."""
+    found = (folder / ("images" + suffix) for suffix in _IMAGES)
+    return next((path for path in found if path.is_file() and (alone or path.with_stem("cameras").is_file())), None)
+
+
+def _read_images(root: Path, marker: Path) -> _Model:
+    where = marker.parent.relative_to(root).as_posix() if marker.parent != root else root.name
+    with _readable(where):
+        return _Model(marker, where, _IMAGES[marker.suffix](marker))
+
+
+def _read_scene(model: _Model) -> tuple[dict[int, _Camera], PointCloud | None]:
+    """The cameras and points of a model."""
+    suffix, points = model.marker.suffix, model.marker.with_stem("points3D")
+    with _readable(model.where):
+        cameras = _CAMERAS[suffix](model.marker.with_stem("cameras"))
+        return cameras, _POINTS[suffix](points) if points.is_file() else None
+
+
+@contextmanager
+def _readable(where: str) -> Iterator[None]:
+    """Raises SceneError for what missing and damaged files raise."""
     try:
-        cameras = _CAMERAS[suffix](files["cameras"])
-        images = _IMAGES[suffix](files["images"])
-        points = _POINTS[suffix](files["points3D"]) if files["points3D"].is_file() else None
+        yield
     except FileNotFoundError as error:
-        raise SceneError(f"{where}: {Path(error.filename).name} is missing from the COLMAP model") from error
-    except (struct.error, ValueError, IndexError, KeyError, OverflowError) as error:
+        name = Path(error.filename).name
+        raise SceneError(f"{where}: {name} is missing from the COLMAP model; copy it there") from error
+    except (struct.error, OSError, ValueError, IndexError, KeyError, OverflowError) as error:
         raise SceneError(f"{where}: damaged COLMAP model: {in_short(error)}; export it again") from error
-    photos = [_photo(root, image, cameras, f"{where}/{marker.name}") for image in images]
-    return Capture(photos, points, _left_out(root, len(photos), where))
 
 
-def _left_out(root: Path, registered: int, where: str) -> tuple[str, ...]:
+def _photograph_folder(root: Path, folders: Sequence[str], model: _Model) -> str:
+    """The folder with most of the model's photographs; of equals the first."""
+    return max(folders, key=lambda folder: sum(os.path.isfile(root / folder / image.name) for image in model.images))
+
+
+def _other_models(models: Sequence[_Model], used: _Model) -> tuple[str, ...]:
+    others = ", ".join(f"{model.where} has {len(model.images)}" for model in models if model is not used)
+    return (f"{used.where} is used, with {len(used.images)} photographs; {others}",) if others else ()
+
+
+def _left_out(folder: Path, model: _Model) -> tuple[str, ...]:
     """Raises SceneError where COLMAP registered a few of the photographs only."""
-    total = max(registered, len(images_below(root / "images")))
-    cure = "register more (look for another model in sparse/), or remove the other photographs from images/"
-    return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {where}", cure)
+    registered = len(model.images)
+    total = max(registered, len(images_below(folder)))
+    cure = f"register more, or remove the other photographs from {folder.name}/"
+    return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {model.where}", cure)
 
 
-def _photo(root: Path, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+def _photo(root: Path, folder: str, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
     source = f"{file}, image {image.name}"
     if image.camera not in cameras:
         raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
     camera = cameras[image.camera]
-    path = inside(root, "images/" + image.name, source)
+    path = inside(root, f"{folder}/{image.name}", source)
     K, lens = _to_pinhole(camera, source)
     return Photo(
         image=path,
@@ -187,16 +255,15 @@ def _pose(image: _Image, source: str) -> np.ndarray:
     return pose
 
 
-def _find_model(root: Path) -> Path | None:
-    places = [root / place / ("images" + suffix) for place in _PLACES for suffix in (".bin", ".txt")]
-    return next((path for path in places if path.is_file()), None)
+# Text: one record a line; images take two lines, the second (their 2D points: x, y, number) may be empty. Files that
+# COLMAP didn't write may leave it out.
 
 
-# Text: one record a line; images take two lines, the second (their 2D points) may be empty.
+_NUMBERS = re.compile(r"[-+.\deE\s]+")
 
 
 def _text_lines(path: Path) -> list[str]:
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
     return [line.strip() for line in lines if not line.startswith("#")]
 
 
@@ -206,15 +273,21 @@ def _text_cameras(path: Path) -> dict[int, _Camera]:
 
 
 def _text_images(path: Path) -> list[_Image]:
-    lines = _text_lines(path)
-    while lines and not lines[-1]:
-        lines.pop()
-    images = []
-    for line in lines[::2]:
-        row = line.split(maxsplit=9)
-        numbers = tuple(map(float, row[1:8]))
-        images.append(_Image(row[9], numbers[:4], numbers[4:], int(row[8])))
+    images: list[_Image] = []
+    may_be_points = False
+    for line in _text_lines(path):
+        is_image = bool(line) and not (may_be_points and _is_points(line))
+        if is_image:
+            row = line.split(maxsplit=9)
+            numbers = tuple(map(float, row[1:8]))
+            images.append(_Image(row[9], numbers[:4], numbers[4:], int(row[8])))
+        may_be_points = is_image
     return images
+
+
+def _is_points(line: str) -> bool:
+    """Whether a line is triples of numbers and nothing else. An image's has a name: were that a number, ten fields."""
+    return _NUMBERS.fullmatch(line) is not None and len(line.split()) % 3 == 0
 
 
 def _text_points(path: Path) -> PointCloud:

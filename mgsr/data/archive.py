@@ -25,6 +25,9 @@ from mgsr.errors import ArchiveError, SceneError, in_short
 
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst", ".7z", ".rar")
 
+# The bytes at a zip's end that tell of it: its records, with the longest comment.
+_ZIP_END = (1 << 16) + 128
+
 # Bytes out of an archive up to which it may be as compressible as it likes (masks are).
 RATIO_FROM = 64 << 20
 
@@ -34,6 +37,16 @@ _CHUNK = 1 << 20
 # Between two files of a tar stream only their headers come; those that claim more were made to fill the memory.
 _HEADER_BYTES = 4 << 20
 _JUNK = {"__MACOSX", ".DS_Store", "Thumbs.db"}
+_APPLE_DOUBLE = "._"  # begins the names of what macOS puts beside files
+
+# What other archives begin with.
+_OTHERS = {b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf\x27\x1c": "7z", b"Rar!\x1a\x07": "RAR"}
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+_METHOD_NAMES = {9: "Deflate64", 93: "Zstandard", 95: "XZ", 98: "PPMd"}  # APPNOTE.TXT 4.4.5
+
+# What a disk says that takes no more.
+_NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DAMAGE = (
     zipfile.BadZipFile,
     tarfile.TarError,
@@ -69,22 +82,27 @@ class _Member:
 
 def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | None = None) -> Path:
     """The folder with the archive's files: `target`, which must not hold anything, or else one that is removed when
-    this process ends. zip, tar, tar.gz and tar.zst, told apart by their content.
+    this process ends. zip, tar, tar.gz and tar.zst, told apart by their content. What macOS and Windows put beside the
+    files is left out.
 
     Raises ArchiveError, naming the member and the limit, for names that are absolute, have '..' or control characters,
     are too long or come twice (also where only their case differs), for links and devices, encrypted or damaged
-    members, and for archives that unpack to more than the limits; what counts is what really comes out. Then nothing is
-    left behind.
+    members, for archives that unpack to more than the limits, where what counts is what really comes out, and for other
+    kinds of archives. Raises OSError, naming the folder, where the disk is full. Then nothing is left behind.
     """
     folder = target or _temporary_folder()
     if folder.is_dir() and any(folder.iterdir()):
         raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with _opened(archive) as members:
-            _write_all(_Budget(archive, limits or ArchiveLimits()), members, folder)
+        budget = _Budget(archive, limits or ArchiveLimits())
+        with _opened(budget) as members:
+            _write_all(budget, members, folder)
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
+        if target is None and isinstance(error, OSError) and error.errno in _NO_SPACE:
+            cure = "free space there, or set TMPDIR to a folder with more"
+            raise OSError(error.errno, f"{error.strerror}: {archive.name} unpacks to {folder}; {cure}") from error
         if _is_damage(error):
             text = f"{archive.name}: damaged or not an archive: {in_short(error)}; make it again"
             raise ArchiveError("archive_damaged", text) from error
@@ -105,12 +123,13 @@ def archive_stem(path: Path) -> str:
 
 
 @contextmanager
-def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
-    """The archive's members, junk left out."""
+def _opened(budget: _Budget) -> Iterator[Iterator[_Member]]:
+    archive = budget.archive
     with archive.open("rb") as file:
-        head = file.read(512)
+        head = file.read(tarfile.BLOCKSIZE)
         file.seek(0)
         if head.startswith(b"PK"):
+            budget.check_declared(_declared_count(file))
             with zipfile.ZipFile(file) as opened:
                 yield _zip_members(archive, opened)
         elif head.startswith(b"\x1f\x8b"):
@@ -118,11 +137,39 @@ def _opened(archive: Path) -> Iterator[Iterator[_Member]]:
                 yield _tar_members(archive, plain)
         elif head.startswith(b"\x28\xb5\x2f\xfd"):
             yield _tar_members(archive, _zstd_reader(file))
-        elif head[257:262] == b"ustar":
+        elif head[257:262] == b"ustar" or _is_old_tar(head):
             yield _tar_members(archive, file)
         else:
-            text = f"{archive.name}: expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst"
-            raise ArchiveError("archive_unsupported", text)
+            other = next((name for begin, name in _OTHERS.items() if head.startswith(begin)), None)
+            text = "expected a folder, or an archive: .zip, .tar, .tar.gz or .tar.zst"
+            text += f", got {other}: unpack it and pack its folder as .zip or .tar.gz" if other else ""
+            raise ArchiveError("archive_unsupported", f"{archive.name}: {text}")
+
+
+def _is_old_tar(head: bytes) -> bool:
+    """Whether a checksum as in a tar's first header is right: those of Unix V7 have nothing else that tells them."""
+    try:
+        tarfile.TarInfo.frombuf(head, "utf-8", "surrogateescape")
+    except tarfile.HeaderError:
+        return False
+    return True
+
+
+def _declared_count(file: IO[bytes]) -> int:
+    """How many members a zip says that it has, 0 if it says nothing (APPNOTE.TXT 4.3.14 and 4.3.16). The file is left
+    at its beginning."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(size - _ZIP_END, 0))
+    tail = file.read()
+    file.seek(0)
+    end = tail.rfind(b"PK\5\6")
+    if end < 0 or len(tail) < end + 12:
+        return 0
+    count: int = struct.unpack_from("<H", tail, end + 10)[0]
+    record = end - 76  # with its locator, where the count needs more than 16 bits
+    if count == 0xFFFF and record >= 0 and tail[record : record + 4] == b"PK\6\6":
+        count = struct.unpack_from("<Q", tail, record + 32)[0]
+    return count
 
 
 def _zstd_reader(file: IO[bytes]) -> Any:
@@ -173,6 +220,10 @@ def _zip_members(archive: Path, opened: zipfile.ZipFile) -> Iterator[_Member]:
         # zipfile cuts names at a NUL byte; what stood after it was meant for another reader.
         if "\0" in member.orig_filename:
             raise _refused(archive, member.orig_filename, "has control characters in its name; rename it")
+        if member.compress_type not in _METHODS:
+            method = f"{member.compress_type} ({_METHOD_NAMES.get(member.compress_type, 'unknown')})"
+            text = f"is packed by method {method}, which is not read; pack by Deflate, or as .tar.gz"
+            raise _refused(archive, member.filename, text, "archive_unsupported")
         yield _Member(member.filename, None if member.is_dir() else lambda member=member: opened.open(member))  # type: ignore[misc]
 
 
@@ -187,7 +238,8 @@ def _tar_members(archive: Path, stream: Any) -> Iterator[_Member]:
                 gauge.left = float("inf")
                 yield _Member(member.name, lambda member=member: opened.extractfile(member))  # type: ignore[misc]
             else:
-                raise _refused(archive, member.name, "is a link or a special file; put the file in")
+                text = "is a link or a special file; put the file in (GNU tar: --dereference --hard-dereference)"
+                raise _refused(archive, member.name, text)
             gauge.left = _HEADER_BYTES
 
 
@@ -197,7 +249,7 @@ def _write_all(budget: _Budget, members: Iterator[_Member], folder: Path) -> Non
     for member in members:
         budget.count_member(member.name)
         place = _checked_place(archive, member.name)
-        if _JUNK & set(place.parts) or not place.parts:
+        if not place.parts or any(part in _JUNK or part.startswith(_APPLE_DOUBLE) for part in place.parts):
             continue
         if member.open is None:
             _make_folder(archive, member.name, folder / place)
@@ -226,6 +278,12 @@ class _Budget:
     def __init__(self, archive: Path, limits: ArchiveLimits) -> None:
         self.archive, self._limits, self._packed = archive, limits, archive.stat().st_size
         self._members = self._bytes = 0
+
+    def check_declared(self, count: int) -> None:
+        """Spares reading the names of far too many members where an archive is honest about them."""
+        if count > (most := self._limits.members):
+            text = f"{self.archive.name}: {count} files; at most {most} are taken: put fewer in"
+            raise ArchiveError("archive_too_many_members", text)
 
     def count_member(self, name: str) -> None:
         self._members += 1

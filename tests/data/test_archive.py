@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import bz2
+import errno
 import gzip
 import io
+import lzma
+import os
 import shutil
 import stat
 import struct
 import subprocess
 import sys
 import tarfile
+import tempfile
 import warnings
 import zipfile
 
@@ -190,7 +195,16 @@ def test_a_packing_that_nobody_knows(tmp_path):
     data = bytearray(path.read_bytes())
     data[8] = data[data.rindex(b"PK\x01\x02") + 10] = 97
     path.write_bytes(data)
-    refuses(path, r"member 'a\.png' can't be unpacked: That compression method", "archive_damaged")
+    refuses(path, r"member 'a\.png' is packed by method 97 \(unknown\), which is not read", "archive_unsupported")
+
+
+@pytest.mark.parametrize(("method", "name"), [(9, "Deflate64"), (93, "Zstandard")])
+def test_a_packing_that_is_not_read(tmp_path, method, name):
+    path = written(tmp_path, ".zip", "a.png")
+    data = bytearray(path.read_bytes())
+    data[8] = data[data.rindex(b"PK\x01\x02") + 10] = method
+    path.write_bytes(data)
+    refuses(path, rf"'a\.png' is packed by method {method} \({name}\).*; pack by Deflate, or as", "archive_unsupported")
 
 
 def test_an_archive_of_nothing_is_an_empty_folder(tmp_path):
@@ -216,6 +230,63 @@ def test_what_only_begins_like_an_archive(tmp_path, head):
 def test_what_is_no_archive(tmp_path, data):
     (tmp_path / "bad.zip").write_bytes(data)
     refuses(tmp_path / "bad.zip", r"bad\.zip: expected a folder, or an archive", "archive_unsupported")
+
+
+@pytest.mark.parametrize(
+    ("head", "name"),
+    [
+        (bz2.compress(b"x" * 600), "bzip2"),
+        (lzma.compress(b"x" * 600), "xz"),
+        (b"7z\xbc\xaf\x27\x1c" + bytes(600), "7z"),
+        (b"Rar!\x1a\x07\x01\x00" + bytes(600), "RAR"),
+    ],
+)
+def test_other_archives_are_named(tmp_path, head, name):
+    (tmp_path / "bad.zip").write_bytes(head)
+    message = rf"expected .*\.tar\.zst, got {name}: unpack it and pack its folder as \.zip or \.tar\.gz"
+    refuses(tmp_path / "bad.zip", message, "archive_unsupported")
+
+
+def test_a_tar_of_unix_v7(tmp_path):
+    """As ustar, without all that came after it: the header's last 255 bytes."""
+    path = tarred(tmp_path / "a.tar", ("a.txt", b"x" * 600))
+    data = bytearray(path.read_bytes())
+    data[257:512] = bytes(255)
+    data[148:156] = b" " * 8
+    data[148:156] = b"%06o\0 " % sum(data[:512])
+    path.write_bytes(data)
+    assert subprocess.check_output(["tar", "-tf", path], text=True) == "a.txt\n"
+    assert (archive.unpack(path, tmp_path / "out") / "a.txt").read_bytes() == b"x" * 600
+
+
+@pytest.mark.parametrize("suffix", [".zip", ".tar"])
+def test_what_macos_puts_beside_files_is_left_out(tmp_path, suffix):
+    names = ("._scene", "scene/a.png", "scene/._a.png", "__MACOSX/scene/._a.png", "scene/.DS_Store")
+    folder = archive.unpack(written(tmp_path, suffix, *names), tmp_path / "out")
+    assert [file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()] == ["scene/a.png"]
+
+
+def test_hard_links_of_a_tar_name_the_cure(tmp_path):
+    """GNU tar makes them of files that have two names."""
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s/a.png").write_bytes(b"x")
+    os.link(tmp_path / "s/a.png", tmp_path / "s/b.png")
+    subprocess.run(["tar", "-C", tmp_path, "-cf", tmp_path / "bad.tar", "s"], check=True)
+    refuses(tmp_path / "bad.tar", "link or a special file; put the file in .*--hard-dereference")
+    subprocess.run(["tar", "-C", tmp_path, "--hard-dereference", "-cf", tmp_path / "good.tar", "s"], check=True)
+    assert len(list((archive.unpack(tmp_path / "good.tar", tmp_path / "out") / "s").iterdir())) == 2
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EFBIG, errno.EDQUOT])
+def test_a_full_disk_names_the_folder_and_the_cure(tmp_path, monkeypatch, number):
+    def full(place, mode):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(archive, "open", full, raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(OSError, match=rf"a\.zip unpacks to {tmp_path}/mgsr-scene-\w+; free space.* TMPDIR") as raised:
+        archive.unpack(written(tmp_path, ".zip", "a.png").rename(tmp_path / "a.zip"))
+    assert raised.value.errno == number and not list(tmp_path.glob("mgsr-scene-*"))
 
 
 def test_an_archive_of_an_archive_is_named(tmp_path):
@@ -312,11 +383,39 @@ def test_memory_stays_bounded(tmp_path, suffix):
     assert int(ran.stdout) * 1024 < 30 << 20
 
 
-@pytest.mark.parametrize("suffix", [".zip", ".tar"])
-def test_too_many_members(tmp_path, suffix):
+TOO_MANY = "member 'd' is one too many: at most 3 files are taken"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "message"), [(".zip", "4 files; at most 3 are taken: put fewer in"), (".tar", TOO_MANY)]
+)
+def test_too_many_members(tmp_path, suffix, message):
     path = written(tmp_path, suffix, *"abcd")
-    message = "member 'd' is one too many: at most 3 files are taken"
     refuses(path, message, "archive_too_many_members", ArchiveLimits(members=3))
+
+
+def test_too_many_members_in_a_zip_that_says_it_has_fewer(tmp_path):
+    path = written(tmp_path, ".zip", *"abcd")
+    data = bytearray(path.read_bytes())
+    end = data.rindex(b"PK\5\6")
+    data[end + 8 : end + 12] = struct.pack("<HH", 1, 1)
+    path.write_bytes(data)
+    refuses(path, TOO_MANY, "archive_too_many_members", ArchiveLimits(members=3))
+
+
+def test_a_zip_with_more_members_than_16_bits_count(tmp_path):
+    """It is refused before its names are read, so that they need not be there."""
+    record = struct.pack("<4sQHHIIQQQQ", b"PK\6\6", 44, 45, 45, 0, 0, *[300_000] * 2, 0, 0)
+    locator = struct.pack("<4sIQI", b"PK\6\7", 0, 4, 1)
+    end = struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, 0xFFFFFFFF, 0xFFFFFFFF, 7)
+    (tmp_path / "bad.zip").write_bytes(b"PK\3\4" + record + locator + end + b"comment")
+    refuses(tmp_path / "bad.zip", "300000 files; at most 100000 are taken", "archive_too_many_members")
+
+
+@pytest.mark.slow
+def test_seventy_thousand_members(tmp_path):
+    path = written(tmp_path, ".zip", *map(str, range(70_000)))
+    refuses(path, "70000 files; at most 69999 are taken", "archive_too_many_members", ArchiveLimits(members=69_999))
 
 
 @pytest.mark.slow

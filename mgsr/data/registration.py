@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mgsr.errors import SceneError
+from mgsr.errors import SceneError, in_short
 
 
 def check_share(
@@ -20,6 +20,6 @@ def check_share(
         return ()
     text = f"{kept} of {total} photographs {what}"
     if kept < least * total:
-        example = f" ({missing[0][:200]!r} is missing)" if missing else ""
+        example = f" ({in_short(missing[0])} is missing)" if missing else ""
         raise SceneError(f"only {text}{example}; {cure}")
     return (f"{text}; the others are left out",)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from mgsr.errors import SceneError
 
 _PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
 _FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+_ANGLES = ("camera_angle_x", "camera_angle_y")
+_FOCAL_LENGTHS = ("fl_x", "fl_y", *_ANGLES)
 
 
 def read_content(path: Path) -> dict[str, Any]:
@@ -30,9 +33,24 @@ def read_content(path: Path) -> dict[str, Any]:
 
 def merged_frames(content: dict[str, Any], name: str) -> list[tuple[str, dict[str, Any]]]:
     """Each frame's place in the file, for messages, and its values after the file's own where it doesn't overrule
-    them."""
+    them. An angle of view of its own overrules the file's focal lengths too."""
     shared = {key: value for key, value in content.items() if key != "frames"}
-    return [(f"{name}, frame {i}", {**shared, **frame}) for i, frame in enumerate(content["frames"])]
+    without = {key: value for key, value in shared.items() if key not in _FOCAL_LENGTHS}
+    frames = enumerate(content["frames"])
+    return [(f"{name}, frame {i}", {**(without if _has_angle(frame) else shared), **frame}) for i, frame in frames]
+
+
+def _has_angle(frame: dict[str, Any]) -> bool:
+    return any(angle in frame for angle in _ANGLES)
+
+
+def refuse_doubles(photos: Sequence[Photo]) -> None:
+    """Raises SceneError where two frames have the same photograph: it would count twice, or train and test."""
+    first: dict[Path, Photo] = {}
+    for photo in photos:
+        other = first.setdefault(photo.image, photo)
+        if other is not photo:
+            raise SceneError(f"{photo.source}: the same photograph as {other.source}; remove one of the two frames")
 
 
 def read_frame(root: Path, source: str, frame: dict[str, Any], split: Split | None) -> Photo:

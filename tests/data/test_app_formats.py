@@ -184,7 +184,7 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path):
     capture = read_capture(tmp_path, "realitycapture")
     assert capture.notes == ("2 of 3 photographs named by export.csv are there; the others are left out",)
     (tmp_path / "images/c.jpg").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 3 .* named by export\.csv are there \('b\.jpg' is missing\); put"):
+    with pytest.raises(SceneError, match=r"only 1 of 3 .* named by export\.csv are there \(b\.jpg is missing\); put"):
         read_capture(tmp_path, "realitycapture")
 
 

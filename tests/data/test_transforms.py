@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -46,6 +47,30 @@ def test_a_frames_own_intrinsics_and_lens_overrule_the_files(root):
     photos = read_capture(root, "nerfstudio").photos
     assert [photo.K[0, 0] for photo in photos] == [80, 80, 100, 80, 80, 80]
     assert photos[2].lens.k1 == 0.1 and photos[2].lens.higher == (0.01, 0) and photos[1].lens is None
+
+
+def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
+    """tan(45 degrees) is 1: half of 64 pixels."""
+    edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=math.pi / 2))
+    edit_json(root / "transforms.json", lambda content: content["frames"][3].update(camera_angle_x=1, fl_x=70, fl_y=75))
+    photos = read_capture(root, "nerfstudio").photos
+    np.testing.assert_allclose([photos[i].K[[0, 1], [0, 1]] for i in (1, 2, 3)], [[80, 90], [32, 32], [70, 75]])
+
+
+def test_a_photograph_that_is_there_twice_is_refused(root):
+    edit_json(root / "transforms.json", lambda content: content["frames"].append(dict(content["frames"][1])))
+    message = r"frame 6 \(images/frame_1\.png\): the same photograph as .*frame 1 \(images/frame_1\.png\); remove one"
+    with pytest.raises(SceneError, match=message):
+        read_capture(root, "nerfstudio")
+
+
+def test_blenders_test_photographs_must_not_train(tmp_path):
+    BALL.write_blender(tmp_path, test=2)
+    frame = json.loads((tmp_path / "transforms_train.json").read_text())["frames"][3]
+    edit_json(tmp_path / "transforms_test.json", lambda content: content["frames"].append(frame))
+    message = r"transforms_test\.json, frame 2 .*the same photograph as transforms_train\.json, frame 3"
+    with pytest.raises(SceneError, match=message):
+        read_capture(tmp_path, "blender")
 
 
 @pytest.mark.parametrize("way", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
@@ -104,7 +129,7 @@ def test_instant_ngp_leaves_out_extensions_and_photographs(root):
     assert capture.notes == ("5 of 6 photographs named by transforms.json are there; the others are left out",)
     for i in (2, 3, 4):
         (root / f"images/frame_{i}.png").unlink()
-    with pytest.raises(SceneError, match=r"only 2 of 6 photographs named by .* are there; put the"):
+    with pytest.raises(SceneError, match=r"only 2 of 6 .* are there \(\./images/frame_1 is missing\); put the"):
         read_capture(root, "nerfstudio")
 
 
@@ -124,6 +149,10 @@ def test_instant_ngp_leaves_out_extensions_and_photographs(root):
         ({"applied_transform": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}, "applied_transform: the pose is not rigid"),
         ({"applied_transform": 3}, "applied_transform: expected a 3x4 matrix"),
         ({"train_filenames": 3}, "expected lists of paths"),
+        (
+            {"train_filenames": ["a.png", "./b.png"], "val_filenames": ["b.png"]},
+            r"b\.png is in train_filenames and in val_filenames; remove it from one",
+        ),
         ({"ply_file_path": "../secret.ply"}, "lies outside the scene's folder"),
     ],
 )

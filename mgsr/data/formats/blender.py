@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.transforms import merged_frames, read_content, read_frame
+from mgsr.data.transforms import merged_frames, read_content, read_frame, refuse_doubles
 
 _TRAIN, _TEST, _VAL = "transforms_train.json", "transforms_test.json", "transforms_val.json"
 
@@ -16,10 +16,15 @@ def recognises(root: Path) -> str | None:
 
 
 def read(root: Path) -> Capture:
-    """All training and test frames. The validation frames are the test where there is no other, else unused."""
+    """All training and test frames. The validation frames are the test where there is no other, else unused.
+
+    Raises SceneError where two frames, also a training and a test frame, have the same photograph.
+    """
     test = next((name for name in (_TEST, _VAL) if (root / name).is_file()), None)
     train = _read_frames(root, _TRAIN, Split.TRAIN if test else None)
-    return Capture(train + (_read_frames(root, test, Split.TEST) if test else []))
+    photos = train + (_read_frames(root, test, Split.TEST) if test else [])
+    refuse_doubles(photos)
+    return Capture(photos)
 
 
 def _read_frames(root: Path, name: str, split: Split | None) -> list[Photo]:

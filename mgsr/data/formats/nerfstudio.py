@@ -14,7 +14,7 @@ from mgsr.data.pointclouds import read_points
 from mgsr.data.poses import check_pose, matrix_from
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
-from mgsr.data.transforms import merged_frames, read_content, read_frame
+from mgsr.data.transforms import merged_frames, read_content, read_frame, refuse_doubles
 from mgsr.errors import SceneError
 
 _FILE = "transforms.json"
@@ -29,16 +29,19 @@ def read(root: Path) -> Capture:
     """Every frame whose photograph is there, in the frame that the poses had before `applied_transform` and
     `applied_scale`; the file's own split where it names one; the points of `ply_file_path`.
 
-    Raises SceneError where more than half of the photographs are missing.
+    Raises SceneError where more than half of the photographs are missing, or one is there twice.
     """
     content = read_content(root / _FILE)
     splits = _splits(content)
     frames = merged_frames(content, _FILE)
-    there = [(source, frame) for source, frame in frames if find_image(root, frame.get("file_path"), source).is_file()]
-    notes = check_share(
-        len(there), len(frames), 0.5, f"named by {_FILE} are there", f"put the missing ones into {root.name}"
-    )
+    found = [(source, frame, find_image(root, frame.get("file_path"), source)) for source, frame in frames]
+    missing = [str(frame["file_path"]) for _, frame, image in found if not image.is_file()]
+    cure = f"put the missing ones where {_FILE} has them, its paths are relative to its own folder"
+    kept = len(frames) - len(missing)
+    notes = check_share(kept, len(frames), 0.5, f"named by {_FILE} are there", cure, missing)
+    there = [(source, frame) for source, frame, image in found if image.is_file()]
     photos = [read_frame(root, source, frame, _split(frame, splits)) for source, frame in there]
+    refuse_doubles(photos)
     undo = _Applied(content)
     points = None
     if content.get("ply_file_path"):
@@ -52,10 +55,13 @@ def _splits(content: dict[str, Any]) -> dict[str, Split]:
     lists = {part: content.get(f"{part}_filenames") for part in ("train", "val", "test")}
     if not all(names is None or isinstance(names, list) for names in lists.values()):
         raise SceneError(f"{_FILE}: expected lists of paths as train_filenames, val_filenames, test_filenames")
-    tests = lists["test"] or lists["val"] or []
-    if not tests:
-        return {}
-    return {_key(name): Split.TRAIN for name in lists["train"] or []} | {_key(name): Split.TEST for name in tests}
+    part = "test" if lists["test"] else "val"
+    train, tests = ([_key(name) for name in lists[name] or []] for name in ("train", part))
+    if both := set(train) & set(tests):
+        raise SceneError(
+            f"{_FILE}: {min(both)[:200]} is in train_filenames and in {part}_filenames; remove it from one of them"
+        )
+    return dict.fromkeys(train, Split.TRAIN) | dict.fromkeys(tests, Split.TEST) if tests else {}
 
 
 def _split(frame: dict[str, Any], splits: dict[str, Split]) -> Split | None:

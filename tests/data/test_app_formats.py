@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from types import SimpleNamespace
 
 import cv2
@@ -92,8 +93,43 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
     assert capture.notes == ("3 of 4 photographs are aligned in cameras.xml and there; the others are left out",)
     off = read_capture(metashape(tmp_path, camera=lambda i: 'enabled="false"' if i == 3 else ""), "metashape")
     assert len(off.photos) == 3 and off.notes == ()
-    with pytest.raises(SceneError, match=r"only 1 of 4 photographs are aligned in cameras\.xml and there; put"):
+    with pytest.raises(SceneError, match=r"only 1 of 4 .* aligned in cameras\.xml and there; align the cameras"):
         read_capture(metashape(tmp_path, aligned=(0,)), "metashape")
+    metashape(tmp_path)
+    for i in (0, 2, 3):
+        (tmp_path / f"photos/IMG_{i}.JPG").unlink()
+    with pytest.raises(SceneError, match=r"only 1 of 4 .* \(IMG_0 is missing\); put the photographs into"):
+        read_capture(tmp_path, "metashape")
+
+
+def test_metashape_slaves_of_multi_camera_systems(tmp_path):
+    def pairs(i):
+        return f'master_id="{i - i % 2}"'
+
+    capture = read_capture(metashape(tmp_path, camera=pairs, aligned=(0, 2)), "metashape")
+    assert [photo.image.name for photo in capture.photos] == ["IMG_0.JPG", "IMG_2.JPG"]
+    assert capture.notes[0].startswith("2 of 4 photographs are aligned")
+    assert capture.notes[1].startswith("2 of the others are slaves of multi-camera systems, which is not")
+    with pytest.raises(SceneError, match=r"only 1 of 4 .* and there; 3 are slaves of multi-camera systems.* as single"):
+        read_capture(metashape(tmp_path, camera=lambda i: 'master_id="0"', aligned=(0,)), "metashape")
+
+
+def test_metashape_panoramas_without_a_calibration(tmp_path):
+    path = metashape(tmp_path, kind="spherical") / "cameras.xml"
+    path.write_text(re.sub("<calibration.*</calibration>", "", path.read_text(), flags=re.DOTALL))
+    with pytest.raises(SceneError, match="'IMG_0': camera type 'spherical' is not supported: a panorama"):
+        read_capture(tmp_path, "metashape")
+    path.write_text(path.read_text().replace("spherical", "frame"))
+    with pytest.raises(SceneError, match="'IMG_0': its sensor has no calibration; export"):
+        read_capture(tmp_path, "metashape")
+
+
+def test_metashape_in_utf_16_beside_other_documents(tmp_path):
+    path = metashape(tmp_path) / "cameras.xml"
+    path.write_text(path.read_text().replace("UTF-8", "UTF-16"), encoding="utf-16")
+    (tmp_path / "._a.xml").write_bytes(b"\0\5\x16\7 Mac OS X <document><chunk><camera /></chunk></document>")
+    (tmp_path / "a.xml").write_text("<document><chunk label='empty'></chunk></document>")
+    assert len(read_capture(tmp_path, "metashape").photos) == 4
 
 
 @pytest.mark.parametrize(
@@ -105,6 +141,7 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
         ),
         ({"terms": {"cx": 1}}, "camera 'IMG_0': f: expected 1 numbers, got ''"),
         ({"terms": {"f": "nan"}}, "camera 'IMG_0': f: expected 1 numbers, got 'nan'"),
+        ({"terms": TERMS | {"p3": 0, "p4": 0.5}}, "camera 'IMG_0': distortion p4 is 0.5, which is not"),
         ({"camera": lambda i: 'sensor_id="7"'}, "not valid XML: duplicate attribute"),
         ({"chunk": "<transform><scale>0</scale></transform>"}, "the chunk's scale is 0"),
         ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
@@ -115,9 +152,11 @@ def test_metashape_refusals(tmp_path, values, message):
         read_capture(metashape(tmp_path, **values), "metashape")
 
 
-def test_metashape_entities_are_refused(tmp_path):
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_metashape_entities_are_refused(tmp_path, encoding):
     path = metashape(tmp_path) / "cameras.xml"
-    path.write_text(path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1))
+    text = path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1)
+    path.write_text(text, encoding=encoding)
     with pytest.raises(SceneError, match="has a DOCTYPE, which Metashape doesn't write; refused"):
         read_capture(tmp_path, "metashape")
 
@@ -250,6 +289,11 @@ def test_polycam_cameras_and_its_corrected_ones_first(tmp_path):
             assert photo.image.parent.name == f"{folder}images"
             np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
             np.testing.assert_array_equal(photo.K, BALL.K)
+
+
+def test_polycam_files_of_macos_are_no_cameras(tmp_path):
+    (polycam(tmp_path) / "keyframes/cameras/._100.json").write_bytes(b"\0\5\x16\7 Mac OS X")
+    assert len(read_capture(tmp_path, "polycam").photos) == 4
 
 
 @pytest.mark.parametrize(

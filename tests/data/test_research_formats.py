@@ -52,6 +52,13 @@ def test_middlebury_cameras(tmp_path):
         np.testing.assert_allclose(photo.K - BALL.K, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 
 
+def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path):
+    path = middlebury(tmp_path) / "v_par.txt"
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    (tmp_path / "._v_par.txt").write_bytes(b"\0\5\x16\7 Mac OS X \xff\xfe")
+    assert len(read_capture(tmp_path, "middlebury").photos) == 4
+
+
 @pytest.mark.parametrize(
     ("lines", "message"),
     [

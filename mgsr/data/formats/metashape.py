@@ -5,6 +5,7 @@ Source: Metashape's user manual, appendix "Camera models", and its forum's notes
 
 from __future__ import annotations
 
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -19,51 +20,89 @@ from mgsr.data.registration import check_share
 from mgsr.errors import SceneError, in_short
 
 _LENSES = {"frame": False, "fisheye": True}
+_SLAVES = (
+    "are slaves of multi-camera systems, which is not supported: add the photographs to Metashape as single cameras, "
+    "align and export them again"
+)
 _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 
 
 def recognises(root: Path) -> str | None:
-    """The first .xml of the folder that begins as Metashape's documents do."""
-    paths = (path for path in sorted(root.glob("*.xml")) if path.is_file())
-    return next((path.name for path in paths if _is_document(path)), None)
+    """The first .xml of the folder that begins as Metashape's documents do and has cameras, else the first that
+    begins so."""
+    paths = (path for path in sorted(root.glob("[!.]*.xml")) if path.is_file())
+    documents = [path for path in paths if _is_document(path)]
+    best = min(documents, key=lambda path: not _has_cameras(path), default=None)
+    return best.name if best else None
 
 
 def read(root: Path) -> Capture:
     """Every aligned camera's photograph, found by its label anywhere in the folder, in the chunk's world frame.
 
-    Raises SceneError where fewer than half of the cameras are aligned and have their photograph.
+    Slaves of multi-camera systems are left out: their sensors say where they stand from a master, in a convention that
+    no export has confirmed yet. Raises SceneError where fewer than half of the cameras are used.
     """
     name = recognises(root)
     assert name is not None, "read() is for folders that were recognised"
     chunk = _chunk(root / name)
     index, sensors, worlds = ImageIndex(root), _by_id(chunk, "sensors/sensor"), _worlds(chunk)
     cameras = [camera for camera in chunk.iterfind("cameras//camera") if camera.get("enabled") not in ("0", "false")]
-    photos = []
+    photos, missing = [], []
     for camera in cameras:
-        source = f"{name}, camera {str(camera.get('label'))[:80]!r}"
-        image = index.find(camera.get("label") or "", source)
-        if image is not None and camera.find("transform") is not None:
+        label = camera.get("label") or ""
+        source = f"{name}, camera {label[:80]!r}"
+        image = index.find(label, source)
+        if image is None:
+            missing.append(label)
+        elif camera.find("transform") is not None and not _is_slave(camera):
             sensor = sensors.get(camera.get("sensor_id"))
             photos.append(_photo(root, image, camera, sensor, _world(camera, worlds, source), source))
-    cure = f"put the photographs into {root.name} under the names of the cameras, and align the cameras in Metashape"
-    return Capture(photos, notes=check_share(len(photos), len(cameras), 0.5, f"are aligned in {name} and there", cure))
+    slaves = sum(_is_slave(camera) for camera in cameras)
+    cure = _cure(root, slaves, missing)
+    notes = check_share(len(photos), len(cameras), 0.5, f"are aligned in {name} and there", cure, missing)
+    return Capture(photos, notes=(*notes, f"{slaves} of the others {_SLAVES}") if slaves else notes)
+
+
+def _is_slave(camera: Element) -> bool:
+    return camera.get("master_id") not in (None, camera.get("id"))
+
+
+def _cure(root: Path, slaves: int, missing: list[str]) -> str:
+    """What to do where most cameras can't be used."""
+    if slaves:
+        return f"{slaves} {_SLAVES}"
+    if missing:
+        return f"put the photographs into {root.name} under the names of the cameras, in any folder of it"
+    return "align the cameras in Metashape and export them again"
 
 
 def _is_document(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            head = file.read(4096)
+            head = _decoded(file.read(8192), errors="ignore")
     except OSError:
         return False
-    return b"<document" in head and b"<chunk" in head
+    return "<document" in head and "<chunk" in head
+
+
+def _has_cameras(path: Path) -> bool:
+    try:
+        return "<camera " in _decoded(path.read_bytes(), errors="ignore")
+    except OSError:
+        return False
+
+
+def _decoded(data: bytes, errors: str = "strict") -> str:
+    """XML's text: UTF-16 with a byte order mark, or UTF-8."""
+    return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig", errors)
 
 
 def _chunk(path: Path) -> Element:
     try:
-        data = path.read_bytes()
-        if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+        text = _decoded(path.read_bytes())
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:
             raise SceneError(f"{path.name}: has a DOCTYPE, which Metashape doesn't write; refused")
-        chunk = ElementTree.fromstring(data).find("chunk")
+        chunk = ElementTree.fromstring(text).find("chunk")
     except (ElementTree.ParseError, OSError, RecursionError, ValueError, LookupError) as error:
         raise SceneError(f"{path.name}: not valid XML: {in_short(error)}; export it again") from error
     if chunk is None:
@@ -113,15 +152,24 @@ def _photo(
 
 def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens | None, tuple[int, int]]:
     """The adjusted calibration, else the first one. Metashape's p1 and p2 are OpenCV's p2 and p1."""
-    found = [] if sensor is None else sensor.findall("calibration")
+    if sensor is None:
+        raise SceneError(f"{source}: its sensor is not in the file; export the cameras again")
+    found = sensor.findall("calibration")
     item = next((entry for entry in found if entry.get("class") == "adjusted"), found[0] if found else None)
-    if sensor is None or item is None:
-        raise SceneError(f"{source}: its sensor has no calibration; export the cameras again")
-    kind = item.get("type") or sensor.get("type") or ""
-    if kind in PANORAMAS:
+    kind = (None if item is None else item.get("type")) or sensor.get("type") or ""
+    if kind in PANORAMAS:  # these have no calibration, as there is nothing to calibrate
         raise SceneError(f"{source}: camera type {kind!r} is not supported: {PANORAMA_CURE}")
     if kind not in _LENSES:
         raise SceneError(f"{source}: camera type {kind!r} is not supported; expected one of {', '.join(_LENSES)}")
+    if item is None:
+        raise SceneError(f"{source}: its sensor has no calibration; export the cameras again")
+    for name in ("p3", "p4"):
+        value = _numbers(item, name, 1, source, np.zeros(1))[0]
+        if value:
+            raise SceneError(
+                f"{source}: distortion {name} is {value:g}, which is not supported; optimise the cameras in Metashape "
+                "without p3 and p4, and export them again"
+            )
     size = _size(item.find("resolution"), sensor.find("resolution"), source)
     f, cx, cy, k1, k2, k3, k4, p1, p2, b1, b2 = (
         float(_numbers(item, name, 1, source, None if name == "f" else np.zeros(1))[0]) for name in _TERMS

@@ -20,7 +20,7 @@ _PATTERN = "*_par.txt"
 
 def recognises(root: Path) -> str | None:
     """The first *_par.txt of the folder, if there is one."""
-    return next((path.name for path in sorted(root.glob(_PATTERN)) if path.is_file()), None)
+    return next((path.name for path in sorted(root.glob("[!.]" + _PATTERN)) if path.is_file()), None)
 
 
 def read(root: Path) -> Capture:
@@ -29,7 +29,7 @@ def read(root: Path) -> Capture:
     name = recognises(root)
     assert name is not None, "read() is for folders that were recognised"
     try:
-        lines = [line.split() for line in (root / name).read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line.split() for line in (root / name).read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(f"{name}: can't be read as text: {in_short(error)}") from error
     if not lines or lines[0] != [str(len(lines) - 1)]:

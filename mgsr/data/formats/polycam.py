@@ -16,11 +16,12 @@ from mgsr.errors import SceneError
 
 # With the poses that Polycam optimised, where it did; else those of the session.
 _PLACES = (("keyframes/corrected_cameras", "keyframes/corrected_images"), ("keyframes/cameras", "keyframes/images"))
+_CAMERAS = "[!.]*.json"
 
 
 def recognises(root: Path) -> str | None:
     """The folder of cameras, if it and its images are there."""
-    there = (place for place, images in _PLACES if (root / images).is_dir() and any((root / place).glob("*.json")))
+    there = (place for place, images in _PLACES if (root / images).is_dir() and any((root / place).glob(_CAMERAS)))
     return next(there, None)
 
 
@@ -29,7 +30,7 @@ def read(root: Path) -> Capture:
     place = recognises(root)
     assert place is not None, "read() is for folders that were recognised"
     images = dict(_PLACES)[place]
-    return Capture([_photo(root, path, images) for path in sorted((root / place).glob("*.json"))])
+    return Capture([_photo(root, path, images) for path in sorted((root / place).glob(_CAMERAS))])
 
 
 def _photo(root: Path, path: Path, images: str) -> Photo:

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from mgsr.cli.events import Event
+from mgsr.errors import Cancelled, MgsrError
 from mgsr.training.progress import Progress
 
 # Seconds between two lines of training on a console that is no terminal.
@@ -19,12 +20,17 @@ LINE_EVERY = 2.0
 
 
 class RunDisplay:
-    """A callback for `run_scene` that shows its events. Use it in a `with` block, which closes bar and log."""
+    """A callback for `run_scene` that shows its events. Use it in a `with` block, which closes bar and log.
+
+    What is told while the scene is read goes to the log once it is read, or where that ends otherwise than by a
+    refusal: a scene that is refused leaves no folder, and no log in the place of an earlier one.
+    """
 
     def __init__(self, log: Path, append: bool, console: Console | None = None) -> None:
         self._console = console or Console(stderr=False, highlight=False)
         self._log: IO[str] | None = None
         self._path, self._mode = log, ("a" if append else "w")
+        self._held: list[str] = []
         self._bar = _make_bar(self._console) if self._console.is_terminal else None
         self._task = None if self._bar is None else self._bar.add_task("starting", total=1.0, detail="")
         self._begun = time.monotonic()
@@ -40,6 +46,8 @@ class RunDisplay:
     ) -> None:
         if self._bar is not None:
             self._bar.stop()
+        if self._held and not _is_refusal(error):
+            self._open_log()
         if self._log is not None:
             if error is not None:
                 self._write_log(f"{kind.__name__ if kind else 'error'}: {error}")
@@ -47,6 +55,8 @@ class RunDisplay:
 
     def __call__(self, event: Event) -> None:
         text = event.text if event.training is None else training_line(event.training)
+        if self._log is None and event.step != "load":
+            self._open_log()
         self._write_log(text)
         if self._bar is not None and self._task is not None:
             self._show_on_bar(event, text)
@@ -68,12 +78,23 @@ class RunDisplay:
         self._last_line = now
         return True
 
+    def _open_log(self) -> None:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        # Line by line: a run that is killed keeps its log.
+        self._log = open(self._path, self._mode, encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._log.writelines(self._held)
+        self._held.clear()
+
     def _write_log(self, text: str) -> None:
+        line = f"{time.monotonic() - self._begun:8.1f}s  {text}\n"
         if self._log is None:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            # Line by line: a run that is killed keeps its log.
-            self._log = open(self._path, self._mode, encoding="utf-8", buffering=1)  # noqa: SIM115
-        self._log.write(f"{time.monotonic() - self._begun:8.1f}s  {text}\n")
+            self._held.append(line)
+        else:
+            self._log.write(line)
+
+
+def _is_refusal(error: BaseException | None) -> bool:
+    return isinstance(error, MgsrError) and not isinstance(error, Cancelled)
 
 
 def training_line(training: Progress) -> str:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from mgsr.cli.signals import INTERRUPTED
+from mgsr.cli.signals import INTERRUPTED, cleaned_up_after_signals
 from mgsr.config import METHODS, PRESETS, Up
 from mgsr.errors import Cancelled, MgsrError
 
@@ -67,9 +67,11 @@ def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130."""
+    """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
+    end is cleaned up after."""
     try:
-        yield
+        with cleaned_up_after_signals():
+            yield
     except Cancelled as stop:
         _say(f"{stop}. To go on, give the same command with --resume.")
         raise typer.Exit(INTERRUPTED) from None

@@ -1,13 +1,17 @@
-"""Ctrl-C and SIGTERM as a wish that the work heeds between two iterations."""
+"""Ctrl-C and SIGTERM as a wish that the work heeds between two iterations, and signals as an ordinary end."""
 
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 INTERRUPTED = 130
+
+# Windows has no SIGHUP.
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 class StopWish:
@@ -36,3 +40,23 @@ def stop_on_signals() -> Iterator[StopWish]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def cleaned_up_after_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP inside end the program as SystemExit does, with the shell's code for them, so that temporary
+    files go; by themselves they would leave them. One that is ignored (nohup) stays so, and in other threads than the
+    main one, which alone may do this, nothing changes."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    main = threading.current_thread() is threading.main_thread()
+    taken = [number for number in _ENDING if main and signal.getsignal(number) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)

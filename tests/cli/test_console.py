@@ -10,6 +10,7 @@ from rich.console import Console
 
 from mgsr.cli.console import RunDisplay, training_line
 from mgsr.cli.events import Event
+from mgsr.errors import Cancelled, ConfigError, MgsrError, SceneError
 from mgsr.training.progress import Progress
 
 HALFWAY = Progress("mutual", 50, 100, 0.5, 90.0, {"photo": 0.5, "tv": 0.25}, {"surfels": 7, "volumes": 9}, 31.5)
@@ -40,3 +41,37 @@ def test_the_log_has_every_line_and_grows_on_resume(tmp_path: Path) -> None:
     assert [line.split("s  ", 1)[1] for line in lines] == [
         *("reading [scene]", training_line(HALFWAY), "once more", "RuntimeError: power cut"),
     ]
+
+
+def refused(folder: Path, error: BaseException, *steps: str) -> None:
+    """A run that ends by that error after these steps."""
+    with pytest.raises(type(error)), RunDisplay(folder / "log.txt", append=False, console=QUIET) as display:
+        for step in steps:
+            display(Event(step, f"in {step}"))
+        raise error
+
+
+QUIET = Console(file=io.StringIO())
+
+
+@pytest.mark.parametrize("error", [SceneError("no cameras"), ConfigError("max_side")])
+def test_a_scene_that_is_refused_leaves_no_log(tmp_path: Path, error: MgsrError) -> None:
+    refused(tmp_path / "new", error, "load", "load")
+    assert not (tmp_path / "new").exists()
+    (tmp_path / "log.txt").write_text("of an earlier run")
+    refused(tmp_path, error, "load")
+    assert (tmp_path / "log.txt").read_text() == "of an earlier run"
+
+
+@pytest.mark.parametrize(
+    ("error", "steps"),
+    [
+        (SceneError("no start"), ("load", "start")),
+        (Cancelled("stopped on request"), ("load",)),
+        (OSError("no space"), ("load",)),
+    ],
+)
+def test_what_else_ends_a_run_is_logged(tmp_path: Path, error: Exception, steps: tuple[str, ...]) -> None:
+    refused(tmp_path, error, *steps)
+    lines = [line.split("s  ", 1)[1] for line in (tmp_path / "log.txt").read_text().splitlines()]
+    assert lines == [*(f"in {step}" for step in steps), f"{type(error).__name__}: {error}"]

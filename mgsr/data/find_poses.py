@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from mgsr.data.archive import unpack
 from mgsr.data.files import images_below, view_names
-from mgsr.data.images import read_image
+from mgsr.data.images import is_heif, read_image
 from mgsr.data.registration import check_share
 from mgsr.errors import ConfigError, SceneError
 
@@ -19,7 +20,7 @@ from mgsr.errors import ConfigError, SceneError
 EXHAUSTIVE_UP_TO = 300
 _FOLLOWING = 30
 
-# What COLMAP can't read is handed to it as PNG.
+# What COLMAP can't read, by name or by content, is handed to it as PNG.
 _CONVERTED = (".heic", ".heif")
 _LEAST_REGISTERED = 0.25
 
@@ -27,15 +28,16 @@ Say = Callable[[str], None]
 
 
 def find_poses(photos: Path, scene: Path, seed: int, say: Say = print) -> tuple[str, ...]:
-    """Make the folder `scene` from the photographs below `photos`: COLMAP's largest model in sparse/0 and the
-    photographs in images/ (hard links where the disk allows it).
+    """Make the folder `scene` from the photographs below `photos`, a folder or an archive: COLMAP's largest model in
+    sparse/0 and the photographs in images/ (hard links where the disk allows it).
 
     The same seed gives the same choices of COLMAP's random samples; its threads may still differ in the last digits.
     say: told in a line what is being done. Returns notes on what was left out. Raises ConfigError without pycolmap or
     where `scene` holds something, and SceneError where most photographs can't be placed; then no `scene` is left.
     """
     colmap = _pycolmap()
-    images = images_below(photos)
+    folder = unpack(photos) if photos.is_file() else photos
+    images = images_below(folder)
     if len(images) < 3:
         raise SceneError(f"{photos}: {len(images)} images; at least 3 are needed to find cameras, 20 or more are good")
     view_names(images)  # two photographs of one name are refused before an hour of matching, not after
@@ -43,7 +45,7 @@ def find_poses(photos: Path, scene: Path, seed: int, say: Say = print) -> tuple[
         raise ConfigError(f"{scene}: is not empty; name a new folder for the scene")
     scene.mkdir(parents=True, exist_ok=True)
     try:
-        names = _gather(photos, images, scene / "images")
+        names = _gather(folder, images, scene / "images")
         with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
             model = _largest(_run(colmap, scene / "images", names, Path(work), seed, say))
         count = model.num_reg_images() if model is not None else 0
@@ -76,7 +78,7 @@ def _gather(photos: Path, images: Sequence[Path], folder: Path) -> list[str]:
     for image in images:
         place = folder / image.relative_to(photos)
         place.parent.mkdir(parents=True, exist_ok=True)
-        if image.suffix.lower() in _CONVERTED:
+        if image.suffix.lower() in _CONVERTED or is_heif(image):
             place = place.with_suffix(".png")
             _convert(image, place)
         else:

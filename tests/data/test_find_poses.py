@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+import zipfile
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
+from pillow_heif import from_pillow
 
-from mgsr.data.find_poses import find_poses
+from mgsr.data.find_poses import _gather, find_poses
 from mgsr.errors import ConfigError, SceneError
 from tests.data.captures import look_at
 from tests.data.reading import draw, read_capture
@@ -87,6 +90,30 @@ def test_too_few_photographs(tmp_path):
     draw(tmp_path / "a.png")
     with pytest.raises(SceneError, match="1 images; at least 3 are needed"):
         find_poses(tmp_path, tmp_path / "scene", 0)
+
+
+def test_an_archive_of_too_few_photographs(tmp_path):
+    with zipfile.ZipFile(tmp_path / "photos.zip", "w") as out:
+        for i in range(2):
+            draw(tmp_path / f"{i}.png")
+            out.write(tmp_path / f"{i}.png", f"holiday/{i}.png")
+    with pytest.raises(SceneError, match=r"photos\.zip: 2 images; at least 3 are needed"):
+        find_poses(tmp_path / "photos.zip", tmp_path / "scene", 0)
+
+
+def test_what_colmap_does_not_read_is_converted(tmp_path):
+    """Also HEIC that is named .jpg."""
+    for name in ("a.heic", "b.jpg"):
+        from_pillow(Image.new("RGB", (32, 24), (200, 100, 50))).save(tmp_path / "written.heic")
+        (tmp_path / "written.heic").rename(tmp_path / name)
+    draw(tmp_path / "c.png")
+    images = [tmp_path / name for name in ("a.heic", "b.jpg", "c.png")]
+    assert _gather(tmp_path, images, tmp_path / "images") == ["a.png", "b.png", "c.png"]
+    for name in ("a.png", "b.png"):
+        with Image.open(tmp_path / "images" / name) as image:
+            assert image.format == "PNG"
+            assert np.abs(np.subtract(image.getpixel((9, 9)), (200, 100, 50))).max() <= 3, "what lossy coding does"
+    assert (tmp_path / "images/c.png").samefile(tmp_path / "c.png")
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path):

@@ -20,32 +20,42 @@ TargetArgument = Annotated[
     Path, typer.Argument(metavar="B", help="The new file, whose name tells the kind; a scene's new folder.")
 ]
 ScaleOption = Annotated[float, typer.Option(help="Multiply all lengths, such as by 1000 from metres to millimetres.")]
-UpOption = Annotated[UpAxis, typer.Option(help="Which axis of a mesh's frame points up; a .glb is turned to it.")]
+UpOption = Annotated[
+    UpAxis | None, typer.Option(help="Which axis of a mesh's frame points up, where B is a .glb; y unless given.")
+]
 
 
-def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption = 1.0, up: UpOption = UpAxis.Y) -> None:
+def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption = 1.0, up: UpOption = None) -> None:
     """Write the mesh or the splats of A as B: .ply, .glb, .obj; .ply, .compressed.ply, .spz.
 
     A scene becomes a folder with undistorted photographs that COLMAP and nerfstudio read.
     """
     with refusals():
-        from mgsr.cli.whole import whole
+        from mgsr.cli.whole import require_file_place, whole
         from mgsr.export.convert import convert as convert_file
+        from mgsr.export.convert import require_kinds
 
         if source.is_dir() or source.name.lower().endswith(ARCHIVE_SUFFIXES):
-            text = _convert_scene(source, target, scale)
+            text = _convert_scene(source, target, scale, up)
         else:
+            require_kinds(source, target, up)
+            require_file_place(target)
             with whole(target) as path:
                 text = convert_file(source, path, scale, up)
         print(f"{target}: {text}")
 
 
-def _convert_scene(source: Path, target: Path, scale: float) -> str:
+def _convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -> str:
     from mgsr.cli.facts import scene_line
     from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
     from mgsr.config import make_config
     from mgsr.data.readers import load_scene
+    from mgsr.export.convert import FILE_SUFFIXES
 
+    if target.name.lower().endswith((*FILE_SUFFIXES, *ARCHIVE_SUFFIXES)):
+        raise ConfigError(f"{target}: {source} is a scene, which becomes a folder, not a file; name a new folder")
+    if up is not None:
+        raise ConfigError(f"--up {up}: {source} is a scene, which keeps its frame; leave --up out")
     require_new_folder(target)
     if not (math.isfinite(scale) and scale > 0):
         raise ConfigError(f"--scale {scale:g}: expected a number above 0")

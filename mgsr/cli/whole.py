@@ -8,21 +8,49 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from mgsr.errors import ConfigError
+
 
 @contextmanager
 def whole(target: Path) -> Iterator[Path]:
     """A path beside `target` with the same endings, for a file or a folder to be written; moved to `target` when the
-    block ends well, replacing what is there, and removed when it does not."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".partial.{target.name}")
+    block ends well, replacing a file by a file and a folder by a folder, and removed when it does not. Where `target`
+    is a link, what it leads to is replaced.
+
+    Raises ConfigError where a file would take a folder's place or the other way round, and for places that can't be
+    replaced: devices, and the folder that the program runs in.
+    """
+    place = _place(target)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    partial = place.with_name(f".partial.{place.name}")
     _remove(partial)
     try:
         yield partial
-        if target.is_dir():
-            shutil.rmtree(target)
-        os.replace(partial, target)
+        if not partial.is_dir():
+            require_file_place(target)
+        elif place.is_file():
+            raise ConfigError(f"{target}: is a file, and a folder is to be written there; name a new folder")
+        elif place.is_dir():
+            shutil.rmtree(place)
+        os.replace(partial, place)
     finally:
         _remove(partial)
+
+
+def require_file_place(target: Path) -> None:
+    """Raises ConfigError where a file can't be written: a folder is there. It asks before the work, not after."""
+    if _place(target).is_dir():
+        raise ConfigError(f"{target}: is a folder, and a file is to be written; name a file in it")
+
+
+def _place(target: Path) -> Path:
+    """What `target` leads to through links, `.` and `..`."""
+    place = Path(os.path.realpath(target))
+    if Path.cwd().is_relative_to(place):
+        raise ConfigError(f"{target}: is the folder that MGSR runs in, or holds it; name something new in it")
+    if place.exists() and not (place.is_file() or place.is_dir()):
+        raise ConfigError(f"{target}: is neither a file nor a folder; name a new file")
+    return place
 
 
 def _remove(path: Path) -> None:

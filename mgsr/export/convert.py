@@ -26,6 +26,8 @@ _SPLATS: dict[str, Callable[[Path, Splats], None]] = {
     ".ply": write_splats,
     ".spz": write_spz,
 }
+# The longer ending first, as both fit the same names.
+FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
 
 
 @dataclass(frozen=True)
@@ -38,21 +40,41 @@ class Mesh:
     colors: np.ndarray
 
 
-def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis = UpAxis.Y) -> str:
+def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = None) -> str:
     """Write `target`, whose name tells the kind, from `source`; a line about what it holds.
 
     Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: what all lengths are multiplied with. up:
-    which axis of a mesh's frame points up, for .glb, which wants y.
+    which axis of a mesh's frame points up, for .glb, which wants y; y unless given.
 
-    Raises ConfigError for kinds that can't become each other, SceneError and MeshError for files that can't be read.
+    Raises as `require_kinds`, ConfigError for a scale that is no number above 0, SceneError and MeshError for files
+    that can't be read and for what `target` can't hold.
     """
-    if not source.is_file():
-        raise ConfigError(f"{source}: no such file")
+    require_kinds(source, target, up)
     if not (math.isfinite(scale) and scale > 0):
         raise ConfigError(f"--scale {scale:g}: expected a number above 0")
     if _holds_splats(source):
         return _convert_splats(source, target, scale)
-    return _convert_mesh(source, target, scale, up)
+    return _convert_mesh(source, target, scale, up or UpAxis.Y)
+
+
+def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
+    """Raises ConfigError where `source` is no file, where it can't become what `target` is called, and for an up axis
+    that `target` can't take."""
+    if not source.is_file():
+        raise ConfigError(f"{source}: no such file")
+    kind, suffixes = ("splats", tuple(_SPLATS)) if _holds_splats(source) else ("a mesh", _MESHES)
+    if _suffix(target) not in suffixes:
+        raise ConfigError(
+            f"{target}: {source} is taken as {kind}, which can become a file that ends in {', '.join(suffixes)}; "
+            "name one of them"
+        )
+    if up is not None and _suffix(target) != ".glb":
+        raise ConfigError(f"--up {up}: only .glb files are turned, {target} keeps the frame of {source}; leave it out")
+
+
+def _suffix(target: Path) -> str:
+    name = target.name.lower()
+    return next((suffix for suffix in FILE_SUFFIXES if name.endswith(suffix)), target.suffix)
 
 
 def load_mesh(path: Path) -> Mesh:
@@ -108,11 +130,9 @@ def _colors(mesh: Any, is_linear: bool) -> np.ndarray:
 
 
 def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
-    if target.suffix.lower() not in _MESHES or target.name.lower().endswith(COMPRESSED):
-        raise ConfigError(f"{target.suffix or target.name}: a mesh can become one of {', '.join(_MESHES)}")
     mesh = load_mesh(source)
     arrays = (mesh.vertices * scale, mesh.faces, mesh.normals, mesh.colors)
-    match target.suffix.lower():
+    match _suffix(target):
         case ".glb":
             write_glb(target, *arrays, up=up)
         case ".obj":
@@ -123,9 +143,7 @@ def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
 
 
 def _convert_splats(source: Path, target: Path, scale: float) -> str:
-    suffix = next((suffix for suffix in _SPLATS if target.name.lower().endswith(suffix)), None)
-    if suffix is None:
-        raise ConfigError(f"{target.suffix or target.name}: splats can become one of {', '.join(_SPLATS)}")
+    suffix = _suffix(target)
     splats = _load_splats(source)
     splats["means"] = splats["means"] * np.float32(scale)
     splats["log_scales"] = splats["log_scales"] + np.float32(math.log(scale))

@@ -46,8 +46,57 @@ def test_scenes(tmp_path: Path) -> None:
 def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", *ball())
     result = RUN.invoke(app, ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")])
-    assert result.exit_code == 2 and "error: .spz: a mesh can become one of" in result.output
+    assert (
+        result.exit_code == 2
+        and f"error: {tmp_path / 'b.spz'}: {tmp_path / 'a.ply'} is taken as a mesh" in result.output
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("photos.ply", "photos.ply: is a folder, and a file is to be written"),
+        ("here.ply", "here.ply: is the folder that MGSR runs in"),
+        (".", ".: "),
+        ("..", "..: "),
+        ("/", "/: "),
+        ("", ".: "),
+    ],
+)
+def test_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, message: str) -> None:
+    here = tmp_path / "here.ply"
+    (here / "photos.ply").mkdir(parents=True)
+    (here / "photos.ply" / "a.jpg").write_text("kept")
+    write_ply(here / "a.ply", *ball())
+    monkeypatch.chdir(here)
+    result = RUN.invoke(app, ["convert", "a.ply", "../here.ply" if target == "here.ply" else target])
+    assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output
+    assert (here / "photos.ply" / "a.jpg").read_text() == "kept"
+    assert sorted(path.name for path in here.iterdir()) == ["a.ply", "photos.ply"]
+
+
+@pytest.mark.parametrize("name", ["d.zip", "scene.ply", "full", "file", ".", "/"])
+def test_scenes_need_a_new_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    BallCapture(views=6).write_plain(tmp_path / "ball")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a.jpg").write_text("kept")
+    (tmp_path / "file").write_text("kept")
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    target = name if name in (".", "/") else str(tmp_path / name)
+    result = RUN.invoke(app, ["convert", str(tmp_path / "ball"), target])
+    assert result.exit_code == 2 and f"error: {target}: " in result.output
+    assert (tmp_path / "full" / "a.jpg").read_text() == (tmp_path / "file").read_text() == "kept"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball", "empty", "file", "full"]
+
+
+def test_up_is_only_for_glb(tmp_path: Path) -> None:
+    BallCapture(views=6).write_plain(tmp_path / "ball")
+    write_splats(tmp_path / "a.ply", splats())
+    for given in (("a.ply", "b.ply"), ("ball", "b")):
+        result = RUN.invoke(app, ["convert", *(str(tmp_path / name) for name in given), "--up", "z"])
+        assert result.exit_code == 2 and "error: --up z: " in result.output
 
 
 def test_poses_without_photographs(tmp_path: Path) -> None:

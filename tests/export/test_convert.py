@@ -88,10 +88,15 @@ def test_the_light_splits_loss_is_told(tmp_path):
 def test_refusals(tmp_path):
     write_splats(tmp_path / "splats.ply", splats())
     write_ply(tmp_path / "mesh.ply", *ball())
-    with pytest.raises(ConfigError, match=r"^\.obj: splats can become one of \.compressed\.ply, \.ply, \.spz"):
+    with pytest.raises(
+        ConfigError, match=r"b\.obj: .*splats\.ply is taken as splats, .* \.compressed\.ply, \.ply, \.spz"
+    ):
         convert(tmp_path / "splats.ply", tmp_path / "b.obj")
-    with pytest.raises(ConfigError, match=r"^\.spz: a mesh can become one of \.ply, \.glb, \.obj"):
-        convert(tmp_path / "mesh.ply", tmp_path / "b.spz")
+    for name in ("b.spz", "b.compressed.ply", "b"):
+        with pytest.raises(ConfigError, match=rf"{name}: .*mesh\.ply is taken as a mesh, .* \.ply, \.glb, \.obj"):
+            convert(tmp_path / "mesh.ply", tmp_path / name)
+    with pytest.raises(ConfigError, match=r"--up z: only \.glb files are turned, .*b\.ply keeps the frame"):
+        convert(tmp_path / "splats.ply", tmp_path / "b.ply", up=UpAxis.Z)
     with pytest.raises(ConfigError, match="--scale 0: expected a number above 0"):
         convert(tmp_path / "mesh.ply", tmp_path / "b.obj", scale=0)
     with pytest.raises(ConfigError, match=r"gone\.ply: no such file"):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.camera import Camera
@@ -16,34 +19,60 @@ from mgsr.data.scene import Scene, View
 from mgsr.errors import MgsrError
 
 _OPENGL = np.diag([1.0, -1, -1, 1])
+_POINTS = "sparse_pc.ply"
 
 
 def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
     """Write the scene in the user's frame, all lengths times `scale`, into a folder that is there.
 
-    images/train and images/test hold the photographs as MGSR uses them (pinhole, reduced); masks/ the same names, white
-    on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points; transforms.json the same cameras
-    with OpenGL's axes, as nerfstudio reads them, with the split. Of photographs that don't show all of their pixels, a
-    rectangle is written that they do show: the formats can't tell unknown pixels from those off the object.
+    images/ holds the photographs as MGSR uses them (pinhole, reduced), named after their split where there is one;
+    masks/ the same names, white on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points;
+    transforms.json the same cameras with OpenGL's axes, as nerfstudio reads them, with the split; sparse_pc.ply the
+    points for it. Of photographs that don't show all of their pixels, a rectangle is written that they do show: the
+    formats can't tell unknown pixels from those off the object.
 
     Raises MgsrError where an image can't be written.
     """
-    views = [("train", whole_part(view)) for view in scene.train]
-    views += [("test", whole_part(view)) for view in scene.test]
-    names = [f"{part}/{view.name}.png" for part, view in views]
-    cameras = [_scaled(scene.user_from_scene.camera_to_user(view.camera), scale) for _, view in views]
-    for name, (_, view) in zip(names, views, strict=True):
+    views = [*map(whole_part, scene.train), *map(whole_part, scene.test)]
+    names = _file_names(scene)
+    cameras = [_scaled(scene.user_from_scene.camera_to_user(view.camera), scale) for view in views]
+    for name, view in zip(names, views, strict=True):
         _write_images(folder, name, view)
     points, colors = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     if scene.points is not None:
         points, colors = scene.user_from_scene.to_user(scene.points.positions) * scale, scene.points.colors
+        _write_points(folder / _POINTS, points, colors)
     _write_colmap(folder / "sparse/0", names, cameras, points, colors)
     frames = [_frame(name, camera, scene.masked) for name, camera in zip(names, cameras, strict=True)]
-    split = {
-        f"{part}_filenames": [f"images/{name}" for name in names if name.startswith(part)] for part in ("train", "test")
-    }
-    document = {"camera_model": "PINHOLE", "frames": frames} | (split if scene.test else {})
+    document = {"camera_model": "PINHOLE", "frames": frames}
+    if scene.test:
+        document |= _split([f"images/{name}" for name in names], len(scene.train))
+    if scene.points is not None:
+        document["ply_file_path"] = _POINTS
     (folder / "transforms.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _file_names(scene: Scene) -> list[str]:
+    """A name for each photograph that no reader stumbles over: some end at the first space, or leave folders out."""
+    parts = [("train_" if scene.test else "", view.name) for view in scene.train]
+    parts += [("test_", view.name) for view in scene.test]
+    names: list[str] = []
+    taken: set[str] = set()
+    for prefix, name in parts:
+        plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name)
+        stem = plain if plain.startswith(prefix) else prefix + plain
+        tries = itertools.chain([stem], (f"{stem}_{number}" for number in itertools.count(2)))
+        # Some file systems take capitals and small letters for the same.
+        names.append(next(text for text in tries if text.lower() not in taken))
+        taken.add(names[-1].lower())
+    return [f"{name}.png" for name in names]
+
+
+def _split(files: Sequence[str], train: int) -> dict[str, list[str]]:
+    """nerfstudio wants all three lists."""
+    return {"train_filenames": list(files[:train])} | {
+        f"{part}_filenames": list(files[train:]) for part in ("val", "test")
+    }
 
 
 def _scaled(camera: Camera, scale: float) -> Camera:
@@ -82,6 +111,16 @@ def _write_colmap(
     folder.mkdir(parents=True)
     for stem, lines in (("cameras", camera_lines), ("images", image_lines), ("points3D", point_lines)):
         (folder / f"{stem}.txt").write_text("\n".join([*lines, ""]), encoding="utf-8")
+
+
+def _write_points(path: Path, points: np.ndarray, colors: np.ndarray) -> None:
+    rows = np.empty(
+        len(points), [(axis, "<f8") for axis in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")]
+    )
+    for names, values in (("xyz", points), (("red", "green", "blue"), colors)):
+        for axis, name in enumerate(names):
+            rows[name] = values[:, axis]
+    PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(path))
 
 
 def _frame(name: str, camera: Camera, masked: bool) -> dict[str, Any]:

@@ -94,8 +94,10 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
     if angle not in frame:
         return None
     value = number(frame, angle, source)
-    if not 0 < value < math.pi:
-        raise SceneError(f"{source}: {angle}: expected an angle between 0 and pi radians, got {value:g}")
+    if not 0.001 < value < 3.14:
+        raise SceneError(
+            f"{source}: {angle}: expected an angle from 0.001 to 3.14 radians, got {value:g}; mend the file"
+        )
     return side / 2 / math.tan(value / 2)
 
 

@@ -269,7 +269,13 @@ def test_text_models_with_a_byte_order_mark(tmp_path):
 
 def test_other_programs_images_txt_is_no_model(tmp_path):
     (tmp_path / "images.txt").write_text("a.png\n")
+    draw(tmp_path / "a.png")
     assert not any(kind.recognises(tmp_path) for kind in all_formats())
+
+
+def test_a_model_alone_is_no_scene(tmp_path):
+    write(tmp_path, "PINHOLE")
+    assert not any(kind.recognises(tmp_path / "sparse/0") for kind in all_formats())
 
 
 def test_unsupported_camera_model_names_the_cure(tmp_path):
@@ -283,14 +289,14 @@ def test_truncated_binary_model(tmp_path, name):
     write(tmp_path, "PINHOLE")
     path = tmp_path / "sparse/0" / name
     path.write_bytes(path.read_bytes()[:-9])
-    with pytest.raises(SceneError, match="damaged COLMAP model"):
+    with pytest.raises(SceneError, match=rf"sparse/0/{name}: damaged COLMAP model"):
         load_scene(tmp_path, DataConfig())
 
 
 def test_damaged_text_model(tmp_path):
     write(tmp_path, "PINHOLE", text=True)
     (tmp_path / "sparse/0/cameras.txt").write_text("1 PINHOLE ninety 64 1 2 3 4\n")
-    with pytest.raises(SceneError, match="damaged COLMAP model"):
+    with pytest.raises(SceneError, match=r"sparse/0/cameras\.txt: damaged COLMAP model"):
         load_scene(tmp_path, DataConfig())
 
 

@@ -57,6 +57,13 @@ def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
     np.testing.assert_allclose([photos[i].K[[0, 1], [0, 1]] for i in (1, 2, 3)], [[80, 90], [32, 32], [70, 75]])
 
 
+@pytest.mark.parametrize("angle", [1e-9, math.pi - 1e-9, 40])
+def test_angles_that_no_lens_has(root, angle):
+    edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=angle))
+    with pytest.raises(SceneError, match=r"frame 2 .*camera_angle_x: expected an angle from 0\.001 to 3\.14 rad"):
+        read_capture(root, "nerfstudio")
+
+
 def test_a_photograph_that_is_there_twice_is_refused(root):
     edit_json(root / "transforms.json", lambda content: content["frames"].append(dict(content["frames"][1])))
     message = r"frame 6 \(images/frame_1\.png\): the same photograph as .*frame 1 \(images/frame_1\.png\); remove one"

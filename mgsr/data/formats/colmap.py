@@ -10,11 +10,10 @@ from __future__ import annotations
 import os
 import re
 import struct
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +24,8 @@ from mgsr.data.poses import intrinsics
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
+
+_Content = TypeVar("_Content")
 
 # Where models lie, numbered or alone, and the folders that may hold their photographs. The second is ns-process-data's,
 # the third that of 3D Gaussian splatting's convert.py, which undistorts the photographs of input/ into images/.
@@ -120,43 +121,45 @@ def _find_models(root: Path) -> tuple[str, list[Path]]:
         if place != "sparse" and (root / "transforms.json").is_file():
             break  # it was made from such a model, and has masks and splits besides
         numbered = sorted((root / place).glob("[0-9]*"), key=lambda path: (len(path.name), path.name))
-        folders = [root] if place == "." else [*numbered, root / place]
-        if markers := [marker for folder in folders if (marker := _marker(folder, alone=place != "."))]:
+        folders = [*numbered, root / place] if place != "." else [root] if _is_scene(root) else []
+        if markers := [marker for folder in folders if (marker := _marker(folder))]:
             return place, markers
     return "", []
 
 
-def _marker(folder: Path, alone: bool) -> Path | None:
-    """The images file of the model in a folder. alone: whether it needs no cameras file beside it to be one, so that
-    reading it tells what is missing; outside of sparse/ other programs may write an images.txt."""
+def _marker(folder: Path) -> Path | None:
+    """The images file of the model in a folder."""
     found = (folder / ("images" + suffix) for suffix in _IMAGES)
-    return next((path for path in found if path.is_file() and (alone or path.with_stem("cameras").is_file())), None)
+    return next((path for path in found if path.is_file()), None)
+
+
+def _is_scene(folder: Path) -> bool:
+    """Whether a folder with an images file is more than another program's list of images or a model by itself."""
+    return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS) and bool(images_below(folder))
 
 
 def _read_images(root: Path, marker: Path) -> _Model:
     where = marker.parent.relative_to(root).as_posix() if marker.parent != root else root.name
-    with _readable(where):
-        return _Model(marker, where, _IMAGES[marker.suffix](marker))
+    return _Model(marker, where, _parsed(_IMAGES, marker, where))
 
 
 def _read_scene(model: _Model) -> tuple[dict[int, _Camera], PointCloud | None]:
     """The cameras and points of a model."""
-    suffix, points = model.marker.suffix, model.marker.with_stem("points3D")
-    with _readable(model.where):
-        cameras = _CAMERAS[suffix](model.marker.with_stem("cameras"))
-        return cameras, _POINTS[suffix](points) if points.is_file() else None
+    cameras, points = model.marker.with_stem("cameras"), model.marker.with_stem("points3D")
+    return (
+        _parsed(_CAMERAS, cameras, model.where),
+        _parsed(_POINTS, points, model.where) if points.is_file() else None,
+    )
 
 
-@contextmanager
-def _readable(where: str) -> Iterator[None]:
-    """Raises SceneError for what missing and damaged files raise."""
+def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where: str) -> _Content:
+    """A model's file, binary or text. Raises SceneError where it is missing or damaged."""
     try:
-        yield
+        return parsers[path.suffix](path)
     except FileNotFoundError as error:
-        name = Path(error.filename).name
-        raise SceneError(f"{where}: {name} is missing from the COLMAP model; copy it there") from error
+        raise SceneError(f"{where}: {path.name} is missing from the COLMAP model; copy it there") from error
     except (struct.error, OSError, ValueError, IndexError, KeyError, OverflowError) as error:
-        raise SceneError(f"{where}: damaged COLMAP model: {in_short(error)}; export it again") from error
+        raise SceneError(f"{where}/{path.name}: damaged COLMAP model: {in_short(error)}; export it again") from error
 
 
 def _photograph_folder(root: Path, folders: Sequence[str], model: _Model) -> str:

@@ -82,6 +82,11 @@ def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple
         raise SceneError(f"{source}: projection_type {kind[:80]!r} is not supported; expected one of {known}")
     unit = max(size)
     fx, fy = (number(camera, axis if axis in camera else "focal", source) for axis in ("focal_x", "focal_y"))
+    if not all(0.003 <= focal <= 3000 for focal in (fx, fy)):
+        raise SceneError(
+            f"{source}: expected a focal length from 0.003 to 3000 of the image's larger sides, got {fx:g} and {fy:g}; "
+            "export it again"
+        )
     cx, cy = (number(camera, axis, source) if axis in camera else 0.0 for axis in ("c_x", "c_y"))
     names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     k1, k2, p1, p2, *higher = (number(camera, name, source) if name in camera else 0.0 for name in names)

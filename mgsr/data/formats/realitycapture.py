@@ -113,7 +113,10 @@ def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
     # The principal point is counted from the middle of the image, in its larger sides.
     side = max(size)
     px, py, k1, k2, t1, t2, k3, k4 = (_value(row, name, source) if name in row else 0.0 for name in _OPTIONAL)
-    focal = _value(row, "f", source) / _FILM * side
+    on_film = _value(row, "f", source)
+    if not 0.1 <= on_film <= 1e5:
+        raise SceneError(f"{source}: f: expected 0.1 to 100000 mm of 35 mm film, got {on_film:g}; export it again")
+    focal = on_film / _FILM * side
     lens = Lens(k1, k2, p1=t2, p2=t1, higher=(k3, k4))
     return Photo(
         image=image,

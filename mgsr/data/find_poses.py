@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -69,6 +71,10 @@ def _pycolmap() -> Any:
     except ImportError as error:
         raise ConfigError("finding cameras needs pycolmap; install it with `pip install 'mgsr[poses]'`") from error
     pycolmap.logging.minloglevel = 2  # its errors come as exceptions, and its chatter is not for our users
+    pycolmap.logging.logtostderr = True  # else it leaves files in the folder for temporary ones
+    if threading.current_thread() is threading.main_thread():
+        # It took SIGTERM for itself, and would end without any cleanup.
+        signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGTERM))
     return pycolmap
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import zipfile
 
@@ -128,3 +129,14 @@ def test_without_pycolmap_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(ConfigError, match=r"needs pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
         find_poses(tmp_path, tmp_path / "scene", 0)
+
+
+def test_sigterm_stays_ours_beside_colmap():
+    """Its log library ends the process otherwise, and leaves a trace of calls and temporary files."""
+    code = (
+        "import os, signal; from mgsr.data.find_poses import _pycolmap\n"
+        "def end(*given): raise SystemExit(143)\n"
+        "signal.signal(signal.SIGTERM, end); _pycolmap(); os.kill(os.getpid(), signal.SIGTERM)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stderr) == (143, "")

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from mgsr.data.camera import Camera
 from mgsr.data.known import known_at
 from mgsr.data.silhouettes import Silhouette
 from mgsr.parallel import map_ahead
 
-# A part of space is judged only if this share of the views looks at it: what lies outside nearly all images is
-# carved by nobody and would stay as a false block.
+# A part of space is judged only if this share of the views tells whether it is the object's: what lies outside nearly
+# all images that may cut the object off is carved by nobody and would stay as a false block.
 MIN_SEEN = 0.25
 
 # The field between voxel centres changes a little faster than distance (perspective, skewed pixels).
@@ -65,27 +66,40 @@ def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resol
 
 
 def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest signed distance [P] float32 over the views that see each point, in world units, and whether
-    enough views see it [P] bool; where they don't, the point counts as outside."""
+    """The smallest signed distance [P] float32 over the views that tell it for each point, in world units, and whether
+    enough views do [P] bool; where they don't, the point counts as outside."""
     lowest = np.full(len(points), np.inf, dtype=np.float32)
-    seen = np.zeros(len(points), dtype=np.int32)
-    for inside, distance in map_ahead(lambda outline: _one_field(outline, points), outlines, None):
-        seen += inside
-        np.minimum(lowest, distance, out=lowest, where=inside)
-    return lowest, seen >= max(2, MIN_SEEN * len(outlines))
+    told = np.zeros(len(points), dtype=np.int32)
+    for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):
+        told += tells
+        np.minimum(lowest, distance, out=lowest, where=tells)
+    return lowest, told >= max(2, MIN_SEEN * len(outlines))
 
 
-def _one_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether one view sees each point [P], and its signed distance [P] there, in world units."""
+def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whether one view tells if each point [P] is the object's, and its signed distance [P] there, in world units. A
+    view tells what it sees; one that shows the object whole tells that nothing else is."""
     camera = outline.camera
     pixels, depth = camera.project(points)
     x, y = pixels.T
-    inside = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
-    if outline.known is not None:
-        inside[inside] = known_at(outline.known, pixels[inside])
+    tells = (depth > 0) & (x > 0) & (x < camera.width) & (y > 0) & (y < camera.height)
     place = [y - 0.5, x - 0.5]
     distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
-    return inside, distance * (depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+    distance *= depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    if outline.whole:
+        to_border = np.where(depth > 0, distance, 0)[~tells]
+        distance[~tells] = to_border - _beyond(camera, points[~tells], pixels[~tells], depth[~tells])
+        return np.ones_like(tells), distance
+    if outline.known is not None:
+        tells[tells] = known_at(outline.known, pixels[tells])
+    return tells, distance
+
+
+def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """About how far points [P,3] beyond an image lie from what it shows, in world units."""
+    over = np.maximum(np.maximum(-pixels, pixels - [camera.width, camera.height]), 0)
+    before = np.linalg.norm(over / camera.K.diagonal()[:2], axis=1) * depth
+    return np.where(depth > 0, before, np.linalg.norm(points - camera.center, axis=1))
 
 
 def _children(parents: np.ndarray) -> np.ndarray:

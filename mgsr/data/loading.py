@@ -73,26 +73,74 @@ def load_views(
     return loaded
 
 
-def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> tuple[list[View], list[View]]:
+@dataclass(frozen=True)
+class SettledViews:
+    """Views of which all training views have a mask, or no view has; and notes for the person on what is left out."""
+
+    train: list[View]
+    test: list[View]
+    notes: tuple[str, ...] = ()
+
+
+def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
     """The views with masks if `masks` allows and every training view has one, else all without.
 
-    Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are put on white.
-    Raises SceneError under Masks.REQUIRE, and for masks that are white around the object.
+    Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are put on white. With
+    masks, views in which they show nothing are left out.
+    Raises SceneError under Masks.REQUIRE, for masks that are white around the object, and where they show nothing in
+    most training views.
     """
-    bare = next((item.view.name for item in train if item.view.alpha is None), None)
+    bare = [item.view.name for item in train if item.view.alpha is None]
     solid = all(_solid(item.view) for item in train)
-    if masks is Masks.REQUIRE and (bare is not None or solid):
-        missing = f"view {bare!r} has none" if bare is not None else "every mask is white all over"
+    if masks is Masks.REQUIRE and (bare or solid):
+        missing = f"view {bare[0]!r} has none" if bare else "every mask is white all over"
         raise SceneError(f"masks=require: {missing}; add alpha channels or a masks/ folder, or use masks=auto")
-    keep = masks is not Masks.OFF and bare is None and not solid
-    masks_shown = (whole_part(item.view).alpha for item in train)
-    if keep and inverted_masks([mask for mask in masks_shown if mask is not None]):
+    if masks is Masks.OFF or bare or solid:
+        notes = () if masks is Masks.OFF else _unused_masks(train, bare)
+        return SettledViews([_drop_alpha(item) for item in train], [_drop_alpha(item) for item in test], notes)
+    shown, notes = _with_an_object(train)
+    masks_shown = (whole_part(item.view).alpha for item in shown)
+    if inverted_masks([mask for mask in masks_shown if mask is not None]):
         raise SceneError(
             "the masks are inverted: white around the object and black on it; make them white on the object, or run "
             "with masks=off"
         )
-    settle = _keep_alpha if keep else _drop_alpha
-    return [settle(item) for item in train], [settle(item) for item in test]
+    return SettledViews([item.view for item in shown], [item.view for item in test if not _empty(item.view)], notes)
+
+
+def _unused_masks(train: list[LoadedView], bare: list[str]) -> tuple[str, ...]:
+    """What is said of masks that some views have, or that tell nothing."""
+    if bare and len(bare) < len(train):
+        having = f"{len(train) - len(bare)} of {len(train)} training views have a mask"
+        return (f"{having}, but {bare[0]!r} has none: masks are not used",)
+    if not bare and not all(item.cut_out for item in train):
+        return ("every mask is white all over: masks are not used",)
+    return ()
+
+
+def _with_an_object(train: list[LoadedView]) -> tuple[list[LoadedView], tuple[str, ...]]:
+    """The views in whose masks there is something, and a note on the others."""
+    empty = [item for item in train if _empty(item.view)]
+    if not empty:
+        return train, ()
+    first = empty[0].view
+    count = f"the masks of {len(empty)} of {len(train)} training views are empty"
+    if len(train) - len(empty) < max(2, len(train) / 2):
+        raise SceneError(
+            f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
+            "the object; make them white on the object, or run with masks=off"
+        )
+    return [item for item in train if not _empty(item.view)], (f"{count} ({first.name!r}): these views are left out",)
+
+
+def _empty(view: View) -> bool:
+    return view.alpha is not None and _brightest(view) < 128
+
+
+def _brightest(view: View) -> int:
+    """The largest value of the mask where the photograph shows something."""
+    assert view.alpha is not None, "called for views with masks"
+    return int((view.alpha if view.known is None else view.alpha[view.known]).max(initial=0))
 
 
 def _solid(view: View) -> bool:
@@ -101,10 +149,6 @@ def _solid(view: View) -> bool:
         return True
     shown = view.alpha if view.known is None else view.alpha[view.known]
     return bool(shown.min() == 255)
-
-
-def _keep_alpha(item: LoadedView) -> View:
-    return item.view
 
 
 def _drop_alpha(item: LoadedView) -> View:

@@ -27,7 +27,7 @@ def normalisation(views: Sequence[View], points: PointCloud | None) -> Similarit
     With masks: the smallest ball around the visual hull. Without: the ball around the point that the cameras look
     at that most of them have in view, moved and drawn in to the points that crowd in it. Cameras that look into one
     direction have no such point: there the ball holds nine tenths of the points, or what the cameras see in common.
-    Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
+    Masks must not be empty. Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
@@ -73,7 +73,8 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
 
 def _masked_ball(views: Sequence[View]) -> tuple[np.ndarray, float]:
     outlines = silhouettes(views, max_side=200)
-    center, radius = _ball_of_masks(views)
+    center, radii = ball_of_masks(views)
+    radius = float(radii.max())
     for _ in range(8):
         half = 1.05 * radius
         hull = carve(outlines, center, half, RESOLUTION)
@@ -92,32 +93,23 @@ def _masked_ball(views: Sequence[View]) -> tuple[np.ndarray, float]:
     return found, radius_found
 
 
-def _ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, float]:
-    """A ball about as large as the object, from the masks' boxes."""
-    origins, directions, spreads = [], [], []
-    for view in views:
-        boxed = _box(view)
-        if boxed is not None:
-            middle, spread = boxed
-            origins.append(view.camera.center)
-            directions.append(middle)
-            spreads.append(spread)
-    if len(origins) < 2:
-        raise SceneError("fewer than 2 training views have anything in their masks; mend them, or run with masks=off")
-    point = focus(np.array(origins), np.array(directions))
+def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+    """Centre [3] of a ball about as large as the object, from the boxes of the masks, which must not be empty; and its
+    radius by each of them [V]."""
+    origins = np.array([view.camera.center for view in views])
+    boxes = [_box(view) for view in views]
+    directions, spreads = (np.array(part) for part in zip(*boxes, strict=True))
+    point = focus(origins, directions)
     if point is None:
-        point = _common_point(np.array(origins), np.array(directions))
-    distance = np.linalg.norm(np.array(origins) - point, axis=1)
-    return point, float(np.max(distance * np.array(spreads)))
+        point = _common_point(origins, directions)
+    return point, np.linalg.norm(origins - point, axis=1) * spreads
 
 
-def _box(view: View) -> tuple[np.ndarray, float] | None:
-    """World direction to the middle of the mask, and half the mask's diagonal over depth; None if it is empty."""
+def _box(view: View) -> tuple[np.ndarray, float]:
+    """World direction to the middle of the mask, which isn't empty, and half the mask's diagonal over depth."""
     assert view.alpha is not None, "called for masked scenes only"
     inside = view.alpha > 127 if view.known is None else (view.alpha > 127) & view.known
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
-    if not len(rows):
-        return None
     K = view.camera.K
     x = (np.array([cols[0], cols[-1] + 1]) - K[0, 2]) / K[0, 0]
     y = (np.array([rows[0], rows[-1] + 1]) - K[1, 2]) / K[1, 1]

@@ -13,15 +13,21 @@ from mgsr.data.images import reduce_area
 from mgsr.data.known import known_mean
 from mgsr.data.scene import View
 
+# A mask that stays this share of the image's larger side away from the border shows its object whole. Masks of objects
+# that the image cuts off may end a few pixels before it.
+FREE_BORDER = 0.02
+
 
 @dataclass(frozen=True)
 class Silhouette:
     """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera; known [h,w]
-    bool: the pixels that say where the object is and isn't, None if all do."""
+    bool: the pixels that say where the object is and isn't, None if all do. whole: whether nothing of the object lies
+    beyond these pixels."""
 
     camera: Camera
     distance: np.ndarray
     known: np.ndarray | None = None
+    whole: bool = False
 
 
 def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
@@ -52,4 +58,12 @@ def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         alpha, known = known_mean(alpha, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
-    return Silhouette(camera, signed_distance(alpha[..., 0] / 255, known), known)
+    distance = signed_distance(alpha[..., 0] / 255, known)
+    return Silhouette(camera, distance, known, whole=_leaves_border_free(distance > 0, known))
+
+
+def _leaves_border_free(inside: np.ndarray, known: np.ndarray | None) -> bool:
+    """Whether a mask [h,w] bool that isn't empty keeps away from the border of what is known."""
+    shown = np.pad(np.ones_like(inside) if known is None else known, 1)
+    to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
+    return bool(inside.any() and to_border[inside].min() > FREE_BORDER * max(inside.shape))

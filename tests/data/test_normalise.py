@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import trimesh
@@ -11,7 +13,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.normalise import focus, normalisation, smallest_ball
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud, View
-from tests.data.captures import SIDE, BallCapture, look_at
+from tests.data.captures import SIDE, BallCapture, look_at, save
 
 CENTER = np.array([5.0, -2.0, 1.0])
 
@@ -29,6 +31,42 @@ def test_masks_give_the_ball(tmp_path, scale):
     assert frame.scale == pytest.approx(ball.radius * scale, rel=0.1)
     np.testing.assert_allclose(frame.offset, ball.center, atol=0.05 * scale)
     assert np.linalg.norm(frame.offset - ball.center) + ball.radius * scale <= 1.01 * frame.scale
+
+
+@pytest.mark.parametrize("views", [8, 12, 20, 40])
+@pytest.mark.parametrize("focal", [60, 80, 105])
+def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path, views, focal):
+    """Where it fills them (105: nine tenths of the side), what lies beside them is not its either. The witness is the
+    hull of all masks, worked out point by point: nothing is in it that any view has outside its mask or its image."""
+    K = np.array([[focal, 0, 32.0], [0, focal, 32], [0, 0, 1]])
+    ball = BallCapture(views=views, center=CENTER, K=K)
+    scene = load_scene(ball.write_plain(tmp_path), DataConfig(test_every=1000))
+    points = np.stack(np.meshgrid(*[np.linspace(-1.2, 1.2, 60)] * 3, indexing="ij"), axis=-1).reshape(-1, 3) + CENTER
+    inside = np.ones(len(points), bool)
+    for pose in ball.poses():
+        local = points @ pose[:3, :3].T + pose[:3, 3]
+        columns, rows = np.floor(local[:, :2] / local[:, 2:] * focal + 32).astype(int).T
+        shown = (columns >= 0) & (columns < SIDE) & (rows >= 0) & (rows < SIDE)
+        inside[~shown] = False
+        inside[shown] &= ball.mask(pose)[rows[shown], columns[shown]]
+    center, radius = smallest_ball(points[inside])
+    frame = scene.user_from_scene
+    assert frame.scale == pytest.approx(radius, rel=0.08)
+    np.testing.assert_allclose(frame.offset, center, atol=0.05)
+
+
+def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path):
+    """Half the views are close-ups that show a part of it; they must not carve the rest."""
+    ball, near = (BallCapture(views=16, K=np.array([[f, 0, 32.0], [0, f, 32], [0, 0, 1]])) for f in (80, 200))
+    root = ball.write_plain(tmp_path)
+    content = json.loads((root / "cameras.json").read_text())
+    for i, view in enumerate(content["views"][::2]):
+        view["K"] = near.K.tolist()
+        save(root / view["image"], near.rgba(near.poses()[2 * i]), "RGBA")
+    (root / "cameras.json").write_text(json.dumps(content))
+    frame = load_scene(root, DataConfig(test_every=1000)).user_from_scene
+    assert frame.scale == pytest.approx(ball.radius, rel=0.1)
+    np.testing.assert_allclose(frame.offset, ball.center, atol=0.05)
 
 
 def test_cameras_alone_give_what_they_see_in_common():

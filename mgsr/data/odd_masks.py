@@ -1,0 +1,58 @@
+"""Views whose masks contradict the others': inverted ones, those of another view, or of what hides the object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.hull import view_field
+from mgsr.data.normalise import ball_of_masks
+from mgsr.data.scene import View
+from mgsr.data.silhouettes import silhouettes
+from mgsr.parallel import map_ahead
+
+# Few views differ much about where the object is, without a mistake.
+FEWEST = 6
+
+# A place is the object's where at most this share of the views, or one, has it outside their masks.
+DISSENT = 0.1
+
+# A mask that leaves out this share of such places contradicts. Of 6 good ones of the shared scenes none leaves out more
+# than 0.24, of 12 more than 0.05; inverted ones leave out 0.7 and more, those a third of the image beside the object
+# 0.55 and more of 12.
+MOST_LEFT_OUT = 0.5
+
+# Where more views than this share contradict, it is not known which are right.
+MOST_ODD = 0.25
+
+# Points along each side of the cube around the object that are looked at.
+_SIDE = 32
+
+
+def without_odd_masks(views: list[View]) -> tuple[list[View], tuple[str, ...]]:
+    """The views without the few whose masks leave out where nearly all others have the object; and a note on those.
+
+    views: all with masks that aren't empty, in the user's frame.
+    """
+    if len(views) < FEWEST:
+        return views, ()
+    left_out = _left_out(views)
+    votes = left_out.sum(axis=0)
+    objects = votes <= max(votes.min(), 1, DISSENT * len(views))
+    odd = left_out[:, objects].mean(axis=1) > MOST_LEFT_OUT
+    if not 0 < odd.sum() <= MOST_ODD * len(views):
+        return views, ()
+    names = ", ".join(repr(view.name) for view, out in zip(views, odd, strict=True) if out)
+    text = f"the masks of {odd.sum()} of {len(views)} training views leave out where the others have the object"
+    kept = [view for view, out in zip(views, odd, strict=True) if not out]
+    return kept, (f"{text} ({names}): these views are left out",)
+
+
+def _left_out(views: Sequence[View]) -> np.ndarray:
+    """[V,P] bool: which of the points of a grid around the object each view has outside its mask."""
+    center, radii = ball_of_masks(views)
+    axis = np.linspace(-1, 1, _SIDE) * np.median(radii)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
+    fields = map_ahead(lambda outline: view_field(outline, points), silhouettes(views, max_side=200), None)
+    return np.array([tells & (distance < 0) for tells, distance in fields])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -165,11 +166,9 @@ def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.nda
     as_float = channels.multiplied or _is_linear(spec) or str(spec.format) in _FLOATS
     first, end = min(channels.all), max(channels.all) + 1
     pixels = handle.read_image(channels.part, 0, first, end, "float" if as_float else "uint8")
-    trouble = handle.geterror()
+    trouble = _trouble(handle.geterror)
     if pixels is None or trouble:
-        raise SceneError(
-            f"{path.name}: damaged image: {in_short(trouble) or 'no pixels'} (asked for by {source}); copy it again"
-        )
+        raise SceneError(f"{path.name}: damaged image: {trouble or 'no pixels'} (asked for by {source}); copy it again")
     pixels = pixels.reshape(spec.height, spec.width, end - first)
     if channels.all == tuple(range(first, end)):
         return pixels
@@ -194,7 +193,8 @@ def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
 def _divided(pixels: np.ndarray) -> np.ndarray:
     """Straight colours from those that come multiplied by alpha, the last channel."""
     alpha = pixels[..., -1:]
-    straight = pixels / np.where(alpha > 0, alpha, 1)
+    with np.errstate(over="ignore"):  # of alpha next to nothing
+        straight = pixels / np.where(alpha > 0, alpha, 1)
     straight[..., -1:] = alpha
     return straight
 
@@ -236,6 +236,14 @@ def _is_linear(spec: Any) -> bool:
     return str(space).lower().startswith("lin")
 
 
+def _trouble(geterror: Callable[[], str]) -> str:
+    """What OpenImageIO says of its last failure, in short; empty if there was none."""
+    try:
+        return in_short(geterror())
+    except UnicodeDecodeError as error:  # it puts a damaged file's own bytes into its text
+        return in_short(error.object.decode(errors="replace"))
+
+
 def _open(path: Path, source: str) -> Any:
     # Late, so that what has its images already (a training run on another machine) needs no OpenImageIO.
     import OpenImageIO
@@ -245,7 +253,7 @@ def _open(path: Path, source: str) -> Any:
     config.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
     handle = OpenImageIO.ImageInput.open(str(path), config)
     if handle is None:
-        reason = in_short(OpenImageIO.geterror()) or "unknown type"
+        reason = _trouble(OpenImageIO.geterror) or "unknown type"
         cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO's own limits come before ours
         raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); {cure}")
     spec, window = handle.spec(), _shown_window(handle)

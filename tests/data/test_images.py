@@ -156,6 +156,16 @@ def test_an_exr_whose_second_part_is_the_picture(tmp_path):
     assert as_read(tmp_path / "a.exr") == (SHOWN, None)
 
 
+def test_an_exr_of_which_the_error_is_no_text(tmp_path):
+    """Found by fuzzing: OpenImageIO puts bytes of the file into what it says."""
+    path = write_exr(tmp_path / "a.exr", LIGHT)
+    path.write_bytes(path.read_bytes().replace(b"chlist", b"ch\xffist"))
+    with pytest.raises(
+        SceneError, match=r"a\.exr: not an image that can be read: .*ch\ufffdist.*view 3.*copy it again"
+    ):
+        read_image(path, "view 3")
+
+
 @pytest.mark.parametrize(
     ("window", "display", "rows", "columns"),
     [

@@ -90,7 +90,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     members, for archives that unpack to more than the limits, where what counts is what really comes out, and for other
     kinds of archives. Raises OSError, naming the folder, where the disk is full. Then nothing is left behind.
     """
-    folder = target or _temporary_folder()
+    folder = target or _temporary_folder() / archive_stem(archive)  # messages name a scene by its folder
     if folder.is_dir() and any(folder.iterdir()):
         raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
     folder.mkdir(parents=True, exist_ok=True)
@@ -99,7 +99,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
         with _opened(budget) as members:
             _write_all(budget, members, folder)
     except BaseException as error:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(folder if target else folder.parent, ignore_errors=True)
         if target is None and isinstance(error, OSError) and error.errno in _NO_SPACE:
             cure = "free space there, or set TMPDIR to a folder with more"
             raise OSError(error.errno, f"{error.strerror}: {archive.name} unpacks to {folder}; {cure}") from error

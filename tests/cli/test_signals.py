@@ -45,7 +45,7 @@ def unpacking(folder: Path, ignored: signal.Signals | None = None) -> subprocess
         if ignored is not None:
             signal.signal(ignored, before)
     assert process.stdout is not None and process.stdout.readline() == "unpacking\n"
-    assert list((folder / "tmp").glob("mgsr-scene-*/a.png"))
+    assert list((folder / "tmp").glob("mgsr-scene-*/*/a.png"))
     return process
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from plyfile import PlyData, PlyElement, PlyParseError
+from scipy.special import expit
 
 from mgsr.errors import SceneError, in_short
 from mgsr.export.splats import DAMAGE, Splats
@@ -29,12 +30,8 @@ _SCALE_LIMIT = 20.0
 
 
 def write_compressed_ply(path: Path, splats: Splats) -> None:
-    """Write splats as `write_splats` takes them, ordered along a curve through space so that chunks are small.
-
-    Raises SceneError for means that are NaN or infinite.
-    """
-    if not np.isfinite(splats["means"]).all():
-        raise SceneError("splats: expected finite means, got NaN or infinite ones; remove those splats")
+    """Write splats as `write_splats` takes them, finite but for opacity logits, ordered along a curve through space so
+    that chunks are small."""
     ordered = {name: array[_along_curve(splats["means"])] for name, array in splats.items()}
     values = {
         "position": ordered["means"].astype(np.float32),
@@ -48,7 +45,7 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     shares = {kind: _within_chunks(values[kind], chunks, kind) for kind in _RANGES}
     for kind in ("position", "scale"):
         vertices[f"packed_{kind}"] = _pack(shares[kind], _BITS)
-    opacity = 1 / (1 + np.exp(-ordered["opacity_logits"].astype(np.float64)))
+    opacity = expit(ordered["opacity_logits"].astype(np.float64))
     vertices["packed_color"] = _pack(np.column_stack([shares["color"], opacity]), (8, 8, 8, 8))
     vertices["packed_rotation"] = _packed_rotations(ordered["quats"])
     elements = [PlyElement.describe(chunks, "chunk"), PlyElement.describe(vertices, "vertex")]
@@ -71,9 +68,7 @@ def load_compressed_ply(path: Path) -> Splats:
         rest = _load_harmonics(data, len(vertices))
         quats = _unpacked_rotations(vertices["packed_rotation"])
     except (PlyParseError, *DAMAGE) as error:
-        raise SceneError(
-            f"{path.name}: expected a compressed PLY of splats: {in_short(error)}; write it again"
-        ) from error
+        raise SceneError(f"{path}: expected a compressed PLY of splats: {in_short(error)}; write it again") from error
     alpha = np.clip(color[:, 3], 0.5 / 255, 1 - 0.5 / 255)
     splats = {
         "means": values["position"],
@@ -117,6 +112,9 @@ def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndar
 
 
 def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.ndarray) -> np.ndarray:
+    """Files from before colours had ranges have them in 0..1."""
+    if kind == "color" and "min_r" not in (chunks.dtype.names or ()):
+        return shares
     low, high = (np.stack([chunks[f"{end}_{name}"] for name in _RANGES[kind]], axis=1) for end in ("min", "max"))
     return low[which] + shares * (high - low)[which]
 
@@ -162,7 +160,7 @@ def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:
 
 def _harmonics(rest: np.ndarray) -> np.ndarray:
     """Coefficients [N,K,3] as bytes over -4..4, all of red, then green, then blue."""
-    flat = rest.transpose(0, 2, 1).reshape(len(rest), -1)
+    flat = rest.transpose(0, 2, 1).reshape(len(rest), 3 * rest.shape[1])
     table = np.zeros(len(rest), [(f"f_rest_{i}", "u1") for i in range(flat.shape[1])])
     for i in range(flat.shape[1]):
         table[f"f_rest_{i}"] = np.clip(np.floor((flat[:, i] / 8 + 0.5) * 256), 0, 255)
@@ -175,4 +173,4 @@ def _load_harmonics(data: PlyData, count: int) -> np.ndarray:
     table = data["sh"].data
     flat = np.stack([table[f"f_rest_{i}"] for i in range(len(table.dtype.names))], axis=1).astype(np.float64)
     # A byte stands for the middle of its step.
-    return (((flat + 0.5) / 256 - 0.5) * 8).reshape(count, 3, -1).transpose(0, 2, 1)
+    return (((flat + 0.5) / 256 - 0.5) * 8).reshape(count, 3, flat.shape[1] // 3).transpose(0, 2, 1)

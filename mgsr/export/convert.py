@@ -11,21 +11,20 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.images import linear_to_srgb
-from mgsr.errors import ConfigError, MeshError, in_short
+from mgsr.data.scene import Similarity
+from mgsr.errors import ConfigError, MeshError, SceneError, in_short
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.obj_files import write_obj
-from mgsr.export.splats import Splats, load_splats, write_splats
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
+from mgsr.export.splats import Splats, load_splats, require_finite, write_splats
 from mgsr.export.spz import load_spz, write_spz
 
 COMPRESSED = ".compressed.ply"
 _MESHES = (".ply", ".glb", ".obj")
-_SPLATS: dict[str, Callable[[Path, Splats], None]] = {
-    COMPRESSED: write_compressed_ply,
-    ".ply": write_splats,
-    ".spz": write_spz,
-}
+_PACKED: dict[str, Callable[[Path, Splats], None]] = {COMPRESSED: write_compressed_ply, ".spz": write_spz}
+_SPLATS = (COMPRESSED, ".ply", ".spz")
 # The longer ending first, as both fit the same names.
 FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
 
@@ -62,7 +61,7 @@ def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
     that `target` can't take."""
     if not source.is_file():
         raise ConfigError(f"{source}: no such file")
-    kind, suffixes = ("splats", tuple(_SPLATS)) if _holds_splats(source) else ("a mesh", _MESHES)
+    kind, suffixes = ("splats", _SPLATS) if _holds_splats(source) else ("a mesh", _MESHES)
     if _suffix(target) not in suffixes:
         raise ConfigError(
             f"{target}: {source} is taken as {kind}, which can become a file that ends in {', '.join(suffixes)}; "
@@ -131,25 +130,45 @@ def _colors(mesh: Any, is_linear: bool) -> np.ndarray:
 
 def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
     mesh = load_mesh(source)
-    arrays = (mesh.vertices * scale, mesh.faces, mesh.normals, mesh.colors)
+    arrays = (_scaled(mesh.vertices, scale), mesh.faces, mesh.normals, mesh.colors)
     match _suffix(target):
         case ".glb":
             write_glb(target, *arrays, up=up)
         case ".obj":
             write_obj(target, *arrays)
         case _:
-            write_ply(target, *arrays)
+            write_ply(target, *arrays, unit=read_number(source, UNIT) * scale)
     return f"a mesh of {len(mesh.faces)} faces"
 
 
 def _convert_splats(source: Path, target: Path, scale: float) -> str:
-    suffix = _suffix(target)
     splats = _load_splats(source)
-    splats["means"] = splats["means"] * np.float32(scale)
+    means = _scaled(splats["means"], scale)
+    suffix = _suffix(target)
+    if suffix == ".ply":
+        unit, low_pass = (read_number(source, name) for name in (UNIT, LOW_PASS))
+        write_splats(target, splats, Similarity(1 / unit), unit * scale, low_pass)
+        return f"{len(means)} splats"
+    splats["means"] = means.astype(np.float32)
     splats["log_scales"] = splats["log_scales"] + np.float32(math.log(scale))
-    _SPLATS[suffix](target, splats)
-    lost = "" if suffix == ".ply" or "refl_sh" not in splats else ", without their reflected half"
-    return f"{len(splats['means'])} splats{lost}"
+    try:
+        _PACKED[suffix](target, splats)
+    except SceneError as error:
+        raise SceneError(f"{source}: {error}") from error
+    return f"{len(means)} splats" + (", without their reflected half" if "refl_sh" in splats else "")
+
+
+def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
+    """Places times `scale`, float64. Raises ConfigError where files' floats can't hold them."""
+    with np.errstate(over="ignore"):
+        scaled = places.astype(np.float64) * scale
+    largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)
+    if np.any(places) and not limits.tiny <= largest <= limits.max:
+        raise ConfigError(
+            f"--scale {scale:g}: makes places of up to {np.abs(places).max():g} units {largest:g}; expected "
+            f"{limits.tiny:.0e} to {limits.max:.0e}, nearer to 1"
+        )
+    return scaled
 
 
 def _holds_splats(path: Path) -> bool:
@@ -161,6 +180,10 @@ def _holds_splats(path: Path) -> bool:
 
 
 def _load_splats(path: Path) -> Splats:
+    """Raises SceneError where values are NaN or infinite: one would spoil all others of a chunk or the scene."""
     if path.suffix.lower() == ".spz":
-        return load_spz(path)
-    return load_compressed_ply(path) if is_compressed_ply(path) else load_splats(path)
+        splats = load_spz(path)
+    else:
+        splats = load_compressed_ply(path) if is_compressed_ply(path) else load_splats(path)
+    require_finite(splats, path)
+    return splats

@@ -58,7 +58,7 @@ def write_splats(
 
     Raises SceneError for arrays that are missing, not known or of the wrong shape.
     """
-    _check(splats)
+    _check(splats, "splats")
     frame = user_from_scene or Similarity()
     frame = Similarity(frame.scale * unit, frame.offset * unit)
     columns = _columns(splats, frame)
@@ -82,8 +82,20 @@ def load_splats(path: Path) -> Splats:
         splats = _splats(data["vertex"], path, _notes(data.comments))
     except (PlyParseError, *DAMAGE) as error:
         raise SceneError(f"{path}: expected a PLY of splats: {in_short(error)}; write it again") from error
-    _check(splats)
+    _check(splats, str(path))
     return splats
+
+
+def require_finite(splats: Splats, source: Path) -> None:
+    """Raises SceneError for NaN and infinite values, but for infinite opacity logits, which mean 0 and 1."""
+    for name, array in splats.items():
+        allowed = ~np.isnan(array) if name.endswith("opacity_logits") else np.isfinite(array)
+        bad = int((~allowed.reshape(len(array), -1)).any(axis=1).sum()) if len(array) else 0
+        if bad:
+            raise SceneError(
+                f"{source}: {name} of {bad} of {len(array)} splats are NaN or infinite; remove those splats, such as "
+                "by `splat-transform A.ply --filter-nan B.ply`"
+            )
 
 
 def _notes(comments: list[str]) -> dict[str, str]:
@@ -170,16 +182,16 @@ def _sh_columns(sh: np.ndarray, prefix: str, coefficients: int) -> dict[str, np.
     return columns | {f"{prefix}rest_{index}": rest[:, index] for index in range(rest.shape[1])}
 
 
-def _check(splats: Splats) -> None:
+def _check(splats: Splats, source: str) -> None:
     needed = {"means", "quats", "log_scales", "opacity_logits", "sh"}
     given = set(splats)
     split = given & set(_SPLIT)
     if not needed <= given or (split and split != set(_SPLIT)) or given - needed - set(_SPLIT):
-        raise SceneError(f"splats: expected {sorted(needed)} and all or none of {list(_SPLIT)}, got {sorted(given)}")
+        raise SceneError(f"{source}: expected {sorted(needed)} and all or none of {list(_SPLIT)}, got {sorted(given)}")
     count = len(splats["means"])
     for name, array in splats.items():
         if not _fits(name, array.shape, count):
-            raise SceneError(f"splats: {name}: expected {_wanted(name, count)}, got {list(array.shape)}")
+            raise SceneError(f"{source}: {name}: expected {_wanted(name, count)}, got {list(array.shape)}")
 
 
 def _fits(name: str, shape: tuple[int, ...], count: int) -> bool:
@@ -194,5 +206,5 @@ def _wanted(name: str, count: int) -> str:
     if name == "log_scales":
         return f"[N={count}, 2 or 3]"
     if name in ("sh", "refl_sh"):
-        return f"[N={count}, 1 or 4 or 9 or 16, 3]"
+        return f"[N={count}, 1 or 4 or 9 or 16, 3] (degree 3 at most)"
     return f"[N={', '.join(map(str, (count, *_SHAPES[name])))}]"

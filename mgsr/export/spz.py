@@ -1,10 +1,14 @@
 """Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, and what it rounds is hardly seen.
 
-Source: the README of Niantic's spz and its version 2: gzip of a 16-byte header and one array after the other, all
-bytes: positions as 24-bit fixed point, opacities, colours, log scales in sixteenths, quaternions (x, y, z of the one
-with w >= 0), and higher colour coefficients with 5 bits in the first degree and 4 in the others. The
-format has y up and z backwards where splat PLYs have y down and z forward, so that everything is turned half round x on
-the way, as Niantic's own converter does. The light split's reflected half has no place in it.
+Source: the README of Niantic's spz and its versions 2 and 3: gzip of a 16-byte header and one array after the other,
+all bytes: positions as 24-bit fixed point, opacities, colours, log scales in sixteenths, quaternions, and higher colour
+coefficients with 5 bits in the first degree and 4 in the others. Version 2 keeps x, y, z of the quaternion with w >= 0,
+version 3 the three smaller parts in ten bits each. The format has y up and z backwards where splat PLYs have y down and
+z forward, so that everything is turned half round x on the way, as Niantic's own converter does. The light split's
+reflected half has no place in it.
+
+Version 2 is written, which more programs read. Its w, which follows from bytes, is up to 10 degrees off near 0, but an
+ellipsoid is the same with its axes named otherwise: those names are taken that make w largest (`_least_turned`).
 """
 
 from __future__ import annotations
@@ -17,11 +21,14 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
 
 from mgsr.errors import SceneError, in_short
 from mgsr.export.splats import SURFEL_THICKNESS, Splats
 
-_MAGIC, _VERSION = 0x5053474E, 2
+_MAGIC = 0x5053474E
+_WRITTEN, _READ = 2, (2, 3)
 _HEADER = struct.Struct("<IIIBBBB")
 _DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
 # What the constant colour coefficient is multiplied with, about the middle, for a byte.
@@ -31,25 +38,34 @@ _TURN = np.array([1.0, -1, -1])
 _QUAT_TURN = np.array([1.0, 1, -1, -1])
 _SH_TURN = np.array([-1.0, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])[:, None]
 
+# What the bytes of scales can say.
+_LOG_SCALES = (-10.0, 255 / 16 - 10)
+# The share of splats whose size may be cut off there: above it, the scene looks wrong.
+_MAX_CUT_OFF = 0.1
+# The most that programs are known to read right.
+_MAX_FRACTION_BITS = 20
+
 # A file of a hundred million splats would not fit a card; what claims more was made to fill the memory.
 _MAX_SPLATS = 100_000_000
 
 
 def write_spz(path: Path, splats: Splats) -> None:
-    """Write splats as `write_splats` takes them, in the frame that they have.
+    """Write splats as `write_splats` takes them, finite but for opacity logits, in the frame that they have.
 
-    Raises SceneError for positions that its 24 bits can't hold.
+    Raises SceneError for positions that its 24 bits can't hold, and where many sizes are out of its range.
     """
+    _check_sizes(splats["log_scales"])
     fraction = _fraction_bits(splats["means"])
+    quats, log_scales = _least_turned(_unit(splats["quats"]), three_scales(splats["log_scales"]))
     count, coefficients = splats["sh"].shape[:2]
-    header = _HEADER.pack(_MAGIC, _VERSION, count, _DEGREES[coefficients], fraction, 0, 0)
+    header = _HEADER.pack(_MAGIC, _WRITTEN, count, _DEGREES[coefficients], fraction, 0, 0)
     fixed = np.rint(splats["means"].astype(np.float64) * _TURN * 2**fraction).astype("<i4")
     arrays = [
         fixed.view(np.uint8).reshape(count, 3, 4)[:, :, :3],
-        _byte(255 / (1 + np.exp(-splats["opacity_logits"].astype(np.float64)))),
+        _byte(255 * expit(splats["opacity_logits"].astype(np.float64))),
         _byte((splats["sh"][:, 0] * _COLOR_SCALE + 0.5) * 255),
-        _byte((three_scales(splats["log_scales"]) + 10) * 16),
-        _byte(_unit(splats["quats"] * _QUAT_TURN)[:, 1:] * 127.5 + 127.5),
+        _byte((log_scales - _LOG_SCALES[0]) * 16),
+        _byte(_unit(quats * _QUAT_TURN)[:, 1:] * 127.5 + 127.5),
         _quantised_harmonics(splats["sh"][:, 1:] * _SH_TURN[: coefficients - 1]),
     ]
     body = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
@@ -57,27 +73,29 @@ def write_spz(path: Path, splats: Splats) -> None:
 
 
 def load_spz(path: Path) -> Splats:
-    """The splats of a file of version 2, as volumes. Raises SceneError naming the file for others."""
+    """The splats of a file of version 2 or 3, as volumes. Raises SceneError naming the file for others."""
     header, body = _unpacked(path)
-    _, _, count, degree, fraction, _, _ = header
+    _, version, count, degree, fraction, _, _ = header
     coefficients = {value: key for key, value in _DEGREES.items()}[degree]
-    sizes = [9, 1, 3, 3, 3, 3 * (coefficients - 1)]
+    sizes = [9, 1, 3, 3, 3 if version == 2 else 4, 3 * (coefficients - 1)]
     if len(body) < count * sum(sizes):
-        raise SceneError(f"{path.name}: ends early: expected {count * sum(sizes)} bytes of splats, got {len(body)}")
+        raise SceneError(
+            f"{path}: ends early: expected {count * sum(sizes)} bytes of splats, got {len(body)}; write it again"
+        )
     edges = np.cumsum([0, *sizes]) * count
-    parts = [np.frombuffer(body, np.uint8)[a:b].reshape(count, -1) for a, b in pairwise(edges)]
-    positions, opacity, color, scales, rotation, rest = (part.astype(np.float64) for part in parts)
+    parts = [np.frombuffer(body[a:b], np.uint8) for a, b in pairwise(edges)]
+    positions, opacity, color, scales, rotation, rest = (
+        part.reshape(count, size) for part, size in zip(parts, sizes, strict=True)
+    )
     whole = np.zeros((count, 3, 4), np.uint8)
     whole[:, :, 1:] = positions.reshape(count, 3, 3)
-    vector = rotation / 127.5 - 1
-    real = np.sqrt(np.maximum(0, 1 - (vector**2).sum(axis=1)))
     alpha = np.clip(opacity[:, 0] / 255, 0.5 / 255, 1 - 0.5 / 255)
-    higher = (rest.reshape(count, coefficients - 1, 3) - 128) / 128 * _SH_TURN[: coefficients - 1]
+    higher = (rest.reshape(count, coefficients - 1, 3) - 128.0) / 128 * _SH_TURN[: coefficients - 1]
     splats = {
         # The bytes are the upper ones of 32 bits, so that the sign comes along.
         "means": (whole.view("<i4")[..., 0] >> 8) / 2**fraction * _TURN,
-        "quats": np.column_stack([real, vector]) * _QUAT_TURN,
-        "log_scales": scales / 16 - 10,
+        "quats": (_from_three_bytes(rotation) if version == 2 else _from_four_bytes(rotation)) * _QUAT_TURN,
+        "log_scales": scales / 16 + _LOG_SCALES[0],
         "opacity_logits": np.log(alpha / (1 - alpha)),
         "sh": np.concatenate([(color / 255 - 0.5)[:, None] / _COLOR_SCALE, higher], axis=1),
     }
@@ -92,29 +110,83 @@ def three_scales(log_scales: np.ndarray) -> np.ndarray:
 
 
 def _unpacked(path: Path) -> tuple[tuple[int, ...], bytes]:
+    with path.open("rb") as raw:
+        if raw.read(4) == _MAGIC.to_bytes(4, "little"):
+            raise SceneError(
+                f"{path}: SPZ of version 4 or later, which is not read; write it as version 3, such as by "
+                "`splat-transform --spz-version 3 A.spz B.spz`"
+            )
     try:
         with gzip.open(path) as file:
             header = _HEADER.unpack(file.read(_HEADER.size))
             magic, version, count, degree = header[:4]
-            if magic != _MAGIC or version != _VERSION or degree > 3 or count > _MAX_SPLATS:
+            if magic != _MAGIC or version not in _READ or degree > 3 or count > _MAX_SPLATS:
                 raise SceneError(
-                    f"{path.name}: expected SPZ of version {_VERSION} with at most degree 3 and {_MAX_SPLATS} splats, "
-                    f"got version {version}, degree {degree}, {count} splats"
+                    f"{path}: expected SPZ of version 2 or 3 with at most degree 3 and {_MAX_SPLATS} splats, "
+                    f"got version {version}, degree {degree}, {count} splats; write it so, or as a PLY"
                 )
-            return header, file.read(count * 64)
+            return header, file.read(count * 65)
     except (OSError, EOFError, zlib.error, struct.error) as error:
-        raise SceneError(f"{path.name}: not an SPZ file: {in_short(error)}; write it again") from error
+        raise SceneError(f"{path}: not an SPZ file: {in_short(error)}; write it again") from error
+
+
+def _from_three_bytes(rotation: np.ndarray) -> np.ndarray:
+    """Quaternions [N,4] wxyz of their x, y, z in [N,3] bytes."""
+    vector = rotation / 127.5 - 1
+    return np.column_stack([np.sqrt(np.maximum(0, 1 - (vector**2).sum(axis=1))), vector])
+
+
+def _from_four_bytes(rotation: np.ndarray) -> np.ndarray:
+    """Quaternions [N,4] wxyz of [N,4] bytes: two bits say which part of xyzw is largest, then each other part, the
+    last one lowest, has a sign and nine bits up to the root of a half."""
+    packed = np.ascontiguousarray(rotation).view("<u4")[:, 0].astype(np.int64)
+    largest, quats = packed >> 30, np.zeros((len(packed), 4))
+    for part in (3, 2, 1, 0):
+        stored = largest != part
+        value = (packed & 511) / 511 * math.sqrt(0.5)
+        quats[:, part] = np.where(stored, np.where(packed >> 9 & 1, -value, value), 0)
+        packed = np.where(stored, packed >> 10, packed)
+    rest = np.sqrt(np.maximum(0, 1 - (quats**2).sum(axis=1)))
+    np.put_along_axis(quats, largest[:, None], rest[:, None], axis=1)
+    return quats[:, [3, 0, 1, 2]]
+
+
+def _check_sizes(log_scales: np.ndarray) -> None:
+    """One axis may be as thin as it likes; where two are out of the format's range, a splat's size is wrong."""
+    low, high = _LOG_SCALES
+    middle = np.sort(log_scales, axis=1)[:, -2]
+    share = float(((middle < low) | (middle > high)).mean()) if len(middle) else 0.0
+    if share > _MAX_CUT_OFF:
+        factor = 10.0 ** round((-4 - float(np.median(middle))) / math.log(10))
+        raise SceneError(
+            f"{share:.0%} of the splats have sizes that SPZ can't hold, which are {math.exp(low):.1g} to "
+            f"{math.exp(high):.0f} units; convert with --scale {factor:g}"
+        )
 
 
 def _fraction_bits(means: np.ndarray) -> int:
-    """Twelve, as everyone has it, or fewer for splats that are farther out than 2,048 units."""
-    if not np.isfinite(means).all():
-        raise SceneError("splats: expected finite means, got NaN or infinite ones; SPZ can't hold them")
+    """As many as the farthest splat leaves of 23."""
     farthest = float(np.abs(means).max(initial=0))
-    bits = 12 if farthest < 2047 else math.floor(math.log2((2**23 - 1) / farthest))
+    bits = math.floor(math.log2((2**23 - 1) / farthest)) if farthest > 1 else _MAX_FRACTION_BITS
     if bits < 0:
-        raise SceneError(f"splats: a mean lies {farthest:g} units out; SPZ holds 8,388,607: move or scale them first")
-    return bits
+        raise SceneError(f"a mean lies {farthest:g} units out; SPZ holds 8,388,607: move or scale the splats first")
+    return min(bits, _MAX_FRACTION_BITS)
+
+
+def _least_turned(quats: np.ndarray, log_scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same ellipsoids, unit quats [N,4] wxyz and log_scales [N,3], with axes named so that |w| is at least 0.85:
+    of the 24 turns that take axes to axes, the one before the quaternion that makes it largest."""
+    turns = Rotation.create_group("O")
+    turned, scales = quats.copy(), log_scales.copy()
+    w, x, y, z = turns.as_quat(scalar_first=True).T
+    # The product with a turn on the right, which is linear in the quaternion.
+    products = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
+    best = np.abs(quats @ products[:, 0]).argmax(axis=1)
+    for index, matrix in enumerate(turns.as_matrix()):
+        rows = best == index
+        turned[rows] = quats[rows] @ products[..., index]
+        scales[rows] = log_scales[rows][:, np.abs(matrix).argmax(axis=0)]
+    return turned, scales
 
 
 def _quantised_harmonics(rest: np.ndarray) -> np.ndarray:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from numpy.lib.recfunctions import append_fields
+from plyfile import PlyData, PlyElement
 
-from mgsr.errors import ConfigError, MeshError
+from mgsr.errors import ConfigError, MeshError, SceneError
 from mgsr.export.convert import convert, load_mesh
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import load_splats, write_splats
 from tests.export.test_mesh_files import ball
 from tests.export.test_packed_splats import PLY_STEPS, SPZ_STEPS, check_close, splats
@@ -76,6 +79,61 @@ def test_the_scale_of_splats(tmp_path):
     read = load_splats(tmp_path / "b.ply")
     np.testing.assert_allclose(read["means"], splats()["means"] * 1000, rtol=1e-6)
     np.testing.assert_allclose(np.exp(read["log_scales"]), np.exp(splats()["log_scales"]) * 1000, rtol=1e-5)
+
+
+def test_splats_keep_what_their_header_says(tmp_path):
+    """`mgsr evaluate` needs the unit and the low-pass; the numbers themselves stay to the bit."""
+    write_splats(tmp_path / "a.ply", splats(), unit=0.3, low_pass=0.1)
+    convert(tmp_path / "a.ply", tmp_path / "b.ply")
+    convert(tmp_path / "b.ply", tmp_path / "c.ply", scale=10)
+    assert [read_number(tmp_path / name, UNIT) for name in ("b.ply", "c.ply")] == [0.3, 3.0]
+    assert [read_number(tmp_path / name, LOW_PASS) for name in ("b.ply", "c.ply")] == [0.1, 0.1]
+    before, same, scaled = (load_splats(tmp_path / name) for name in ("a.ply", "b.ply", "c.ply"))
+    assert all(np.array_equal(before[name], same[name]) for name in before)
+    np.testing.assert_allclose(scaled["means"], splats()["means"] * 3, rtol=1e-6)
+
+
+def test_meshes_keep_their_unit(tmp_path):
+    write_ply(tmp_path / "a.ply", *ball(), unit=0.3)
+    convert(tmp_path / "a.ply", tmp_path / "b.ply", scale=10)
+    assert read_number(tmp_path / "b.ply", UNIT) == 3.0
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "log_scales", "opacity_logits", "sh"])
+@pytest.mark.parametrize("target", ["b.ply", "b.compressed.ply", "b.spz"])
+def test_splats_without_a_number(tmp_path, name, target):
+    given = splats()
+    given[name][3:5] = np.nan
+    write_splats(tmp_path / "a.ply", given)
+    with pytest.raises(SceneError, match=rf"a\.ply: {name} of 2 of 40 splats are NaN or infinite; remove"):
+        convert(tmp_path / "a.ply", tmp_path / target)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e39, 1e300])
+def test_scales_that_files_can_not_hold(tmp_path, scale):
+    write_splats(tmp_path / "splats.ply", splats())
+    write_ply(tmp_path / "mesh.ply", *ball())
+    for source, target in (
+        ("splats.ply", "b.ply"),
+        ("splats.ply", "b.spz"),
+        ("mesh.ply", "b.ply"),
+        ("mesh.ply", "b.glb"),
+    ):
+        with pytest.raises(ConfigError, match=r"--scale 1e[-+].*: makes places of up to .* nearer to 1"):
+            convert(tmp_path / source, tmp_path / target, scale)
+
+
+def test_errors_of_splats_name_the_file(tmp_path):
+    given = splats()
+    given["log_scales"] -= 7
+    write_splats(tmp_path / "a.ply", given)
+    with pytest.raises(SceneError, match=r"a\.ply: .*--scale"):
+        convert(tmp_path / "a.ply", tmp_path / "b.spz")
+    vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"].data
+    more = append_fields(vertex, [f"f_rest_{i}" for i in range(45, 72)], [np.zeros(40, "<f4")] * 27, usemask=False)
+    PlyData([PlyElement.describe(more, "vertex")]).write(str(tmp_path / "d4.ply"))
+    with pytest.raises(SceneError, match=r"d4\.ply: sh: expected .* \(degree 3 at most\), got \[40, 25, 3\]"):
+        convert(tmp_path / "d4.ply", tmp_path / "b.spz")
 
 
 def test_the_light_splits_loss_is_told(tmp_path):

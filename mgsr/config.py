@@ -96,12 +96,14 @@ class MeshConfig:
 
 
 class Up(StrEnum):
-    """Which axis of the capture's frame points up: y, z, or auto, what most photographs have as their upper side. .glb
-    files are y up, and are turned if it is z."""
+    """Which axis of the capture's frame points up: y, z, -y, -z, or auto, what most photographs have as their upper
+    side. .glb files are y up, and are turned to it."""
 
     AUTO = "auto"
     Y = "y"
     Z = "z"
+    MINUS_Y = "-y"
+    MINUS_Z = "-z"
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,8 @@ REPORT_HTML = "report.html"
 LOG = "log.txt"
 CHECKPOINT = "checkpoint"
 
-# The vertical share of the cameras' up direction from which a frame counts as z-up; others are taken as y-up.
+# The share of z in the cameras' up direction from which a frame counts as z-up (or down); others are taken as y-up (or
+# down).
 Z_UP = 0.7
 
 
@@ -170,7 +171,10 @@ def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig)
 def _up_axis(scene: Scene, output: OutputConfig) -> UpAxis:
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
-    return UpAxis.Z if abs(up_direction([view.camera for view in scene.train])[2]) > Z_UP else UpAxis.Y
+    _, y, z = up_direction([view.camera for view in scene.train])
+    if abs(z) > Z_UP:
+        return UpAxis.Z if z > 0 else UpAxis.MINUS_Z
+    return UpAxis.MINUS_Y if y < 0 else UpAxis.Y
 
 
 def read_mesh(out: Path) -> SurfaceMesh:

@@ -10,26 +10,37 @@ from typing import Any
 
 import numpy as np
 
-_COMPONENTS = {"<f4": 5126, "<u4": 5125, "<u2": 5123}
+_COMPONENTS = {"<f4": 5126, "<u4": 5125}
 _SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _INDICES, _VERTICES = 34963, 34962
 
 
 class UpAxis(StrEnum):
-    """Which axis of the mesh's frame points up. glTF wants y; a z-up mesh gets a node that turns it."""
+    """Which axis of the mesh's frame points up. glTF wants y; others get a node that turns them."""
 
     Y = "y"
     Z = "z"
+    MINUS_Y = "-y"
+    MINUS_Z = "-z"
+
+
+# Turns about x that take the up axis to y.
+_TURNS = {
+    UpAxis.Y: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    UpAxis.Z: [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    UpAxis.MINUS_Y: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    UpAxis.MINUS_Z: [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+}
 
 
 def glb(
     vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: UpAxis, png: bytes | None = None
 ) -> bytes:
     """The file of a mesh: vertices [V,3], faces [F,3], and attributes by glTF's names, arrays [V,n] of little-endian
-    float32, or of uint16 that stand for 0..1. png: the surface's colours, sRGB, by TEXCOORD_0.
+    float32. png: the surface's colours, sRGB, by TEXCOORD_0.
 
     The material is matte and two-sided. Positions are about the mesh's middle; the node puts them back (and turns
-    z-up meshes y-up), so that frames with a far origin keep their precision.
+    the mesh y-up), so that frames with a far origin keep their precision.
     """
     middle = (vertices.max(0) + vertices.min(0)) / 2
     positions = (vertices - middle).astype("<f4")
@@ -75,8 +86,6 @@ class _Body:
         columns = 1 if array.ndim == 1 else array.shape[1]
         accessor: dict[str, Any] = {"bufferView": view, "componentType": _COMPONENTS[array.dtype.newbyteorder("<").str]}
         accessor |= {"count": len(array), "type": _SHAPES[columns]}
-        if array.dtype.str.endswith("u2"):
-            accessor["normalized"] = True
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
@@ -93,8 +102,7 @@ def _picture(view: int) -> dict[str, Any]:
 def _node_matrix(middle: np.ndarray, up: UpAxis) -> list[float]:
     """Column by column, as glTF has it."""
     matrix = np.eye(4)
-    if up is UpAxis.Z:
-        matrix[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    matrix[:3, :3] = _TURNS[up]
     matrix[:3, 3] = matrix[:3, :3] @ middle
     return [float(value) for value in matrix.T.ravel()]
 

@@ -75,12 +75,13 @@ def write_glb(
     colors: np.ndarray,
     up: UpAxis = UpAxis.Y,
 ) -> None:
-    """Binary glTF 2.0 with vertex colours, which glTF wants linear: they are converted from sRGB, and stored in 16
-    bits, because 8 linear bits would band in dark scenes. See `glb`; arguments and errors as of `write_ply`.
+    """Binary glTF 2.0 with vertex colours, which glTF wants linear: they are converted from sRGB, and stored as
+    float32: 8 linear bits would band in dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors
+    as of `write_ply`.
     """
     check_mesh(vertices, faces, normals=normals, colors=colors)
-    linear = np.full((len(vertices), 4), 65535, "<u2")
-    linear[:, :3] = np.rint(srgb_to_linear(np.clip(colors, 0, 1)) * 65535)
+    linear = np.ones((len(vertices), 4), "<f4")
+    linear[:, :3] = srgb_to_linear(np.clip(colors, 0, 1))
     path.write_bytes(glb(vertices, faces, {"NORMAL": _unit(normals), "COLOR_0": linear}, up))
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
+from mgsr.cli.outputs import write_mesh
+from mgsr.config import OutputConfig
+from mgsr.data.camera import Camera
+from mgsr.data.scene import Scene, Similarity, View
 from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
+from mgsr.mesh.surface import SurfaceMesh
 from tests.data.captures import BallCapture
 from tests.export.test_mesh_files import ball
 from tests.export.test_packed_splats import splats
@@ -29,9 +36,26 @@ def test_splats(tmp_path: Path, name: str) -> None:
 
 def test_meshes_with_options(tmp_path: Path) -> None:
     write_ply(tmp_path / "a.ply", *ball())
-    given = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb"), "--up", "z", "--scale", "1000"]
-    result = RUN.invoke(app, given)
-    assert result.exit_code == 0 and "a mesh of 320 faces" in result.output
+    for up in ("y", "z", "-y", "-z"):
+        given = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb"), "--up", up, "--scale", "1000"]
+        result = RUN.invoke(app, given)
+        assert result.exit_code == 0 and "a mesh of 320 faces" in result.output
+
+
+@pytest.mark.parametrize(("axis", "sign"), [(1, 1), (1, -1), (2, 1), (2, -1)])
+def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
+    """Level cameras whose pictures have the frame's axis as their upper side; the mesh is a triangle that points
+    there."""
+    up, side = sign * np.eye(3)[axis], np.eye(3)[0]
+    pose = np.eye(4)
+    pose[:3, :3] = [side, -up, np.cross(side, -up)]
+    view = View("a", Camera(np.eye(3), pose, 2, 2), np.zeros((2, 2, 3), np.uint8), None)
+    scene = Scene("a", None, "plain", [view], [], None, Similarity())
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], 3 * up])
+    mesh = SurfaceMesh(corners, np.array([[0, 1, 2]]), np.tile(np.cross(side, up), (3, 1)), np.ones((3, 3), np.float32))
+    write_mesh(tmp_path, mesh, scene, OutputConfig())
+    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
 
 
 def test_scenes(tmp_path: Path) -> None:

@@ -67,12 +67,12 @@ def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])
     view = document["bufferViews"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
-    stored = np.frombuffer(data[28 + length :], "<u2", len(vertices) * 4, view["byteOffset"]).reshape(-1, 4)
+    stored = np.frombuffer(data[28 + length :], "<f4", len(vertices) * 4, view["byteOffset"]).reshape(-1, 4)
     # The sRGB curve's other direction, as IEC 61966-2-1 has it.
-    linear = stored[:, :3] / 65535
+    linear = stored[:, :3]
     back = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
-    np.testing.assert_allclose(back, colors, atol=2e-4)
-    assert (stored[:, 3] == 65535).all()
+    np.testing.assert_allclose(back, colors, atol=1e-6)
+    assert (stored[:, 3] == 1).all()
 
 
 def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
@@ -112,11 +112,23 @@ def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.linalg.norm(written[0]), 1, atol=1e-6)
 
 
-def test_glb_turns_z_up_meshes(tmp_path: Path) -> None:
-    vertices, faces, normals, colors = ball()
-    write_glb(tmp_path / "mesh.glb", vertices * [1, 1, 3], faces, normals, colors, UpAxis.Z)
-    bounds = trimesh.load_scene(tmp_path / "mesh.glb").bounds
-    np.testing.assert_allclose(bounds[1], [1, 3, 1], atol=0.05)
+@pytest.mark.parametrize(
+    ("up", "top"),
+    [
+        (UpAxis.Y, (0, 3, 0)),
+        (UpAxis.Z, (0, 0, 3)),
+        (UpAxis.MINUS_Y, (0, -3, 0)),
+        (UpAxis.MINUS_Z, (0, 0, -3)),
+    ],
+)
+def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float, float]) -> None:
+    """A triangle whose third corner is its top, right-handed as before: its face's side follows."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], top])
+    arrays = (vertices, np.array([[0, 1, 2]]), np.tile(np.cross([1, 0, 0], top) / 3, (3, 1)), np.ones((3, 3)))
+    write_glb(tmp_path / "mesh.glb", *arrays, up)
+    mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
+    np.testing.assert_allclose(mesh.face_normals, [[0, 0, 1]], atol=1e-6)
 
 
 def test_srgb_curve_ends() -> None:

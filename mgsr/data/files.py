@@ -1,10 +1,11 @@
-"""Files of a capture: JSON, paths that must stay inside the scene's folder, masks, and the names of views."""
+"""Files of a capture: JSON, paths that must stay inside the scene's folder, and the names of views."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
@@ -13,7 +14,6 @@ from typing import Any
 from mgsr.errors import SceneError, in_short
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif")
-MASK_SUFFIXES = (".png", ".jpg", ".jpeg")
 MASK_FOLDERS = ("masks", "mask")
 
 # What file systems take, 255 bytes, less what names of masks add; longer names come from damaged or hostile files.
@@ -73,55 +73,66 @@ def inside(root: Path, text: Any, source: str) -> Path:
 
 
 def find_image(root: Path, text: Any, source: str) -> Path:
-    """Like `inside`, and the first image type that exists where the name has no extension.
+    """Like `inside`, and the first image type that exists where the name has no extension; else a file of which `text`
+    is the name but for what `folded` leaves out.
 
-    If none exists, the path as it stands (or with .png), so that the message about the missing file can name it.
+    If none exists, the path as it stands, so that the message about the missing file can name it.
     """
     path = inside(root, text, source)
     if path.is_file():
         return path
-    candidates = [path.with_name(path.name + suffix) for suffix in IMAGE_SUFFIXES]
-    fallback = path if path.suffix.lower() in IMAGE_SUFFIXES else candidates[0]
-    return next((candidate for candidate in candidates if candidate.is_file()), fallback)
+    names = [path.name, *[path.name + suffix for suffix in IMAGE_SUFFIXES]]
+    candidates = [path.with_name(name) for name in names]
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
+    return found or _in_any_case(root, path.parent, names) or path
 
 
-def find_mask(root: Path, image: Path) -> Path | None:
-    """The mask of an image in `root`/masks or `root`/mask, or beside the image as RealityCapture has it.
-
-    In the folder: the image's name with .png or .jpg in place of, or after, its extension, also with _mask or .mask
-    before (``0001.png``, ``0001.jpg.png``, ``0001_mask.png``, ``0001.mask.png``); beside it: the last two alone. The
-    image's folders below the folder of all images count where masks/ has them too (``masks/left/0001.png``).
-    """
-    marked = (image.stem + "_mask", image.stem + ".mask", image.name + ".mask")
-    parts = image.relative_to(root).parts
-    for folder in MASK_FOLDERS:
-        if not (root / folder).is_dir():
-            continue
-        for first in range(len(parts)):
-            found = _first_mask(root.joinpath(folder, *parts[first:-1]), (image.stem, image.name, *marked))
-            if found and found != image:
-                return found
-    return _first_mask(image.parent, marked[1:])
+def _in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
+    """The first of the files of these names in a folder below the root, but for what `folded` leaves out."""
+    place = Path(os.path.normpath(root))
+    for wanted in [*[[part] for part in folder.relative_to(place).parts], names]:
+        there = {folded(name): name for name in sorted(os.listdir(place), reverse=True)} if place.is_dir() else {}
+        same = next((there[folded(name)] for name in wanted if folded(name) in there), None)
+        if same is None:
+            return None
+        place /= same
+    return place
 
 
-def _first_mask(place: Path, names: Sequence[str]) -> Path | None:
-    paths = (place / (name + suffix) for name in names for suffix in MASK_SUFFIXES)
-    return next((path for path in paths if os.path.isfile(path)), None)  # names that are too long are no error here
+def folded(name: str) -> str:
+    """A name without what file systems and programs change: large and small letters, and how accents are written."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def images_below(root: Path) -> list[Path]:
-    """Every image file in the folder and below, without those of the mask folders, hidden folders and masks beside
-    images; sorted."""
-    found = []
-    for folder, inner, names in os.walk(root):
-        inner[:] = sorted(name for name in inner if name not in MASK_FOLDERS and not name.startswith((".", "__")))
+    """Every photograph in the folder and below: as `all_images`, without masks beside photographs, ``a.mask.png``."""
+    return [path for path in all_images(root) if not path.stem.lower().endswith(".mask")]
+
+
+def all_images(root: Path) -> list[Path]:
+    """Every image file in the folder and below, without those of mask folders and hidden ones; sorted. Links to folders
+    are followed, each folder once."""
+    found, walked = [], {os.path.realpath(root)}
+    for folder, inner, names in os.walk(root, followlinks=True):
+        inner[:] = sorted(name for name in inner if _may_hold_images(name) and _is_new(Path(folder, name), walked))
         found += [Path(folder, name) for name in sorted(names) if _is_image(name)]
     return found
 
 
+def _may_hold_images(folder: str) -> bool:
+    return folder.lower() not in MASK_FOLDERS and not folder.startswith((".", "__"))
+
+
+def _is_new(folder: Path, walked: set[str]) -> bool:
+    """Whether a folder was not walked yet; from now on it was."""
+    real = os.path.realpath(folder)
+    new = real not in walked
+    walked.add(real)
+    return new
+
+
 def _is_image(name: str) -> bool:
-    path = PurePosixPath(name)
-    return path.suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and not path.stem.endswith(".mask")
+    return PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
 
 
 class ImageIndex:
@@ -132,13 +143,15 @@ class ImageIndex:
         self._root = root
         self._by_name: dict[str, list[Path]] = {}
         for path in images_below(root):
-            for name in (path.name.lower(), path.stem.lower()):
+            for name in (folded(path.name), folded(path.stem)):
                 self._by_name.setdefault(name, []).append(path)
 
     def find(self, label: str, source: str) -> Path | None:
-        """The photograph of that name, or None. Raises SceneError where several folders have one."""
-        name = PurePosixPath(label.replace("\\", "/")).name.lower()
-        found = sorted(set(self._by_name.get(name, [])))
+        """The photograph of that name, or else of that name with another extension, or None. Raises SceneError where
+        several folders have one."""
+        path = PurePosixPath(label.replace("\\", "/"))
+        named = self._by_name.get(folded(path.name)) or self._by_name.get(folded(path.stem), [])
+        found = sorted(set(named))
         if len(found) > 1:
             both = ", ".join(str(path.relative_to(self._root)) for path in found[:2])
             raise SceneError(f"{source}: {label!r} may be {both}; leave one image of each name in the folder")

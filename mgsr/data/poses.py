@@ -12,6 +12,10 @@ from mgsr.errors import SceneError
 RIGID_TOLERANCE = 2e-3
 SKEW_TOLERANCE = 1e-6
 
+# Pixels; and focal lengths in larger sides of the image. No camera lies beyond these.
+LARGEST_SIDE = 1_000_000
+LEAST_FOCAL, LARGEST_FOCAL = 0.003, 3000.0
+
 
 def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.ndarray:
     """A nested list as a float64 matrix of that size. Raises SceneError with `source` and `what`."""
@@ -51,6 +55,10 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     camera has them, or its principal point lies outside the image."""
     if not np.isfinite(K).all():
         raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers; remove this view or mend them")
+    if not all(1 <= side <= LARGEST_SIDE for side in size):
+        raise SceneError(
+            f"{source}: an image of {size[0]:g}x{size[1]:g} pixels; expected sides from 1 to {LARGEST_SIDE}"
+        )
     if K[0, 0] == 0 or K[1, 1] == 0:
         raise SceneError(f"{source}: the focal length is zero; expected fx and fy in pixels")
     if abs(np.linalg.det(K)) < 1e-9 * abs(K[0, 0] * K[1, 1]):
@@ -62,6 +70,11 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
         raise SceneError(f"{source}: the intrinsics have skew ({K[0, 1]:g}); resample the images without skew first")
     if K[0, 0] < 0 or K[1, 1] < 0:
         raise SceneError(f"{source}: the focal length is negative; expected fx and fy in pixels, with OpenCV axes")
+    if not all(LEAST_FOCAL <= focal / max(size) <= LARGEST_FOCAL for focal in K.diagonal()[:2]):
+        raise SceneError(
+            f"{source}: focal lengths of {K[0, 0]:g} and {K[1, 1]:g} pixels in an image of {size[0]}x{size[1]}; "
+            f"expected {LEAST_FOCAL:g} to {LARGEST_FOCAL:g} times its larger side"
+        )
     if not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1]):
         raise SceneError(
             f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies outside the image of {size[0]}x{size[1]} "

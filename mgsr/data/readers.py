@@ -6,14 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from mgsr.config import DataConfig
+from mgsr.config import DataConfig, Masks
 from mgsr.data.archive import ARCHIVE_SUFFIXES, archive_stem, unpack
 from mgsr.data.capture import Capture, Format, Photo, Split
 from mgsr.data.files import images_below, view_names
 from mgsr.data.formats import all_formats
-from mgsr.data.loading import LoadProgress, load_views, settle_masks
+from mgsr.data.loading import LoadProgress, SettledViews, load_views, settle_masks
+from mgsr.data.mask_files import MaskIndex
 from mgsr.data.normalise import normalisation
+from mgsr.data.odd_masks import without_odd_masks
 from mgsr.data.poses import check_intrinsics, check_pose
+from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.errors import ConfigError, SceneError
 
@@ -32,23 +35,26 @@ def load_scene(
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
     _check_config(config)
-    root, kind = _find(_as_folder(Path(path), unpack_to))
+    root, kind, passed_over = _find(_as_folder(Path(path), unpack_to), Path(path))
     capture = kind.read(root)
-    photos = [_checked(photo) for photo in _present(capture.photos, root)]
+    present, missing = _present(capture.photos, root)
+    photos, unused = _with_masks([_checked(photo) for photo in present], root, config.masks)
     train, test = split(photos, config.test_every)
     if len(train) < 2:
         raise SceneError(f"{Path(path).name}: {len(train)} training views; at least 2 are needed, 20 or more are good")
-    train_views, test_views = _load(train, test, config, progress)
+    views = _load(train, test, config, progress)
+    masked = all(view.alpha is not None for view in views.train)
+    train_views, odd = without_odd_masks(views.train) if masked else (views.train, ())
     frame = normalisation(train_views, capture.points)
     return Scene(
         name=archive_stem(Path(path)) if Path(path).is_file() else root.name,
         root=root,
         format=kind.name,
         train=[_to_scene(view, frame) for view in train_views],
-        test=[_to_scene(view, frame) for view in test_views],
+        test=[_to_scene(view, frame) for view in views.test],
         points=_points_to_scene(capture, frame),
         user_from_scene=frame,
-        notes=capture.notes,
+        notes=(*passed_over, *capture.notes, *missing, *unused, *views.notes, *odd),
     )
 
 
@@ -82,52 +88,76 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
     return unpack(path, unpack_to)
 
 
-def _find(folder: Path) -> tuple[Path, Format]:
-    """The scene's own folder and its format: the folder itself, or the only folder in it, as archives often have."""
+def _find(folder: Path, given: Path) -> tuple[Path, Format, tuple[str, ...]]:
+    """The scene's own folder, its format, and a note where it could be read as another too: the folder itself, or the
+    only one in it that holds a scene, as archives often have. given: what messages call the folder."""
     formats = all_formats()
     root = folder
-    while True:
-        for kind in formats:
-            if kind.recognises(root):
-                return root, kind
-        inner = [entry for entry in root.iterdir() if not entry.name.startswith((".", "__"))]
-        if len(inner) != 1 or not inner[0].is_dir():
-            break
-        root = inner[0]
-    raise _unknown(folder, root, formats)
+    while not (found := _recognised(root, formats)):
+        inner = [path for path in sorted(root.iterdir()) if path.is_dir() and not path.name.startswith((".", "__"))]
+        scenes = [path for path in inner if _recognised(path, formats)]
+        if len(scenes) > 1:
+            names = ", ".join(path.name for path in scenes[:3])
+            raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
+        if not scenes and len(inner) != 1:
+            raise _unknown(folder, root, given, formats)
+        root = (scenes or inner)[0]
+    (kind, file), *others = found
+    left = " and ".join(f"{name} ({other.name})" for other, name in others)
+    return root, kind, (f"read from {file} ({kind.name}); {left} in the same folder is not used",) if others else ()
 
 
-def _unknown(folder: Path, root: Path, formats: Sequence[Format]) -> SceneError:
-    """What is wrong with a folder that no format recognises."""
+def _recognised(root: Path, formats: Sequence[Format]) -> list[tuple[Format, str]]:
+    """The formats that the folder may be read as, and the files that tell so."""
+    return [(kind, file) for kind in formats if (file := kind.recognises(root))]
+
+
+def _unknown(folder: Path, root: Path, given: Path, formats: Sequence[Format]) -> SceneError:
+    """What is wrong with a folder that no format recognises. root: the only folder in it, or in that, and so on."""
     looked = "; ".join(kind.looks_for for kind in formats)
     archives = [entry.name for entry in sorted(root.iterdir()) if entry.name.lower().endswith(ARCHIVE_SUFFIXES)]
-    images = images_below(root)
+    images = images_below(folder)
     if archives:
-        return SceneError(f"{folder}: no known scene in it, but another archive, {archives[0]}: unpack that first")
+        return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
     if images:
         return SceneError(
-            f"{folder}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {folder} -o SCENE`, "
+            f"{given}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {given} -o SCENE`, "
             f"or put them there. Looked for: {looked}. See docs/inputs.md"
         )
     state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"
-    return SceneError(f"{folder}: {state}. Looked for: {looked}. See docs/inputs.md")
+    return SceneError(f"{given}: {state}. Looked for: {looked}. See docs/inputs.md")
 
 
-def _present(photos: Sequence[Photo], root: Path) -> Sequence[Photo]:
-    """The photographs, none of which may be missing; one message for all, since a wrong folder loses them all."""
+def _present(photos: Sequence[Photo], root: Path) -> tuple[list[Photo], tuple[str, ...]]:
+    """The photographs whose files are there, and a note on the others. Raises SceneError where most are missing, and
+    where a mask is that a file names."""
     if not photos:
-        raise SceneError(f"{root}: the scene has no views")
-    for what in ("image", "mask"):
-        paths = {photo.source: path for photo in photos if (path := getattr(photo, what)) is not None}
-        gone = [(source, path) for source, path in paths.items() if not path.is_file()]
-        if gone:
-            source, path = gone[0]
-            more = f" and {len(gone) - 1} more" if len(gone) > 1 else ""
-            raise SceneError(
-                f"{what} {path.relative_to(root)}{more} missing in {root} (asked for by {source}); "
-                "put it there or remove the view"
-            )
-    return photos
+        raise SceneError(f"{root.name}: the scene has no views")
+    kept = [photo for photo in photos if photo.image.is_file()]
+    missing = [f"{photo.image.relative_to(root)} of {photo.source}" for photo in photos if not photo.image.is_file()]
+    masks = [(photo.mask, photo.source) for photo in kept if photo.mask is not None and not photo.mask.is_file()]
+    if masks:
+        (mask, source), *others = masks
+        more = f" and {len(others)} more" if others else ""
+        raise SceneError(
+            f"mask {mask.relative_to(root)}{more} missing in {root.name} (asked for by {source}); put it there or "
+            "name none"
+        )
+    cure = f"put the photographs into {root.name}, where the cameras say that they are"
+    return kept, check_share(len(kept), len(photos), 0.5, "are there", cure, missing)
+
+
+def _with_masks(photos: list[Photo], root: Path, masks: Masks) -> tuple[list[Photo], tuple[str, ...]]:
+    """The photographs with the masks that lie beside them under their names, where the files name none; and a note if
+    there are masks of which none has a photograph's name."""
+    if masks is Masks.OFF:
+        return photos, ()
+    index = MaskIndex(root)
+    photos = [replace(photo, mask=photo.mask or index.find(photo.image)) for photo in photos]
+    if not index.masks or any(photo.mask for photo in photos):
+        return photos, ()
+    mask, name = index.masks[0].relative_to(root), photos[0].image.stem
+    return photos, (f"{mask} is no photograph's mask, nor is any beside it: name it as {name}.png to have it used",)
 
 
 def _checked(photo: Photo) -> Photo:
@@ -138,9 +168,7 @@ def _checked(photo: Photo) -> Photo:
     )
 
 
-def _load(
-    train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None
-) -> tuple[list[View], list[View]]:
+def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None) -> SettledViews:
     """Train and test have their names to themselves: NeRF-synthetic scenes call views of both r_0."""
     names = [view_names([photo.image for photo in part]) for part in (train, test)]
     loaded = load_views(train + test, names[0] + names[1], config, progress)

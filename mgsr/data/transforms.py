@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.capture import Photo, Split
-from mgsr.data.files import find_image, find_mask, inside, number, read_json
+from mgsr.data.files import find_image, inside, number, read_json
 from mgsr.data.images import image_size
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import from_opengl, intrinsics, matrix_from
@@ -65,7 +65,7 @@ def read_frame(root: Path, source: str, frame: dict[str, Any], split: Split | No
         size=size,
         cam_from_world=from_opengl(pose, source),
         source=source,
-        mask=inside(root, frame["mask_path"], source) if frame.get("mask_path") else find_mask(root, image),
+        mask=inside(root, frame["mask_path"], source) if frame.get("mask_path") else None,
         split=split,
         lens=_lens(frame, source),
     )
@@ -94,10 +94,8 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
     if angle not in frame:
         return None
     value = number(frame, angle, source)
-    if not 0.001 < value < 3.14:
-        raise SceneError(
-            f"{source}: {angle}: expected an angle from 0.001 to 3.14 radians, got {value:g}; mend the file"
-        )
+    if not 0 < value < math.pi:
+        raise SceneError(f"{source}: {angle}: expected an angle between 0 and pi radians, got {value:g}; mend the file")
     return side / 2 / math.tan(value / 2)
 
 

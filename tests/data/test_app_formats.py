@@ -258,7 +258,6 @@ def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path, te
         ("a.jpg,0,0,10,0,0,0,nan,0,0,0,0,0,0,0,0", r"row 1 \(a\.jpg\): f: expected a number, got 'nan'"),
         ("a.jpg,0,0,10,0,north,0,18,0,0,0,0,0,0,0,0", r"pitch: expected a number, got 'north'"),
         ("a.jpg,0,0", "row 1: expected 16 values, got 3"),
-        ("a.jpg,0,0,10,0,0,0,1e12,0,0,0,0,0,0,0,0", r"f: expected 0\.1 to 100000 mm of 35 mm film, got 1"),
     ],
 )
 def test_realitycapture_refusals(tmp_path, row, message):
@@ -358,10 +357,6 @@ def test_opensfm_fisheye(tmp_path):
         (
             lambda parts: parts[1]["cameras"]["c"].update(projection_type="spherical"),
             "'spherical' is not supported: a pano",
-        ),
-        (
-            lambda parts: parts[1]["cameras"]["c"].update(focal_y=1e-9),
-            r"0\.jpg: expected a focal length .* 0\.8 and 1e-09",
         ),
         (lambda parts: parts[1]["shots"]["1.jpg"].update(rotation=[1, 2]), r"shot 1\.jpg: rotation: expected a 1x3"),
         (

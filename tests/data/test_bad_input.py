@@ -64,16 +64,29 @@ def test_single_view(root):
     refuses(root, "1 training views; at least 2")
 
 
-def test_missing_image(root):
+def test_missing_images_of_the_plain_form(root):
     (root / "photos/003.png").unlink()
-    refuses(root, r"003\.png is missing \(asked for by cameras\.json, view 3.*remove the view")
+    scene = load_scene(root, DataConfig())
+    assert scene.notes == ("11 of 12 photographs of cameras.json are there; the others are left out",)
+    for path in sorted((root / "photos").iterdir())[:6]:
+        path.unlink()
+    refuses(
+        root, r"only 5 of 12 photographs of cameras\.json are there \(photos/000\.png is missing\); put the missing"
+    )
 
 
-def test_missing_images_of_blender_scene_are_one_message(tmp_path):
+def test_few_missing_images_are_left_out_and_many_are_an_error(tmp_path):
     root = BallCapture().write_blender(tmp_path)
     for number in (2, 5):
         (root / f"train/r_{number}.png").unlink()
-    refuses(root, r"image train/r_2\.png and 1 more missing.*transforms_train\.json, frame 2")
+    scene = load_scene(root, DataConfig())
+    assert scene.notes == ("10 of 12 photographs are there; the others are left out",)
+    assert len(scene.train) + len(scene.test) == 10
+    for path in sorted((root / "train").iterdir())[:5]:
+        path.unlink()
+    refuses(
+        root, r"only 5 of 12 photographs are there \(train/r_0 of transforms_train\.json, frame 0 .* is missing"
+    )
 
 
 def test_damaged_image(root):
@@ -170,7 +183,68 @@ def test_black_masks(tmp_path):
     root = ball.write_plain(tmp_path, mode="RGB")
     for i in range(ball.views):
         save(root / f"masks/{i:03d}.png", np.zeros((SIDE, SIDE), np.uint8), "L")
-    refuses(root, "fewer than 2 training views have anything in their masks")
+    refuses(root, "masks of 10 of 10 training views are empty: the largest value in that of '001' is 0 of 255, and 128")
+
+
+def test_a_few_black_masks_leave_their_views_out(tmp_path):
+    ball = BallCapture()
+    root = ball.write_plain(tmp_path, mode="RGB")
+    ball.write_masks(root)
+    for name in ("000", "003"):  # of a test view and of a training view
+        save(root / f"masks/{name}.png", np.zeros((SIDE, SIDE), np.uint8), "L")
+    scene = load_scene(root, DataConfig())
+    assert scene.notes == ("the masks of 1 of 10 training views are empty ('003'): these views are left out",)
+    assert [len(scene.train), len(scene.test)] == [9, 1]
+    all_train = DataConfig(test_every=1000)
+    frame = load_scene(root, all_train).user_from_scene
+    edit_json(root / "cameras.json", lambda content: [content["views"].pop(place) for place in (3, 0)])
+    assert frame.scale == load_scene(root, all_train).user_from_scene.scale
+
+
+@pytest.mark.parametrize(
+    ("focal", "change"),
+    [
+        (55, lambda mask: 255 - mask),
+        (100, lambda mask: 255 - mask),
+        (55, lambda mask: np.roll(mask, SIDE // 3, axis=1)),
+    ],
+)
+def test_a_mask_that_contradicts_the_others_leaves_its_view_out(tmp_path, focal, change):
+    """Also where the object nearly fills the image, so that most places are outside of most images."""
+    ball = BallCapture(K=np.array([[focal, 0, 32.0], [0, focal, 32], [0, 0, 1]]))
+    root = ball.write_plain(tmp_path, mode="RGB")
+    ball.write_masks(root)
+    assert load_scene(root, DataConfig()).notes == ()
+    save(root / "masks/003.png", change(ball.rgba(ball.poses()[3])[..., 3]), "L")
+    scene = load_scene(root, DataConfig())
+    assert "003" not in [view.name for view in scene.train] and len(scene.train) == 9
+    assert scene.notes == (
+        "the masks of 1 of 10 training views leave out where the others have the object ('003'): these views are left "
+        "out",
+    )
+
+
+def test_masks_that_some_views_have_are_told_of(tmp_path):
+    ball = BallCapture()
+    root = ball.write_plain(tmp_path, mode="RGB")
+    ball.write_masks(root)
+    (root / "masks/003.png").unlink()
+    scene = load_scene(root, DataConfig())
+    assert not scene.masked
+    assert scene.notes == ("9 of 10 training views have a mask, but '003' has none: masks are not used",)
+
+
+def test_masks_of_other_names_are_told_of(tmp_path):
+    ball = BallCapture()
+    root = ball.write_plain(tmp_path, mode="RGB")
+    ball.write_masks(root)
+    for path in sorted((root / "masks").iterdir()):
+        path.rename(path.with_name(f"object-{path.name}"))
+    (note,) = load_scene(root, DataConfig()).notes
+    assert note == (
+        "masks/object-000.png is no photograph's mask, nor is any beside it: name it as 000.png to have it used"
+    )
+    assert load_scene(root, DataConfig(masks=Masks.OFF)).notes == ()
 
 
 def test_all_cameras_at_one_place(root):

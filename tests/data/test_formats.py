@@ -109,6 +109,30 @@ def test_a_scene_one_folder_down_is_found(tmp_path, ball):
     assert load_scene(tmp_path / "outer", DataConfig()).name == "inner"
 
 
+def test_a_scene_beside_files_that_are_none_of_it(tmp_path, ball):
+    ball.write_plain(tmp_path / "outer/scene")
+    (tmp_path / "outer/README.txt").write_text("by")
+    (tmp_path / "outer/desktop.ini").write_text("")
+    (tmp_path / "outer/renders").mkdir()
+    assert load_scene(tmp_path / "outer", DataConfig()).name == "scene"
+
+
+def test_two_scenes_in_one_folder_are_named(tmp_path, ball):
+    for name in ("can", "ball"):
+        ball.write_plain(tmp_path / name)
+    with pytest.raises(SceneError, match=r"2 scenes in it \(ball, can\); give one of them"):
+        load_scene(tmp_path, DataConfig())
+
+
+def test_what_else_a_folder_could_be_read_as_is_told(tmp_path, ball):
+    root = ball.write_plain(ball.write_blender(tmp_path))
+    scene = load_scene(root, DataConfig())
+    assert scene.format == "plain"
+    assert scene.notes == (
+        "read from cameras.json (plain); transforms_train.json (blender) in the same folder is not used",
+    )
+
+
 def test_images_of_the_same_name_in_two_folders_keep_both(tmp_path, ball):
     root = ball.write_plain(tmp_path)
     (root / "photos/left").mkdir()

@@ -11,9 +11,10 @@ from PIL import Image, ImageOps
 from mgsr.config import DataConfig, Masks
 from mgsr.data import loading
 from mgsr.data.capture import Photo
-from mgsr.data.files import ImageIndex, find_mask, images_below
+from mgsr.data.files import ImageIndex, find_image, images_below
 from mgsr.data.lens import Lens
 from mgsr.data.loading import load_views, settle_masks
+from mgsr.data.mask_files import MaskIndex
 from mgsr.data.pixels import PixelStore
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture, save
@@ -92,6 +93,11 @@ def test_masks_of_another_size_and_the_same_shape(tmp_path, scale):
         "mask/0001.png",
         "masks/left/0001.png",
         "masks/images/left/0001.jpg.png",
+        "masks/mask_0001.png",
+        "masks/0001.PNG",
+        "masks/0001.tif",
+        "Masks/0001.png",
+        "masks/LEFT/0001.Png",
         "images/left/0001.jpg.mask.png",
         "images/left/0001.mask.png",
     ],
@@ -99,8 +105,9 @@ def test_masks_of_another_size_and_the_same_shape(tmp_path, scale):
 def test_names_of_masks(tmp_path, name):
     for path in ("images/left/0001.jpg", "images/left/0002.jpg", name):
         save(tmp_path / path, np.zeros((4, 4), np.uint8), "L")
-    assert find_mask(tmp_path, tmp_path / "images/left/0001.jpg") == tmp_path / name
-    assert find_mask(tmp_path, tmp_path / "images/left/0002.jpg") is None
+    index = MaskIndex(tmp_path)
+    assert index.find(tmp_path / "images/left/0001.jpg") == tmp_path / name
+    assert index.find(tmp_path / "images/left/0002.jpg") is None
     assert [path.name for path in images_below(tmp_path)] == ["0001.jpg", "0002.jpg"]
 
 
@@ -118,7 +125,7 @@ def test_inverted_masks_are_noticed(tmp_path):
     loaded = masked_views(tmp_path, lambda mask: 255 - mask)
     with pytest.raises(SceneError, match=r"the masks are inverted: white around the object.*masks=off"):
         settle_masks(loaded, [], Masks.AUTO)
-    assert settle_masks(loaded, [], Masks.OFF)[0][0].alpha is None
+    assert settle_masks(loaded, [], Masks.OFF).train[0].alpha is None
 
 
 @pytest.mark.parametrize("fill", [0, 255])
@@ -130,8 +137,7 @@ def test_good_masks_are_not_taken_for_inverted_ones(tmp_path, fill):
         mask[30:34, 30:34] = 0
         return mask
 
-    train, _ = settle_masks(masked_views(tmp_path, change), [], Masks.AUTO)
-    assert train[0].alpha is not None
+    assert settle_masks(masked_views(tmp_path, change), [], Masks.AUTO).train[0].alpha is not None
 
 
 # Names
@@ -142,9 +148,27 @@ def test_photographs_by_label(tmp_path):
         save(tmp_path / name, np.zeros((4, 4), np.uint8), "L")
     index = ImageIndex(tmp_path)
     assert index.find("img_1", "test") == index.find("C:\\dir\\IMG_1.jpg", "test") == tmp_path / "a/IMG_1.JPG"
+    assert index.find("IMG_1.tif", "test") == tmp_path / "a/IMG_1.JPG"
     assert index.find("IMG_3", "test") is None
     with pytest.raises(SceneError, match=r"'IMG_2' may be a/IMG_2\.png, b/img_2\.PNG; leave one"):
         index.find("IMG_2", "test")
+
+
+@pytest.mark.parametrize("asked", ["Photos/a.JPG", "photos/u\u0308.png", "photos/\u00fc", "photos/b", "photos/B.jpeg"])
+def test_photographs_whose_names_other_systems_write_otherwise(tmp_path, asked):
+    """Windows and macOS don't tell large from small letters, and macOS writes accents as marks of their own."""
+    for name in ("photos/A.jpg", "photos/\u00fc.png", "photos/b.png", "photos/b.jpeg"):
+        save(tmp_path / name, np.zeros((4, 4), np.uint8), "L")
+    expected = {"a": "A.jpg", "u": "\u00fc.png", "\u00fc": "\u00fc.png", "b": "b.png", "B": "b.jpeg"}
+    assert find_image(tmp_path, asked, "test") == tmp_path / "photos" / expected[asked[7]]
+
+
+def test_a_linked_folder_of_photographs_is_looked_into_once(tmp_path):
+    save(tmp_path / "elsewhere/a.png", np.zeros((4, 4), np.uint8), "L")
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene/photos").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere/again").symlink_to(tmp_path / "scene")
+    assert images_below(tmp_path / "scene") == [tmp_path / "scene/photos/a.png"]
 
 
 # Many photographs

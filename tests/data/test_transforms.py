@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from mgsr.config import DataConfig
 from mgsr.data.capture import Split
+from mgsr.data.readers import load_scene
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture, edit_json
 from tests.data.reading import draw, project, read_capture
@@ -57,11 +59,28 @@ def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
     np.testing.assert_allclose([photos[i].K[[0, 1], [0, 1]] for i in (1, 2, 3)], [[80, 90], [32, 32], [70, 75]])
 
 
-@pytest.mark.parametrize("angle", [1e-9, math.pi - 1e-9, 40])
-def test_angles_that_no_lens_has(root, angle):
+@pytest.mark.parametrize(
+    ("angle", "message"),
+    [
+        (
+            1e-9,
+            r"frame 2 .*focal lengths of 6\.4e\+10 and 6\.4e\+10 pixels in an image of 64x64; expected 0\.003 to 3000",
+        ),
+        (math.pi - 1e-9, "frame 2 .*focal lengths of"),
+        (40, "frame 2 .*camera_angle_x: expected an angle between 0 and pi radians, got 40; mend the file"),
+    ],
+)
+def test_angles_that_no_lens_has(root, angle, message):
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=angle))
-    with pytest.raises(SceneError, match=r"frame 2 .*camera_angle_x: expected an angle from 0\.001 to 3\.14 rad"):
-        read_capture(root, "nerfstudio")
+    with pytest.raises(SceneError, match=message):
+        load_scene(root, DataConfig())
+
+
+@pytest.mark.parametrize("side", [0, 1e300, -3])
+def test_sizes_that_no_image_has(root, side):
+    edit(root, w=side)
+    with pytest.raises(SceneError, match=r"frame 0 .*: an image of \S{1,12} pixels; expected sides from 1 to 1000000"):
+        load_scene(root, DataConfig())
 
 
 def test_a_photograph_that_is_there_twice_is_refused(root):

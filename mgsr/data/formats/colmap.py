@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_mask, images_below, inside
+from mgsr.data.files import find_image, images_below
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, AnyLens, AriaLens, DivisionLens, FieldOfViewLens, Lens, UnifiedLens
 from mgsr.data.poses import intrinsics
 from mgsr.data.registration import check_share
@@ -116,10 +116,11 @@ def read(root: Path) -> Capture:
 
 
 def _find_models(root: Path) -> tuple[str, list[Path]]:
-    """The first of _PLACES that has models, and their images files."""
+    """The first of _PLACES that has models, and their images files; none beside a transforms.json, which is made from
+    them and has masks and splits besides."""
+    if (root / "transforms.json").is_file():
+        return "", []
     for place in _PLACES:
-        if place != "sparse" and (root / "transforms.json").is_file():
-            break  # it was made from such a model, and has masks and splits besides
         numbered = sorted((root / place).glob("[0-9]*"), key=lambda path: (len(path.name), path.name))
         folders = [*numbered, root / place] if place != "." else [root] if _is_scene(root) else []
         if markers := [marker for folder in folders if (marker := _marker(folder))]:
@@ -185,7 +186,7 @@ def _photo(root: Path, folder: str, image: _Image, cameras: dict[int, _Camera], 
     if image.camera not in cameras:
         raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
     camera = cameras[image.camera]
-    path = inside(root, f"{folder}/{image.name}", source)
+    path = find_image(root, f"{folder}/{image.name}", source)
     K, lens = _to_pinhole(camera, source)
     return Photo(
         image=path,
@@ -193,7 +194,6 @@ def _photo(root: Path, folder: str, image: _Image, cameras: dict[int, _Camera], 
         size=(camera.width, camera.height),
         cam_from_world=_pose(image, source),
         source=source,
-        mask=find_mask(root, path),
         lens=lens,
     )
 

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import ImageIndex, find_mask
+from mgsr.data.files import ImageIndex
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import check_pose, intrinsics
 from mgsr.data.registration import check_share
@@ -56,7 +56,7 @@ def read(root: Path) -> Capture:
             missing.append(label)
         elif camera.find("transform") is not None and not _is_slave(camera):
             sensor = sensors.get(camera.get("sensor_id"))
-            photos.append(_photo(root, image, camera, sensor, _world(camera, worlds, source), source))
+            photos.append(_photo(image, camera, sensor, _world(camera, worlds, source), source))
     slaves = sum(_is_slave(camera) for camera in cameras)
     cure = _cure(root, slaves, missing)
     notes = check_share(len(photos), len(cameras), 0.5, f"are aligned in {name} and there", cure, missing)
@@ -133,7 +133,6 @@ def _world(camera: Element, worlds: dict[str | None, Element], source: str) -> t
 
 
 def _photo(
-    root: Path,
     image: Path,
     camera: Element,
     sensor: Element | None,
@@ -147,7 +146,7 @@ def _photo(
     cam_from_world = np.eye(4)
     cam_from_world[:3, :3] = turned.T
     cam_from_world[:3, 3] = -turned.T @ (scale * rotation @ pose[:3, 3] + translation)
-    return Photo(image, K, size, cam_from_world, source, find_mask(root, image), lens=lens)
+    return Photo(image, K, size, cam_from_world, source, lens=lens)
 
 
 def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens | None, tuple[int, int]]:

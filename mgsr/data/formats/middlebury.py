@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_mask, inside
+from mgsr.data.files import find_image
 from mgsr.data.images import image_size
 from mgsr.data.registration import check_share
 from mgsr.errors import SceneError, in_short
@@ -50,14 +50,14 @@ def _photo(root: Path, line: list[str], source: str) -> Photo | None:
         raise SceneError(f"{source}: {in_short(error)}; expected an image's name and 21 numbers") from error
     if len(numbers) != 21:
         raise SceneError(f"{source}: expected an image's name and 21 numbers (K, R, t), got {len(numbers)} numbers")
-    image = inside(root, line[0], source)
+    image = find_image(root, line[0], source)
     if not image.is_file():
         return None
     K, pose = numbers[:9].reshape(3, 3).copy(), np.eye(4)
     # The data count pixels from the middle of the first one.
     K[:2, 2] += 0.5 * K[2, 2]
     pose[:3, :3], pose[:3, 3] = numbers[9:18].reshape(3, 3), numbers[18:]
-    return Photo(image, K, image_size(image, source), pose, source, find_mask(root, image))
+    return Photo(image, K, image_size(image, source), pose, source)
 
 
 FORMAT = Format("middlebury", f"{_PATTERN} (Middlebury multi-view)", recognises, read, rank=50)

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.linalg import rq
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_mask, images_below
+from mgsr.data.files import images_below
 from mgsr.data.images import image_size
+from mgsr.data.mask_files import MaskIndex
 from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError, in_short
 
@@ -65,7 +66,8 @@ def _images(root: Path, name: str) -> list[Path]:
 
 def _masks(root: Path, images: list[Path]) -> list[Path | None]:
     """Each image's mask, by name or, as in DTU (000000.png, 000.png), by place."""
-    masks: list[Path | None] = [find_mask(root, image) for image in images]
+    index = MaskIndex(root)
+    masks = [index.find(image) for image in images]
     in_order = images_below(root / "mask")
     if not any(masks) and len(in_order) == len(images):
         return list(in_order)

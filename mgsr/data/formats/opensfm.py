@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_mask, images_below, inside, number, read_json
+from mgsr.data.files import find_image, images_below, number, read_json
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
 from mgsr.data.poses import intrinsics, matrix_from
 from mgsr.data.registration import check_share
@@ -61,7 +61,7 @@ def _photo(root: Path, name: str, shot: dict[str, Any], cameras: dict[str, Any],
     if camera is None:
         raise SceneError(f"{source}: camera {str(shot.get('camera'))[:80]!r} is not in the file")
     size = (int(number(camera, "width", source)), int(number(camera, "height", source)))
-    image = inside(root, "images/" + name, source)
+    image = find_image(root, "images/" + name, source)
     K, lens = _camera(camera, size, source)
     pose = np.eye(4)
     axis = matrix_from([shot.get("rotation")], 1, 3, "rotation", source)[0]
@@ -69,7 +69,7 @@ def _photo(root: Path, name: str, shot: dict[str, Any], cameras: dict[str, Any],
     if not np.isfinite(axis).all():
         raise SceneError(f"{source}: the rotation has NaN or infinite numbers; remove this shot or mend it")
     pose[:3, :3] = Rotation.from_rotvec(axis).as_matrix()
-    return Photo(image, K, size, pose, source, find_mask(root, image), lens=lens)
+    return Photo(image, K, size, pose, source, lens=lens)
 
 
 def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple[np.ndarray, Lens | None]:
@@ -82,11 +82,6 @@ def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple
         raise SceneError(f"{source}: projection_type {kind[:80]!r} is not supported; expected one of {known}")
     unit = max(size)
     fx, fy = (number(camera, axis if axis in camera else "focal", source) for axis in ("focal_x", "focal_y"))
-    if not all(0.003 <= focal <= 3000 for focal in (fx, fy)):
-        raise SceneError(
-            f"{source}: expected a focal length from 0.003 to 3000 of the image's larger sides, got {fx:g} and {fy:g}; "
-            "export it again"
-        )
     cx, cy = (number(camera, axis, source) if axis in camera else 0.0 for axis in ("c_x", "c_y"))
     names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     k1, k2, p1, p2, *higher = (number(camera, name, source) if name in camera else 0.0 for name in names)

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.files import find_mask, inside, read_json
+from mgsr.data.files import find_image, inside, read_json
 from mgsr.data.images import image_size
 from mgsr.data.poses import matrix_from
+from mgsr.data.registration import check_share
 from mgsr.errors import SceneError
 
 _FILE = "cameras.json"
@@ -27,7 +28,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(root: Path) -> Capture:
-    """Every view of the file."""
+    """Every view of the file whose photograph is there. Raises SceneError where more than half are missing."""
     content = read_json(root / _FILE)
     views = content["views"]
     if not isinstance(views, list) or not all(isinstance(view, dict) for view in views):
@@ -35,12 +36,18 @@ def read(root: Path) -> Capture:
     splits = [_split(view, i) for i, view in enumerate(views)]
     # Views that say nothing train, as soon as one view says something.
     default = Split.TRAIN if any(splits) else None
-    return Capture([_read_view(root, view, i, splits[i] or default) for i, view in enumerate(views)])
+    photos = [_read_view(root, view, i, splits[i] or default) for i, view in enumerate(views)]
+    there = [photo for photo in photos if photo is not None]
+    missing = [str(view["image"]) for view, photo in zip(views, photos, strict=True) if photo is None]
+    cure = f"put the missing ones into {root.name} under the paths that {_FILE} has"
+    return Capture(there, notes=check_share(len(there), len(photos), 0.5, f"of {_FILE} are there", cure, missing))
 
 
-def _read_view(root: Path, view: dict[str, Any], index: int, split: Split | None) -> Photo:
+def _read_view(root: Path, view: dict[str, Any], index: int, split: Split | None) -> Photo | None:
     source = f"{_FILE}, view {index}"
-    image = inside(root, view.get("image"), source)
+    image = find_image(root, view.get("image"), source)
+    if not image.is_file():
+        return None
     source = f"{source} ({image.relative_to(root)})"
     return Photo(
         image=image,
@@ -48,7 +55,7 @@ def _read_view(root: Path, view: dict[str, Any], index: int, split: Split | None
         size=image_size(image, source),
         cam_from_world=matrix_from(view.get("cam_from_world"), 4, 4, "cam_from_world", source),
         source=source,
-        mask=inside(root, view["mask"], source) if view.get("mask") is not None else find_mask(root, image),
+        mask=inside(root, view["mask"], source) if view.get("mask") is not None else None,
         split=split,
     )
 

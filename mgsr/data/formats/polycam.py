@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_image, find_mask, number, read_json
+from mgsr.data.files import find_image, number, read_json
 from mgsr.data.poses import from_opengl, intrinsics
 from mgsr.errors import SceneError
 
@@ -47,7 +47,6 @@ def _photo(root: Path, path: Path, images: str) -> Photo:
         size=(int(number(camera, "width", source)), int(number(camera, "height", source))),
         cam_from_world=from_opengl(pose, source),
         source=source,
-        mask=find_mask(root, image),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import ImageIndex, find_mask
+from mgsr.data.files import ImageIndex
 from mgsr.data.images import image_size
 from mgsr.data.lens import Lens
 from mgsr.data.poses import from_opengl, intrinsics
@@ -46,7 +46,7 @@ def read(root: Path) -> Capture:
     rows = _rows(root / name)
     index = ImageIndex(root)
     found = [(i, row, index.find(row["#name"], f"{name}, row {i}")) for i, row in enumerate(rows, start=1)]
-    photos = [_photo(root, row, image, f"{name}, row {i} ({image.name})") for i, row, image in found if image]
+    photos = [_photo(row, image, f"{name}, row {i} ({image.name})") for i, row, image in found if image]
     cure = f"put the missing ones into {root.name}, under their file names, in any folder of it"
     missing = [row["#name"] for _, row, image in found if image is None]
     return Capture(photos, notes=check_share(len(photos), len(rows), 0.5, f"named by {name} are there", cure, missing))
@@ -103,7 +103,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [dict(zip(header.columns, row, strict=True)) for row in rows]
 
 
-def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
+def _photo(row: dict[str, str], image: Path, source: str) -> Photo:
     size = image_size(image, source)
     x, y, alt, heading, pitch, roll = (_value(row, name, source) for name in _POSE)
     pose = np.eye(4)
@@ -113,10 +113,7 @@ def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
     # The principal point is counted from the middle of the image, in its larger sides.
     side = max(size)
     px, py, k1, k2, t1, t2, k3, k4 = (_value(row, name, source) if name in row else 0.0 for name in _OPTIONAL)
-    on_film = _value(row, "f", source)
-    if not 0.1 <= on_film <= 1e5:
-        raise SceneError(f"{source}: f: expected 0.1 to 100000 mm of 35 mm film, got {on_film:g}; export it again")
-    focal = on_film / _FILM * side
+    focal = _value(row, "f", source) / _FILM * side
     lens = Lens(k1, k2, p1=t2, p2=t1, higher=(k3, k4))
     return Photo(
         image=image,
@@ -124,7 +121,6 @@ def _photo(root: Path, row: dict[str, str], image: Path, source: str) -> Photo:
         size=size,
         cam_from_world=from_opengl(pose, source),
         source=source,
-        mask=find_mask(root, image),
         lens=None if lens.flat else lens,
     )
 

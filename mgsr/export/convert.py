@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from mgsr.data.images import linear_to_srgb
 from mgsr.data.scene import Similarity
-from mgsr.errors import ConfigError, MeshError, SceneError, in_short
+from mgsr.errors import ConfigError, SceneError
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import Splats, load_splats, require_finite, write_splats
@@ -27,16 +25,6 @@ _PACKED: dict[str, Callable[[Path, Splats], None]] = {COMPRESSED: write_compress
 _SPLATS = (COMPRESSED, ".ply", ".spz")
 # The longer ending first, as both fit the same names.
 FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
-    colors: np.ndarray
 
 
 def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = None) -> str:
@@ -74,58 +62,6 @@ def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
 def _suffix(target: Path) -> str:
     name = target.name.lower()
     return next((suffix for suffix in FILE_SUFFIXES if name.endswith(suffix)), target.suffix)
-
-
-def load_mesh(path: Path) -> Mesh:
-    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no colours.
-
-    Raises MeshError naming the file.
-    """
-    import trimesh  # late: splats need none
-
-    try:
-        scene: Any = trimesh.load_scene(path, process=False)
-        found = [_part(scene.graph[node], scene.geometry, path) for node in scene.graph.nodes_geometry]
-    except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
-        raise MeshError(f"{path}: not a mesh that can be read: {in_short(error)}") from error
-    parts = [part for part in found if part is not None]
-    if not parts:
-        raise MeshError(f"{path}: expected a mesh with faces, got none")
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return Mesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
-        np.concatenate([part.normals for part in parts]),
-        np.concatenate([part.colors for part in parts]),
-    )
-
-
-def _part(node: tuple[np.ndarray, str], geometry: Any, path: Path) -> Mesh | None:
-    """One part of a file, where its node (pose and name) puts it; None for what is no mesh."""
-    pose, mesh = node[0], geometry[node[1]]
-    if not len(getattr(mesh, "faces", ())):
-        return None
-    vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
-    normals = np.asarray(mesh.vertex_normals) @ np.linalg.inv(pose[:3, :3])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Mesh(vertices, np.asarray(mesh.faces), normals, _colors(mesh, is_linear=path.suffix.lower() == ".glb"))
-
-
-def _colors(mesh: Any, is_linear: bool) -> np.ndarray:
-    """sRGB 0..1 [V,3], of vertices or of the picture at them. trimesh keeps glTF's vertex colours beside its material,
-    as they were stored: linear light."""
-    kept = getattr(mesh.visual, "vertex_attributes", {})
-    if mesh.visual.kind == "vertex":
-        stored = mesh.visual.vertex_colors
-    elif "color" in kept:
-        stored = kept["color"]
-    elif mesh.visual.kind == "texture" and mesh.visual.uv is not None:
-        stored, is_linear = mesh.visual.to_color().vertex_colors, False
-    else:
-        return np.full((len(mesh.vertices), 3), 0.5)
-    stored = np.asarray(stored)[:, :3]
-    colors = stored / np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else np.clip(stored, 0, 1)
-    return linear_to_srgb(colors) if is_linear else colors
 
 
 def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:

@@ -61,7 +61,7 @@ def glb(
         document |= _picture(body.add_bytes(png))
         document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
     document |= {"accessors": body.accessors, "bufferViews": body.views, "buffers": [{"byteLength": len(body.data)}]}
-    return _file(document, bytes(body.data))
+    return glb_file(document, bytes(body.data))
 
 
 class _Body:
@@ -107,7 +107,8 @@ def _node_matrix(middle: np.ndarray, up: UpAxis) -> list[float]:
     return [float(value) for value in matrix.T.ravel()]
 
 
-def _file(document: dict[str, Any], body: bytes) -> bytes:
+def glb_file(document: dict[str, Any], body: bytes) -> bytes:
+    """The file of glTF's JSON and the buffer that it speaks of."""
     text = json.dumps(document, separators=(",", ":")).encode("ascii")
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)

@@ -11,14 +11,16 @@ from mgsr.export.mesh_files import check_mesh
 
 def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
     """Text: vertices [V,3] with colours [V,3] sRGB 0..1 behind them (an extension that MeshLab, Blender and others
-    read), unit normals [V,3], faces [F,3]. Twelve digits keep positions also far from the origin.
+    read), unit normals [V,3], faces [F,3]. Twelve digits keep positions also far from the origin. Colours are 8-bit
+    levels, written a bit above them, as some readers cut off what is behind the point.
 
     Raises MeshError for a mesh without faces, and for arrays that don't fit together.
     """
     check_mesh(vertices, faces, normals=normals, colors=colors)
+    levels = np.ceil(np.rint(np.clip(colors, 0, 1) * 255) / 255 * 1e5) / 1e5
     corners = faces[:, :, None].repeat(2, axis=2).reshape(len(faces), 6) + 1
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write("# written by MGSR; vertex colours are sRGB\n")
-        np.savetxt(file, np.hstack([vertices, np.clip(colors, 0, 1)]), "v %.12g %.12g %.12g %.4f %.4f %.4f")
+        np.savetxt(file, np.hstack([vertices, levels]), "v %.12g %.12g %.12g %.5f %.5f %.5f")
         np.savetxt(file, normals, "vn %.6f %.6f %.6f")
         np.savetxt(file, corners, "f %d//%d %d//%d %d//%d")

@@ -9,9 +9,10 @@ from numpy.lib.recfunctions import append_fields
 from plyfile import PlyData, PlyElement
 
 from mgsr.errors import ConfigError, MeshError, SceneError
-from mgsr.export.convert import convert, load_mesh
+from mgsr.export.convert import convert
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import load_splats, write_splats
@@ -28,6 +29,9 @@ def test_obj_holds_what_was_given(tmp_path, offset):
     np.testing.assert_array_equal(mesh.faces, faces)
     np.testing.assert_allclose(mesh.vertex_normals, normals, atol=1e-5)
     np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3] / 255, colors, atol=1.01 / 255)
+    lines = [line.split() for line in (tmp_path / "a.obj").read_text().splitlines() if line.startswith("v ")]
+    cut_off = (np.array(lines)[:, 4:].astype(float) * 255).astype(int)
+    np.testing.assert_array_equal(cut_off, np.rint(colors * 255), "readers that don't round get the same levels")
 
 
 @pytest.mark.parametrize("before", [".ply", ".glb", ".obj"])

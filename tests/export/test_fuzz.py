@@ -12,9 +12,9 @@ from hypothesis import settings
 
 from mgsr.errors import MgsrError
 from mgsr.export.compressed_ply import load_compressed_ply, write_compressed_ply
-from mgsr.export.convert import load_mesh
 from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.mesh_files import write_glb, write_ply
+from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
 from mgsr.export.splats import load_splats, write_splats

@@ -1,0 +1,186 @@
+"""Meshes of other programs, as trimesh reads them: PLY, binary glTF and OBJ."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.images import linear_to_srgb, srgb_to_linear
+from mgsr.errors import MeshError, in_short
+from mgsr.export.gltf import glb_file
+
+# Those that change nothing of what is read here.
+_KNOWN_EXTENSIONS = {"KHR_materials_unlit"}
+_FLOAT = 5126
+_GREY = 0.5
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    colors: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Material:
+    """What glTF multiplies colours with, linear [3] or None, and whether it has a picture."""
+
+    factor: np.ndarray | None
+    pictured: bool
+
+
+def load_mesh(path: Path) -> Mesh:
+    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no colours. glTF's vertex colours,
+    pictures and factors are multiplied, as it has it; of OBJ's, the first counts of vertex colours, picture and Kd.
+
+    Raises MeshError naming the file, also for what glTF allows and trimesh does not read.
+    """
+    try:
+        parts = _read_parts(path)
+    except MeshError:
+        raise
+    except Exception as error:  # trimesh's readers raise whatever their formats' libraries do
+        raise MeshError(f"{path}: not a mesh that can be read: {in_short(error)}; export it again") from error
+    if not parts:
+        raise MeshError(f"{path}: expected a mesh with faces, got none; export its faces too")
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.colors for part in parts]),
+    )
+
+
+def _read_parts(path: Path) -> list[Mesh]:
+    import trimesh  # late: splats need none
+
+    materials: list[_Material] = []
+    if path.suffix.lower() == ".gltf":
+        raise MeshError(f"{path}: .gltf is not read; pack it, such as by `gltf-transform copy A.gltf B.glb`")
+    if path.suffix.lower() == ".glb":
+        data, materials = _plain_glb(path)
+        scene: Any = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+    else:
+        scene = trimesh.load_scene(path, process=False)
+    nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
+    found = [(pose, scene.geometry[name]) for pose, name in nodes]
+    return [_part(pose, mesh, path, materials) for pose, mesh in found if len(getattr(mesh, "faces", ()))]
+
+
+def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -> Mesh:
+    """One part of a file, where its node's pose puts it. A mirror turns the faces' sides."""
+    bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
+    if bad:
+        raise MeshError(
+            f"{path}: {bad} of {len(mesh.vertices)} vertices are NaN or infinite; remove them and export again"
+        )
+    vertices = np.asarray(mesh.vertices) @ pose[:3, :3].T + pose[:3, 3]
+    normals = np.asarray(mesh.vertex_normals) @ np.linalg.inv(pose[:3, :3])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    faces = np.asarray(mesh.faces)
+    if np.linalg.det(pose[:3, :3]) < 0:
+        faces = faces[:, ::-1]
+    return Mesh(vertices, faces, normals, _gltf_colors(mesh, path, materials) if materials else _colors(mesh))
+
+
+def _colors(mesh: Any) -> np.ndarray:
+    """sRGB 0..1 [V,3]; trimesh keeps OBJ's vertex colours beside its material."""
+    material = getattr(mesh.visual, "material", None)
+    if mesh.visual.kind == "vertex":
+        return _fractions(mesh.visual.vertex_colors)
+    if "color" in mesh.vertex_attributes:
+        return _fractions(mesh.vertex_attributes["color"])
+    picture = _picture_colors(mesh, getattr(material, "image", None))
+    if picture is not None:
+        return picture
+    diffuse = getattr(material, "diffuse", None)
+    if diffuse is not None:
+        return np.tile(_fractions(diffuse[None]), (len(mesh.vertices), 1))
+    return np.full((len(mesh.vertices), 3), _GREY)
+
+
+def _gltf_colors(mesh: Any, path: Path, materials: list[_Material]) -> np.ndarray:
+    """sRGB 0..1 [V,3] of a part whose material's name is its number."""
+    material = materials[int(mesh.visual.material.name)]
+    picture = _picture_colors(mesh, mesh.visual.material.baseColorTexture)
+    stored = mesh.visual.vertex_attributes.get("color")
+    if material.pictured and picture is None and mesh.visual.uv is not None:
+        raise MeshError(f"{path}: a picture in it can't be read; export it with PNG or JPEG")
+    if stored is None and picture is None and material.factor is None:
+        return np.full((len(mesh.vertices), 3), _GREY)
+    linear = np.ones((len(mesh.vertices), 3))
+    for factor in (
+        None if stored is None else _fractions(stored),
+        None if picture is None else srgb_to_linear(picture),
+        material.factor,
+    ):
+        linear *= 1 if factor is None else factor
+    return linear_to_srgb(np.clip(linear, 0, 1))
+
+
+def _picture_colors(mesh: Any, picture: Any) -> np.ndarray | None:
+    from trimesh.visual.color import uv_to_color
+
+    colors = uv_to_color(getattr(mesh.visual, "uv", None), picture)
+    return None if colors is None else _fractions(colors)
+
+
+def _fractions(stored: np.ndarray) -> np.ndarray:
+    """Colours [V,3] in 0..1 of whole numbers over their range, or of floats."""
+    colors = np.asarray(stored)[:, :3]
+    return colors / np.iinfo(colors.dtype).max if colors.dtype.kind == "u" else np.clip(colors, 0, 1)
+
+
+def _plain_glb(path: Path) -> tuple[bytes, list[_Material]]:
+    """The file with a material for each part, named by its number, and with nothing in it but the picture: beside one
+    trimesh keeps vertex colours as they are stored. Raises MeshError for what trimesh would read wrongly."""
+    document, body = _glb_chunks(path)
+    unknown = set(document.get("extensionsRequired", ())) - _KNOWN_EXTENSIONS
+    if unknown:
+        raise MeshError(
+            f"{path}: needs {', '.join(sorted(unknown))}, which is not read; export it without compression and "
+            "extensions, such as by `gltf-transform dequantize`"
+        )
+    given = [material.get("pbrMetallicRoughness", {}) for material in document.get("materials", ())] + [{}]
+    for mesh in document.get("meshes", ()):
+        for primitive in mesh["primitives"]:
+            primitive.setdefault("material", len(given) - 1)
+            _check_uvs(path, document, primitive, given[primitive["material"]])
+    pictures = [{"baseColorTexture": pbr["baseColorTexture"]} if "baseColorTexture" in pbr else {} for pbr in given]
+    document["materials"] = [
+        {"name": str(number), "pbrMetallicRoughness": picture} for number, picture in enumerate(pictures)
+    ]
+    factors = [np.array(pbr["baseColorFactor"][:3]) if "baseColorFactor" in pbr else None for pbr in given]
+    materials = [_Material(factor, bool(picture)) for factor, picture in zip(factors, pictures, strict=True)]
+    return glb_file(document, body), materials
+
+
+def _glb_chunks(path: Path) -> tuple[dict[str, Any], bytes]:
+    data = path.read_bytes()
+    if data[:4] != b"glTF" or data[4:8] != struct.pack("<I", 2) or data[16:20] != b"JSON":
+        raise MeshError(f"{path}: expected binary glTF 2.0, got {len(data)} bytes of something else; export it again")
+    end = 20 + int.from_bytes(data[12:16], "little")
+    if int.from_bytes(data[8:12], "little") > len(data):
+        raise MeshError(f"{path}: ends early: its header says more than its {len(data)} bytes; export it again")
+    return json.loads(data[20:end]), data[end + 8 :]
+
+
+def _check_uvs(path: Path, document: dict[str, Any], primitive: dict[str, Any], pbr: dict[str, Any]) -> None:
+    texture, place = pbr.get("baseColorTexture"), primitive["attributes"].get("TEXCOORD_0")
+    if texture is None:
+        return
+    if texture.get("texCoord") or "KHR_texture_transform" in texture.get("extensions", {}):
+        raise MeshError(f"{path}: a picture is placed by other than TEXCOORD_0 as it is; export it with one UV map")
+    if place is not None and document["accessors"][place]["componentType"] != _FLOAT:
+        raise MeshError(f"{path}: TEXCOORD_0 is not float, which is not read; export it without compression")

@@ -162,15 +162,26 @@ def test_damaged_archives_for_long(tmp_path, name):
     fuzz_archive(tmp_path, name, LONG)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.bmp", "a.heic"])
-def test_damaged_images_for_long(tmp_path, name):
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    import OpenImageIO
     import pillow_heif
 
-    pixels = Image.fromarray(np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8))
+    if path.suffix == ".heic":
+        pillow_heif.from_pillow(Image.fromarray(pixels)).save(path)
+    elif path.suffix == ".exr":
+        output = OpenImageIO.ImageOutput.create(str(path))
+        assert output.open(str(path), OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "half"))
+        assert output.write_image(pixels / np.float32(255)) and output.close()
+    else:
+        Image.fromarray(pixels).save(path)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.bmp", "a.heic", "a.exr"])
+def test_damaged_images_for_long(tmp_path, name):
     path = tmp_path / name
-    (pillow_heif.from_pillow(pixels) if name.endswith("heic") else pixels).save(path)
+    write_image(path, np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8))
 
     def read() -> None:
         colors = read_picture(path, "test").colors

@@ -160,7 +160,7 @@ def _check_sizes(log_scales: np.ndarray) -> None:
         factor = 10.0 ** round((-4 - float(np.median(middle))) / math.log(10))
         raise SceneError(
             f"{share:.0%} of the splats have sizes that SPZ can't hold, which are {math.exp(low):.1g} to "
-            f"{math.exp(high):.0f} units; convert with --scale {factor:g}"
+            f"{math.exp(high):.0f} units; multiply --scale, which is 1 unless given, by {factor:g}"
         )
 
 

@@ -23,7 +23,7 @@ def demo(
     resume: ResumeOption = False,
 ) -> None:
     """Reconstruct the example that comes with MGSR, a glossy knot under a flash, and say where the results lie."""
-    with refusals():
+    with refusals(resumes=True):
         scene = find_example()
     run(scene, out, preset=preset, device=device, resume=resume)
 

@@ -71,7 +71,7 @@ def train(
     settings: SetOption = None,
 ) -> None:
     """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
-    with refusals():
+    with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
         from mgsr.cli.console import RunDisplay
         from mgsr.cli.outputs import LOG

@@ -66,9 +66,9 @@ def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float
 
 
 @contextmanager
-def refusals() -> Iterator[None]:
+def refusals(resumes: bool = False) -> Iterator[None]:
     """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
-    end is cleaned up after."""
+    end is cleaned up after. resumes: whether the command has --resume."""
     try:
         with cleaned_up_after_signals():
             yield
@@ -76,7 +76,8 @@ def refusals() -> Iterator[None]:
         _say(f"{stop}. To go on, give the same command with --resume.")
         raise typer.Exit(INTERRUPTED) from None
     except KeyboardInterrupt:
-        _say("stopped at once; the last checkpoint is kept. To go on, give the same command with --resume.")
+        kept = "; the last checkpoint is kept. To go on, give the same command with --resume." if resumes else ""
+        _say(f"stopped at once{kept}")
         raise typer.Exit(INTERRUPTED) from None
     except MgsrError as error:
         _say(f"error: {error}")

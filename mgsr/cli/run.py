@@ -43,7 +43,7 @@ def run(
 ) -> None:
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
     begun = time.perf_counter()
-    with refusals():
+    with refusals(resumes=True):
         wishes = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
         report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, begun)

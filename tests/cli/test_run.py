@@ -168,7 +168,7 @@ def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path
     distances, _ = cKDTree(_centers(written)).query(_centers(given))
     assert distances.max() < 1e-6 and len(_centers(written)) == len(_centers(given))
     render = np.asarray(Image.open(done / "renders/test/r_0_transmitted.png"))
-    np.testing.assert_array_equal(np.asarray(Image.open(folder / "images/test/r_0.png")), render[..., :3])
+    np.testing.assert_array_equal(np.asarray(Image.open(folder / "images/test_r_0.png")), render[..., :3])
     assert CliRunner().invoke(app, arguments).exit_code == 2, "a scene that is there is left alone"
 
 

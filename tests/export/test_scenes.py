@@ -53,6 +53,13 @@ def test_colmap_reads_the_cameras_and_points(tmp_path, scene, scale):
     np.testing.assert_array_equal([model.points3D[i + 1].color for i in range(5)], scene.points.colors)
 
 
+def test_the_whole_folder_keeps_the_split(tmp_path, scene):
+    write_scene(tmp_path, scene)
+    read = load_scene(tmp_path, DataConfig())
+    assert read.format == "nerfstudio" and read.notes == ()
+    assert [len(read.train), len(read.test)] == [len(scene.train), len(scene.test)] and scene.test
+
+
 @pytest.mark.parametrize("name", ["colmap", "nerfstudio"])
 def test_our_readers_get_back_what_was_written(tmp_path, scene, name):
     write_scene(tmp_path, scene)

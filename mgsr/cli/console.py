@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import IO
@@ -28,6 +29,7 @@ class RunDisplay:
 
     def __init__(self, log: Path, append: bool, console: Console | None = None) -> None:
         self._console = console or Console(stderr=False, highlight=False)
+        self._open = ExitStack()
         self._log: IO[str] | None = None
         self._path, self._mode = log, ("a" if append else "w")
         self._held: list[str] = []
@@ -48,10 +50,9 @@ class RunDisplay:
             self._bar.stop()
         if self._held and not _is_refusal(error):
             self._open_log()
-        if self._log is not None:
-            if error is not None:
-                self._write_log(f"{kind.__name__ if kind else 'error'}: {error}")
-            self._log.close()
+        if self._log is not None and error is not None:
+            self._write_log(f"{kind.__name__ if kind else 'error'}: {error}")
+        self._open.close()
 
     def __call__(self, event: Event) -> None:
         text = event.text if event.training is None else training_line(event.training)
@@ -81,7 +82,7 @@ class RunDisplay:
     def _open_log(self) -> None:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         # Line by line: a run that is killed keeps its log.
-        self._log = open(self._path, self._mode, encoding="utf-8", buffering=1)  # noqa: SIM115
+        self._log = self._open.enter_context(self._path.open(self._mode, encoding="utf-8", buffering=1))
         self._log.writelines(self._held)
         self._held.clear()
 

@@ -24,6 +24,7 @@ class Channels:
 
     @property
     def all(self) -> tuple[int, ...]:
+        """Those that are read, in the order in which they are given on."""
         return self.colors if self.alpha is None else (*self.colors, self.alpha)
 
 

@@ -8,6 +8,7 @@ import os
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -91,12 +92,19 @@ def _in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
     """The first of the files of these names in a folder below the root, but for what `folded` leaves out."""
     place = Path(os.path.normpath(root))
     for wanted in [*[[part] for part in folder.relative_to(place).parts], names]:
-        there = {folded(name): name for name in sorted(os.listdir(place), reverse=True)} if place.is_dir() else {}
+        there = _listed(place, place.stat().st_mtime_ns) if place.is_dir() else {}
         same = next((there[folded(name)] for name in wanted if folded(name) in there), None)
         if same is None:
             return None
         place /= same
     return place
+
+
+@lru_cache(maxsize=16)
+def _listed(folder: Path, changed: int) -> dict[str, str]:
+    """A folder's names by what is left of them when `folded`, kept for the next of its files until it has changed (its
+    time of change, ns): to read it for each missing file of thousands would take minutes."""
+    return {folded(name): name for name in sorted(os.listdir(folder), reverse=True)}
 
 
 def folded(name: str) -> str:

@@ -87,8 +87,9 @@ def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.
     distance = ndimage.map_coordinates(outline.distance, place, order=1, mode="nearest", output=np.float32)
     distance *= depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
     if outline.whole:
-        to_border = np.where(depth > 0, distance, 0)[~tells]
-        distance[~tells] = to_border - _beyond(camera, points[~tells], pixels[~tells], depth[~tells])
+        outside = ~tells
+        distance[outside] = np.minimum(distance[outside], 0)  # behind the camera it has the wrong sign
+        distance[outside] -= _beyond(camera, points[outside], pixels[outside], depth[outside])
         return np.ones_like(tells), distance
     if outline.known is not None:
         tells[tells] = known_at(outline.known, pixels[tells])

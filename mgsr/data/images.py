@@ -45,7 +45,8 @@ def image_size(path: Path, source: str) -> tuple[int, int]:
 
 
 def is_heif(path: Path) -> bool:
-    """Whether the file is HEIC or HEIF by its content: phones and messengers rename them to .jpg, and back."""
+    """Whether the file is of HEIC's family by its content, not its name: phones and messengers rename them to .jpg, and
+    back."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

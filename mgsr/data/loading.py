@@ -120,17 +120,17 @@ def _unused_masks(train: list[LoadedView], bare: list[str]) -> tuple[str, ...]:
 
 def _with_an_object(train: list[LoadedView]) -> tuple[list[LoadedView], tuple[str, ...]]:
     """The views in whose masks there is something, and a note on the others."""
-    empty = [item for item in train if _empty(item.view)]
-    if not empty:
+    shown = [item for item in train if not _empty(item.view)]
+    if len(shown) == len(train):
         return train, ()
-    first = empty[0].view
-    count = f"the masks of {len(empty)} of {len(train)} training views are empty"
-    if len(train) - len(empty) < max(2, len(train) / 2):
+    first = next(item.view for item in train if _empty(item.view))
+    count = f"the masks of {len(train) - len(shown)} of {len(train)} training views are empty"
+    if len(shown) < max(2, len(train) / 2):
         raise SceneError(
             f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
             "the object; make them white on the object, or run with masks=off"
         )
-    return [item for item in train if not _empty(item.view)], (f"{count} ({first.name!r}): these views are left out",)
+    return shown, (f"{count} ({first.name!r}): these views are left out",)
 
 
 def _empty(view: View) -> bool:

@@ -26,7 +26,7 @@ class MaskIndex:
     def folders(self) -> list[Path]:
         """The folders of masks."""
         inner = [path for path in self._root.iterdir() if path.name.lower() in MASK_FOLDERS and path.is_dir()]
-        return sorted(inner, key=lambda path: (-len(path.name), path.name))
+        return sorted(inner, key=lambda path: (MASK_FOLDERS.index(path.name.lower()), path.name))
 
     @cached_property
     def masks(self) -> list[Path]:

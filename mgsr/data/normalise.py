@@ -11,30 +11,34 @@ from mgsr.data.camera import Camera
 from mgsr.data.hull import carve
 from mgsr.data.known import whole_part
 from mgsr.data.scene import PointCloud, Similarity, View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import SceneError
 
 # Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.
 RESOLUTION = 64
 
+# Pixels of the silhouettes' larger sides that this needs.
+OUTLINE_SIDE = 200
+
 # Fewer points than this say nothing about where the object is.
 MIN_POINTS = 50
 
 
-def normalisation(views: Sequence[View], points: PointCloud | None) -> Similarity:
+def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Sequence[Silhouette]) -> Similarity:
     """The similarity whose unit ball holds the object, from training views in the user's frame.
 
-    With masks: the smallest ball around the visual hull. Without: the ball around the point that the cameras look
-    at that most of them have in view, moved and drawn in to the points that crowd in it. Cameras that look into one
-    direction have no such point: there the ball holds nine tenths of the points, or what the cameras see in common.
-    Masks must not be empty. Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
+    outlines: their silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks: the
+    smallest ball around the visual hull. Without: the ball around the point that the cameras look at that most of them
+    have in view, moved and drawn in to the points that crowd in it. Cameras that look into one direction have no such
+    point: there the ball holds nine tenths of the points, or what the cameras see in common.
+    Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
     if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
         raise SceneError("all cameras stand at the same place; a surface needs views from different places")
-    if all(view.alpha is not None for view in views):
-        return Similarity(*_swapped(_masked_ball(views)))
+    if outlines:
+        return Similarity(*_swapped(_masked_ball(views, outlines)))
     return Similarity(*_swapped(_unmasked_ball([whole_part(view).camera for view in views], points)))
 
 
@@ -71,8 +75,7 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
     return center, float(np.linalg.norm(corners - center, axis=1).max())
 
 
-def _masked_ball(views: Sequence[View]) -> tuple[np.ndarray, float]:
-    outlines = silhouettes(views, max_side=200)
+def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
     center, radii = ball_of_masks(views)
     radius = float(radii.max())
     for _ in range(8):

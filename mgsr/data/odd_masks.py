@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
 from mgsr.data.hull import view_field
 from mgsr.data.normalise import ball_of_masks
 from mgsr.data.scene import View
-from mgsr.data.silhouettes import silhouettes
+from mgsr.data.silhouettes import Silhouette
 from mgsr.parallel import map_ahead
 
 # Few views differ much about where the object is, without a mistake.
@@ -30,29 +31,30 @@ MOST_ODD = 0.25
 _SIDE = 32
 
 
-def without_odd_masks(views: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """The views without the few whose masks leave out where nearly all others have the object; and a note on those.
+def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """[V] bool: the views but for the few whose masks leave out where nearly all others have the object; and a note on
+    those.
 
-    views: all with masks that aren't empty, in the user's frame.
+    views: in the user's frame; outlines: their silhouettes, of masks that are not empty, none without masks.
     """
-    if len(views) < FEWEST:
-        return views, ()
-    left_out = _left_out(views)
+    agreeing = np.ones(len(views), dtype=bool)
+    if len(outlines) < FEWEST:
+        return agreeing, ()
+    left_out = _left_out(views, outlines)
     votes = left_out.sum(axis=0)
     objects = votes <= max(votes.min(), 1, DISSENT * len(views))
     odd = left_out[:, objects].mean(axis=1) > MOST_LEFT_OUT
     if not 0 < odd.sum() <= MOST_ODD * len(views):
-        return views, ()
-    names = ", ".join(repr(view.name) for view, out in zip(views, odd, strict=True) if out)
+        return agreeing, ()
+    names = ", ".join(repr(view.name) for view in compress(views, odd))
     text = f"the masks of {odd.sum()} of {len(views)} training views leave out where the others have the object"
-    kept = [view for view, out in zip(views, odd, strict=True) if not out]
-    return kept, (f"{text} ({names}): these views are left out",)
+    return ~odd, (f"{text} ({names}): these views are left out",)
 
 
-def _left_out(views: Sequence[View]) -> np.ndarray:
+def _left_out(views: Sequence[View], outlines: Sequence[Silhouette]) -> np.ndarray:
     """[V,P] bool: which of the points of a grid around the object each view has outside its mask."""
     center, radii = ball_of_masks(views)
     axis = np.linspace(-1, 1, _SIDE) * np.median(radii)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center
-    fields = map_ahead(lambda outline: view_field(outline, points), silhouettes(views, max_side=200), None)
+    fields = map_ahead(lambda outline: view_field(outline, points), outlines, None)
     return np.array([tells & (distance < 0) for tells, distance in fields])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 
 from mgsr.config import DataConfig, Masks
@@ -13,11 +14,12 @@ from mgsr.data.files import images_below, view_names
 from mgsr.data.formats import all_formats
 from mgsr.data.loading import LoadProgress, SettledViews, load_views, settle_masks
 from mgsr.data.mask_files import MaskIndex
-from mgsr.data.normalise import normalisation
-from mgsr.data.odd_masks import without_odd_masks
+from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.odd_masks import agreeing_masks
 from mgsr.data.poses import check_intrinsics, check_pose
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
+from mgsr.data.silhouettes import silhouettes
 from mgsr.errors import ConfigError, SceneError
 
 
@@ -43,9 +45,10 @@ def load_scene(
     if len(train) < 2:
         raise SceneError(f"{Path(path).name}: {len(train)} training views; at least 2 are needed, 20 or more are good")
     views = _load(train, test, config, progress)
-    masked = all(view.alpha is not None for view in views.train)
-    train_views, odd = without_odd_masks(views.train) if masked else (views.train, ())
-    frame = normalisation(train_views, capture.points)
+    outlines = silhouettes(views.train, OUTLINE_SIDE)
+    agreeing, odd = agreeing_masks(views.train, outlines)
+    train_views = list(compress(views.train, agreeing))
+    frame = normalisation(train_views, capture.points, list(compress(outlines, agreeing)))
     return Scene(
         name=archive_stem(Path(path)) if Path(path).is_file() else root.name,
         root=root,
@@ -133,8 +136,10 @@ def _present(photos: Sequence[Photo], root: Path) -> tuple[list[Photo], tuple[st
     where a mask is that a file names."""
     if not photos:
         raise SceneError(f"{root.name}: the scene has no views")
-    kept = [photo for photo in photos if photo.image.is_file()]
-    missing = [f"{photo.image.relative_to(root)} of {photo.source}" for photo in photos if not photo.image.is_file()]
+    there = [photo.image.is_file() for photo in photos]
+    kept = list(compress(photos, there))
+    gone = [photo for photo, is_there in zip(photos, there, strict=True) if not is_there]
+    missing = [f"{photo.image.relative_to(root)} of {photo.source}" for photo in gone]
     masks = [(photo.mask, photo.source) for photo in kept if photo.mask is not None and not photo.mask.is_file()]
     if masks:
         (mask, source), *others = masks

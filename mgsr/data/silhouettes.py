@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -12,6 +13,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.data.known import known_mean
 from mgsr.data.scene import View
+from mgsr.parallel import map_ahead
 
 # A mask that stays this share of the image's larger side away from the border shows its object whole. Masks of objects
 # that the image cuts off may end a few pixels before it.
@@ -21,18 +23,25 @@ FREE_BORDER = 0.02
 @dataclass(frozen=True)
 class Silhouette:
     """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera; known [h,w]
-    bool: the pixels that say where the object is and isn't, None if all do. whole: whether nothing of the object lies
-    beyond these pixels."""
+    bool: the pixels that say where the object is and isn't, None if all do."""
 
     camera: Camera
     distance: np.ndarray
     known: np.ndarray | None = None
-    whole: bool = False
+
+    @cached_property
+    def whole(self) -> bool:
+        """Whether the mask keeps away from the border of what is known, so that nothing of the object lies beyond."""
+        inside = self.distance > 0
+        shown = np.pad(np.ones_like(inside) if self.known is None else self.known, 1)
+        to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
+        return bool(inside.any() and to_border[inside].min() > FREE_BORDER * max(inside.shape))
 
 
 def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
     """The masks of the views that have one, reduced to images of at most `max_side`."""
-    return [_silhouette(view, view.alpha, max_side) for view in views if view.alpha is not None]
+    masked = [(view, view.alpha) for view in views if view.alpha is not None]
+    return list(map_ahead(lambda item: _silhouette(*item, max_side), masked, None))
 
 
 def signed_distance(alpha: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
@@ -58,12 +67,4 @@ def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         alpha, known = known_mean(alpha, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
-    distance = signed_distance(alpha[..., 0] / 255, known)
-    return Silhouette(camera, distance, known, whole=_leaves_border_free(distance > 0, known))
-
-
-def _leaves_border_free(inside: np.ndarray, known: np.ndarray | None) -> bool:
-    """Whether a mask [h,w] bool that isn't empty keeps away from the border of what is known."""
-    shown = np.pad(np.ones_like(inside) if known is None else known, 1)
-    to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
-    return bool(inside.any() and to_border[inside].min() > FREE_BORDER * max(inside.shape))
+    return Silhouette(camera, signed_distance(alpha[..., 0] / 255, known), known)

@@ -22,9 +22,10 @@ from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
-from mgsr.data.normalise import normalisation
+from mgsr.data.normalise import OUTLINE_SIDE, normalisation
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
+from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.run import Training
@@ -101,7 +102,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
 
 
 def _frame(scene: Scene) -> object:
-    frame = normalisation(scene.train, scene.points)
+    frame = normalisation(scene.train, scene.points, silhouettes(scene.train, OUTLINE_SIDE))
     return [frame.scale, frame.offset]
 
 

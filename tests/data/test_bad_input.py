@@ -84,9 +84,7 @@ def test_few_missing_images_are_left_out_and_many_are_an_error(tmp_path):
     assert len(scene.train) + len(scene.test) == 10
     for path in sorted((root / "train").iterdir())[:5]:
         path.unlink()
-    refuses(
-        root, r"only 5 of 12 photographs are there \(train/r_0 of transforms_train\.json, frame 0 .* is missing"
-    )
+    refuses(root, r"only 5 of 12 photographs are there \(train/r_0 of transforms_train\.json, frame 0 .* is missing")
 
 
 def test_damaged_image(root):

@@ -71,7 +71,7 @@ def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path):
 
 def test_cameras_alone_give_what_they_see_in_common():
     ball = BallCapture(center=CENTER, scale=2.0)
-    frame = normalisation(bare_views(ball), None)
+    frame = normalisation(bare_views(ball), None, [])
     np.testing.assert_allclose(frame.offset, CENTER, atol=1e-9)
     # The narrowest side: the right edge at (64-30)/80 and the lower at 29/90; 6 is the distance.
     assert frame.scale == pytest.approx(6 * np.sin(np.arctan(29 / 90)), rel=1e-6)
@@ -82,8 +82,8 @@ def test_far_points_do_not_matter():
     rng = np.random.default_rng(0)
     near = CENTER + rng.normal(size=(500, 3)) * 0.15
     far = rng.normal(size=(50, 3)) * 1e4
-    alone = normalisation(bare_views(ball), PointCloud(near, np.zeros((500, 3), np.uint8)))
-    both = normalisation(bare_views(ball), PointCloud(np.r_[near, far], np.zeros((550, 3), np.uint8)))
+    alone = normalisation(bare_views(ball), PointCloud(near, np.zeros((500, 3), np.uint8)), [])
+    both = normalisation(bare_views(ball), PointCloud(np.r_[near, far], np.zeros((550, 3), np.uint8)), [])
     assert both.scale == pytest.approx(alone.scale, rel=1e-6)
     assert 0.3 < both.scale < 0.6
 
@@ -93,7 +93,7 @@ def test_the_ball_moves_to_the_points_beside_the_focus():
     can = CENTER + np.array([0.4, 0, 0]) + rng.normal(size=(2000, 3)) * 0.1
     table = np.c_[rng.uniform(-4, 4, (500, 2)) + CENTER[:2], np.full(500, CENTER[2] - 0.3)]
     cloud = PointCloud(np.r_[can, table], np.zeros((2500, 3), np.uint8))
-    frame = normalisation(bare_views(BallCapture(center=CENTER)), cloud)
+    frame = normalisation(bare_views(BallCapture(center=CENTER)), cloud, [])
     assert np.quantile(np.linalg.norm(frame.to_scene(can), axis=1), 0.98) < 1
     np.testing.assert_allclose(frame.offset, CENTER + np.array([0.4, 0, 0]), atol=0.05)
 
@@ -115,9 +115,9 @@ def test_cameras_that_look_into_one_direction():
     ]
     rng = np.random.default_rng(1)
     points = rng.uniform([-1, 1, -1], [1, 3, 1], (400, 3))
-    frame = normalisation(views, PointCloud(points, np.zeros((400, 3), np.uint8)))
+    frame = normalisation(views, PointCloud(points, np.zeros((400, 3), np.uint8)), [])
     np.testing.assert_allclose(frame.offset, [0, 2, 0], atol=0.2)
-    blind = normalisation(views, None)
+    blind = normalisation(views, None, [])
     assert blind.offset[1] > -5 and blind.scale > 0
 
 

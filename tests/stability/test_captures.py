@@ -12,8 +12,9 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import read_image
-from mgsr.data.normalise import normalisation
-from mgsr.data.scene import Scene, View
+from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.scene import Scene, Similarity, View
+from mgsr.data.silhouettes import silhouettes
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 from tests.training.ball import DISTANCE, RADIUS, ball_points, ball_scene
@@ -90,9 +91,13 @@ def test_opposite_cameras() -> None:
 
 def test_opposite_cameras_have_a_centre_between_them() -> None:
     """Their axes are one line, so nothing on it is nearest to both; masks and box still say where the ball is."""
-    user_from_scene = normalisation(opposite_scene().train, None)
+    user_from_scene = frame(opposite_scene().train)
     assert np.isfinite(user_from_scene.offset).all() and 0.5 * RADIUS < user_from_scene.scale < 2 * DISTANCE
     assert np.linalg.norm(user_from_scene.offset) < RADIUS
+
+
+def frame(views: list[View]) -> Similarity:
+    return normalisation(views, None, silhouettes(views, OUTLINE_SIDE))
 
 
 def opposite_scene() -> Scene:
@@ -111,7 +116,7 @@ def test_captures_in_other_units_and_places_are_one_scene(masked: bool, unit: fl
     """Training sees the normalised scene: poses are float64 until then, so nothing is lost."""
     views = ball_scene(20, train=6, test=1, masked=masked).train
     moved = [replace(view, camera=moved_camera(view.camera, unit, shift)) for view in views]
-    here, there = normalisation(views, None), normalisation(moved, None)
+    here, there = frame(views), frame(moved)
     for view, other in zip(views, moved, strict=True):
         expected = here.camera_to_scene(view.camera).cam_from_world
         assert np.allclose(there.camera_to_scene(other.camera).cam_from_world, expected, atol=1e-5)

@@ -18,11 +18,21 @@ from mgsr.errors import ConfigError
 
 
 class Masks(StrEnum):
-    """auto: use them where every view has one; off: composite on white and forget them; require: fail without."""
+    """What the masks beside photographs mean. auto: found out, and silhouettes are used where every view has one;
+    object: white is the object, and every view needs a mask; ignore: black is what to leave out, such as passers-by;
+    off: they are not used, and images with alpha are put on white."""
 
     AUTO = "auto"
+    OBJECT = "object"
+    IGNORE = "ignore"
     OFF = "off"
-    REQUIRE = "require"
+
+
+class Blurred(StrEnum):
+    """keep: photographs that are much less sharp than their neighbours are used; drop: they are left out."""
+
+    KEEP = "keep"
+    DROP = "drop"
 
 
 class Exposure(StrEnum):
@@ -38,6 +48,7 @@ class DataConfig:
 
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
+    blurred: Blurred = Blurred.KEEP
     test_every: int = 8  # every n-th view is held out, where the files name no split
     max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 

@@ -13,6 +13,10 @@ class SceneError(MgsrError):
     code = "bad_scene"
 
 
+class MissingPhotoError(SceneError):
+    """A photograph that a file of the scene names is not there."""
+
+
 class ArchiveError(SceneError):
     """An archive is refused. code: archive_unsupported, archive_damaged, archive_unsafe_member,
     archive_too_many_members, archive_too_large or archive_ratio; for one of its images image_too_large."""

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from mgsr.native import _image, runtime
+
+if find_spec("OpenImageIO"):
+    import_module("OpenImageIO")  # before pycolmap: the other way round, a file that it refuses ends the process
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 

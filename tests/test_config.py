@@ -67,7 +67,7 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("maks=off", "data.masks"),
         ("mutal.iterations=3", "train.mutual.iterations"),
         ("every=3", "ambiguous"),
-        ("masks=perhaps", "auto, off, require"),
+        ("masks=perhaps", "auto, object, ignore, off"),
         ("mutual.iterations=many", "a whole number"),
         ("tv=perhaps", "on or off"),
         ("reflection=perhaps", "auto, off, own, shared, both"),

@@ -18,6 +18,7 @@ from mgsr.cli.device import Device
 from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.native.runtime import isas
@@ -78,12 +79,14 @@ def run_report(
     )
 
 
-def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
-    """What was read: format, views, sizes, masks, points, and the way back to the user's frame; shown: the share of the
-    pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind
-    photographs without masks."""
-    camera = scene.train[0].camera
+def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
+    """What was read: format, views, sizes, masks, points, and the way back to the user's frame; splats_origin: what
+    positions in splat files are about, where the frame's origin lies far away; shown: the share of the pixels that
+    photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind photographs without
+    masks. unit: what lengths are multiplied with."""
+    camera, frame = scene.train[0].camera, scene.user_from_scene
     shown, plain = shown_share(scene), scene.plain_backdrop
+    origin, notes = origin_of_frame(frame, unit), [*scene.notes, *origin_notes(frame, unit)]
     return (
         {
             "path": str(path),
@@ -93,15 +96,13 @@ def scene_facts(scene: Scene, path: Path) -> dict[str, Any]:
             "image_size": [camera.width, camera.height],
             "masked": scene.masked,
             "points": 0 if scene.points is None else len(scene.points.positions),
-            "user_from_scene": {
-                "scale": float(scene.user_from_scene.scale),
-                "offset": [float(x) for x in scene.user_from_scene.offset],
-            },
+            "user_from_scene": {"scale": float(frame.scale * unit), "offset": [float(x) * unit for x in frame.offset]},
         }
+        | ({"splats_origin": origin.tolist()} if origin.any() else {})
         | ({"shown": round(shown, 4)} if shown < 1 else {})
         | ({} if plain is None else {"backdrop": [round(value, 3) for value in plain]})
         | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
-        | ({"notes": list(scene.notes)} if scene.notes else {})
+        | ({"notes": notes} if notes else {})
     )
 
 
@@ -114,12 +115,7 @@ def shown_share(scene: Scene) -> float:
 
 def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict[str, Any]:
     begun = {"source": str(start.source), "count": len(start.positions)}
-    facts = scene_facts(scene, path)
-    # As the written files have it.
-    facts["user_from_scene"] = {
-        "scale": float(scene.user_from_scene.scale * unit),
-        "offset": [float(x) * unit for x in scene.user_from_scene.offset],
-    }
+    facts = scene_facts(scene, path, unit)  # as the written files have it
     flash = start.lighting
     if flash is not None and scene.train[0].lit is not None:
         across = scene.user_from_scene.scale * unit

@@ -18,12 +18,14 @@ from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene
 from mgsr.errors import MgsrError, in_short
+from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
+from mgsr.export.gltf import Up as UpDirection
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
-from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.gaussians.mirrored import MirroredLight
@@ -51,10 +53,6 @@ REPORT = "report.json"
 REPORT_HTML = "report.html"
 LOG = "log.txt"
 CHECKPOINT = "checkpoint"
-
-# The share of z in the cameras' up direction from which a frame counts as z-up (or down); others are taken as y-up (or
-# down).
-Z_UP = 0.7
 
 
 def clear_reports(out: Path) -> None:
@@ -105,7 +103,7 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
 def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
     """flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
     with whole(out / FLASH) as path:
-        write_flash(path, lighting.moved(scene.user_from_scene))
+        write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
 
 
 def as_lit(out: Path, scene: Scene) -> Scene:
@@ -117,8 +115,10 @@ def as_lit(out: Path, scene: Scene) -> Scene:
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
-    """The branches as splat files, in the output's unit, and the light; what is not there leaves none, also
-    none of an earlier run."""
+    """The branches as splat files, in the output's unit and about the frame's origin or one near the scene (see
+    `origin_of_frame`), and the light; what is not there leaves none, also none of an earlier run."""
+    origin = origin_of_frame(scene.user_from_scene, output.scale)
+    file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
     for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
         if model is None:
             (out / name).unlink(missing_ok=True)
@@ -126,7 +126,7 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
         with whole(out / name) as path:
             low_pass = model.low_pass if isinstance(model, VolumeModel) else None
-            write_splats(path, arrays, scene.user_from_scene, output.scale, low_pass)
+            write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
     if models.light is None:
         (out / LIGHT).unlink(missing_ok=True)
         return
@@ -151,7 +151,7 @@ def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig)
     """mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for, of a mesh in the user's frame;
     lengths are in the output's unit. Those that are not asked for are removed."""
     arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
-    up = _up_axis(scene, output)
+    up = _up(scene, output)
     with whole(out / MESH) as path:
         write_ply(path, *arrays, unit=output.scale)
     with whole(out / MESH_GLB) as path:
@@ -168,13 +168,11 @@ def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig)
             write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
 
 
-def _up_axis(scene: Scene, output: OutputConfig) -> UpAxis:
+def _up(scene: Scene, output: OutputConfig) -> UpDirection:
+    """Return what points up in the user's frame, whose axes are the scene's."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
-    _, y, z = up_direction([view.camera for view in scene.train])
-    if abs(z) > Z_UP:
-        return UpAxis.Z if z > 0 else UpAxis.MINUS_Z
-    return UpAxis.MINUS_Y if y < 0 else UpAxis.Y
+    return up_direction([view.camera for view in scene.train])
 
 
 def read_mesh(out: Path) -> SurfaceMesh:
@@ -219,8 +217,9 @@ def _export_form(view: ViewImages, unit: float) -> RenderedView:
 
 
 def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
-    """A splat file's arrays, taken from the user's frame and the file's unit to the scene's."""
-    arrays, unit = load_splats(path), read_number(path, UNIT)
-    arrays["means"] = scene.user_from_scene.to_scene(arrays["means"].astype(np.float64) / unit)
-    arrays["log_scales"] = arrays["log_scales"] - math.log(scene.user_from_scene.scale * unit)
+    """A splat file's arrays, taken from the file's unit and origin to the scene's frame."""
+    arrays, unit, origin = load_splats(path), read_number(path, UNIT), read_origin(path)
+    file_from_scene = about_origin(scene.user_from_scene, unit, origin)
+    arrays["means"] = file_from_scene.to_scene(arrays["means"].astype(np.float64))
+    arrays["log_scales"] = arrays["log_scales"] - math.log(file_from_scene.scale)
     return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

@@ -15,7 +15,7 @@ from mgsr.cli.device import Device, pick_device
 from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
 from mgsr.cli.events import Event, EventCallback, ignore
 from mgsr.cli.facts import run_report
-from mgsr.cli.gallery import draw_surface, report_pictures
+from mgsr.cli.gallery import SurfaceDrawings, draw_surface, report_pictures
 from mgsr.cli.models import Models
 from mgsr.cli.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
 from mgsr.cli.steps import Steps, StopCheck, always, never
@@ -23,9 +23,11 @@ from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
+from mgsr.export.far_origin import about_origin, origin_notes, origin_of_frame
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
+from mgsr.metrics.truth import TrueSurface
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
@@ -58,7 +60,7 @@ def run_scene(
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / outputs.CHECKPOINT if resume else None)
-    scene = load(scene_path, out, config, step)
+    scene = _load(scene_path, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = begin(scene, config, out, step, budget)
@@ -77,7 +79,7 @@ def run_scene(
     with step("evaluate", "measuring the surface"):
         truth = find_truth(scene)
         scores = surface_scores(mesh, truth, scene)
-        drawn = draw_surface(mesh, truth, scene)
+        drawn = _draw(mesh, truth, scene)
     if budget is not None:
         budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
         trained = training.run(before_surface=False)
@@ -112,9 +114,27 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = load(scene_path, out, config, step)
+    scene = _load(scene_path, out, config, step)
     scene, start = begin(scene, config, out, step)
     return _Training(scene, start, config, out, step, chosen, resume).run()
+
+
+def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
+    """Return the scene, told of, and of the origin of the files that will be written."""
+    scene = load(path, out, config, step)
+    for text in origin_notes(scene.user_from_scene, config.output.scale):
+        step.progress(Event("load", text))
+    return scene
+
+
+def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+    """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
+    cast in float32."""
+    origin = origin_of_frame(scene.user_from_scene)
+    mesh = replace(mesh, vertices=mesh.vertices - origin)
+    truth = None if truth is None else replace(truth, vertices=truth.vertices - origin)
+    near = replace(scene, user_from_scene=about_origin(scene.user_from_scene, 1.0, origin))
+    return draw_surface(mesh, truth, near)
 
 
 def make_mesh(models: Models, scene: Scene, config: Config, go_on: Callable[[], bool] = always) -> SurfaceMesh:

@@ -14,13 +14,21 @@ PhotosArgument = Annotated[
 ]
 SceneOption = Annotated[Path, typer.Option("--out", "-o", metavar="SCENE", help="The new scene's folder.")]
 PosesSeedOption = Annotated[int, typer.Option("--seed", help="Seeds the random samples of COLMAP.", min=0)]
+CameraPerImageOption = Annotated[
+    bool,
+    typer.Option(
+        "--camera-per-image", help="Give each photograph a lens of its own: for zoomed, cropped or mixed captures."
+    ),
+]
 
 
-def poses(photos: PhotosArgument, out: SceneOption, seed: PosesSeedOption = 0) -> None:
+def poses(
+    photos: PhotosArgument, out: SceneOption, seed: PosesSeedOption = 0, camera_per_image: CameraPerImageOption = False
+) -> None:
     """Find the cameras of PHOTOS with COLMAP, and make of both a SCENE that `mgsr run` takes."""
     with refusals():
         from mgsr.data.find_poses import find_poses
 
-        for note in find_poses(photos, out, seed):
+        for note in find_poses(photos, out, seed, camera_per_image=camera_per_image):
             print(note)
         print(f"scene  {out}")

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.lens import AnyLens
+from mgsr.data.photo_files import FoundPhotos, SceneFolder
 from mgsr.data.scene import PointCloud
+from mgsr.errors import MissingPhotoError, SceneError
 
 
 class Split(StrEnum):
@@ -27,10 +29,11 @@ class Split(StrEnum):
 class Photo:
     """One photograph.
 
-    image: its file; mask: a file with the object white on black, or None.
+    image: its file. mask: a file that is white on the object, or white but on what is to be ignored (see `MaskUse`), or
+    None. ignored: a file that is black but on what is to be ignored, or None.
     K: [3,3] pixels, pixel centres at +0.5, for an image of `size` = (width, height); it follows the image if that is
     larger or smaller. With a lens, image and K are those of the distorted photograph.
-    cam_from_world: [4,4] in the user's frame, OpenCV axes.
+    cam_from_world: [4,4] in the user's frame, OpenCV axes; a uniform scale is divided out when it is checked.
     split: None where the files name none.
     source: where the camera stands, for messages ("transforms_train.json, frame 3").
     """
@@ -41,18 +44,54 @@ class Photo:
     cam_from_world: np.ndarray
     source: str
     mask: Path | None = None
+    ignored: Path | None = None
     split: Split | None = None
     lens: AnyLens | None = None
 
 
 @dataclass(frozen=True)
 class Capture:
-    """All photographs of a scene, points of its surface in the user's frame where the files have them, and notes for
-    the person: what the files have and the reader left out."""
+    """What a capture's files say.
+
+    photos: the photographs that can be used. points: points of the surface in the user's frame, where the files have
+    them. notes: for the person, what the files have and the reader left out. file: what names the photographs, for
+    messages. lost: for each photograph that is missing or whose camera can't be used, why. least_kept: the share of
+    the photographs that must be left.
+    """
 
     photos: list[Photo]
     points: PointCloud | None = None
     notes: tuple[str, ...] = ()
+    file: str = "the scene's files"
+    lost: tuple[SceneError, ...] = ()
+    least_kept: float = 0.5
+
+    @classmethod
+    def of(cls, found: FoundPhotos, build: Callable[[int, Path], Photo]) -> Capture:
+        """Make a capture of photographs that were looked for.
+
+        build: makes the photograph of the name with that number, whose file was found. A SceneError that it raises
+        loses that photograph alone.
+        """
+        photos: list[Photo] = []
+        lost: list[SceneError] = []
+        for number, path in enumerate(found.paths):
+            try:
+                photos.append(build(number, _there(path)))
+            except SceneError as error:
+                lost.append(error)
+        return cls(photos, notes=found.notes, file=found.file, lost=tuple(lost))
+
+    @property
+    def missing(self) -> list[MissingPhotoError]:
+        """The photographs that the files name and that are not there."""
+        return [error for error in self.lost if isinstance(error, MissingPhotoError)]
+
+
+def _there(path: Path | SceneError) -> Path:
+    if isinstance(path, SceneError):
+        raise path
+    return path
 
 
 @dataclass(frozen=True)
@@ -60,13 +99,13 @@ class Format:
     """One kind of input.
 
     name: short, for reports. looks_for: what makes a folder this format, for the message that lists all formats.
-    recognises: given a folder, the file that makes it this format, or None. It must not raise.
-    read: the capture in a folder that was recognised; raises SceneError. Poses and intrinsics are checked afterwards.
+    recognises: given a folder, the file in it that makes it this format, or None. It must not raise.
+    read: the capture of a folder that was recognised; raises SceneError. Poses and intrinsics are checked afterwards.
     rank: where several formats recognise a folder, the lowest wins.
     """
 
     name: str
     looks_for: str
     recognises: Callable[[Path], str | None]
-    read: Callable[[Path], Capture]
+    read: Callable[[SceneFolder], Capture]
     rank: int = 50

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import os
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,21 +14,40 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from mgsr.data.odd_files import require_content
 from mgsr.errors import SceneError, in_short
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif")
+# In the order in which they are taken where a photograph is there as several.
+IMAGE_SUFFIXES = (
+    *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif"),
+    *(".jfif", ".tga", ".ppm", ".pgm", ".pnm", ".jp2", ".j2k", ".gif", ".hdr", ".dpx", ".psd"),
+)
 MASK_FOLDERS = ("masks", "mask")
+IGNORED_PREFIX = "dynamic_mask_"
 
 # What file systems take, 255 bytes, less what names of masks add; longer names come from damaged or hostile files.
-_LONGEST_NAME = 240
-_LONGEST_PATH = 4000
+LONGEST_NAME = 240
+LONGEST_PATH = 4000
+
+
+# NaN and infinity as C and C++ print them, Windows' run-time library among them.
+_NO_NUMBER = r"[-+]?(?:nan(?:\(\w*\))?|inf(?:inity)?|1\.#\w+)"
+_NO_NUMBER_IN_JSON = re.compile(rf"(?<=[\[,:\s]){_NO_NUMBER}(?=[\s,\]}}])", re.IGNORECASE)
+
+
+def text_number(text: str) -> float:
+    """Return a number of a text file as a float: NaN for what C prints for NaN and infinity (``-nan(ind)``,
+    ``1.#QNAN``). Raises ValueError for what is no number."""
+    return math.nan if re.fullmatch(_NO_NUMBER, text, re.IGNORECASE) else float(text)
 
 
 def read_json(path: Path) -> Any:
-    """The file's content. Raises SceneError that names the line of a mistake."""
+    """Read a JSON file, with NaN for the words that C prints for it. Raises SceneError that names the line of a
+    mistake, or what the file is instead."""
+    require_content(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
-        content = json.loads(text)
+        content = _parsed(text)
         if "\\ud" in text.lower():  # JSON can name halves of characters, which no file name or message can hold
             json.dumps(content, ensure_ascii=False).encode()
         return content
@@ -36,6 +57,16 @@ def read_json(path: Path) -> Any:
         raise SceneError(f"{path.name}: JSON nested too deep to be a capture; export it again") from error
     except (OSError, ValueError) as error:
         raise SceneError(f"{path.name}: can't be read as JSON text: {in_short(error)}; export it again") from error
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        repaired = _NO_NUMBER_IN_JSON.sub("NaN", text)
+        if repaired == text:
+            raise
+        return json.loads(repaired)
 
 
 def number(values: Mapping[str, Any], name: str, source: str) -> float:
@@ -61,7 +92,7 @@ def inside(root: Path, text: Any, source: str) -> Path:
     if not isinstance(text, str) or not text.strip():
         raise SceneError(f"{source}: expected the path of an image, got {text!r}")
     text = text.replace("\\", "/")
-    if "\0" in text or len(text) > _LONGEST_PATH or any(len(part.encode()) > _LONGEST_NAME for part in text.split("/")):
+    if "\0" in text or len(text) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
         raise SceneError(f"{source}: {text[:80]!r}...: too long, or with a zero byte, for a file's name; mend the file")
     path = Path(os.path.normpath(root / text))
     if path == Path(os.path.normpath(root)):
@@ -73,24 +104,9 @@ def inside(root: Path, text: Any, source: str) -> Path:
     return path
 
 
-def find_image(root: Path, text: Any, source: str) -> Path:
-    """Like `inside`, and the first image type that exists where the name has no extension; else a file of which `text`
-    is the name but for what `folded` leaves out.
-
-    If none exists, the path as it stands, so that the message about the missing file can name it.
-    """
-    path = inside(root, text, source)
-    if path.is_file():
-        return path
-    names = [path.name, *[path.name + suffix for suffix in IMAGE_SUFFIXES]]
-    candidates = [path.with_name(name) for name in names]
-    found = next((candidate for candidate in candidates if candidate.is_file()), None)
-    return found or _in_any_case(root, path.parent, names) or path
-
-
-def _in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
+def in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
     """The first of the files of these names in a folder below the root, but for what `folded` leaves out."""
-    place = Path(os.path.normpath(root))
+    place = root
     for wanted in [*[[part] for part in folder.relative_to(place).parts], names]:
         there = _listed(place, place.stat().st_mtime_ns) if place.is_dir() else {}
         same = next((there[folded(name)] for name in wanted if folded(name) in there), None)
@@ -113,8 +129,19 @@ def folded(name: str) -> str:
 
 
 def images_below(root: Path) -> list[Path]:
-    """Every photograph in the folder and below: as `all_images`, without masks beside photographs, ``a.mask.png``."""
-    return [path for path in all_images(root) if not path.stem.lower().endswith(".mask")]
+    """Return every photograph in the folder and below: as `all_images`, without masks that lie beside photographs."""
+    return [path for path in all_images(root) if not is_mask_beside(path)]
+
+
+def is_mask_beside(path: Path) -> bool:
+    """Return whether an image is the mask of another by its name: RealityCapture's ``a.mask.png``, instant-ngp's
+    ``dynamic_mask_a.png``."""
+    return path.stem.lower().endswith(".mask") or path.name.lower().startswith(IGNORED_PREFIX)
+
+
+def is_photo(path: Path) -> bool:
+    """Return whether a path is a photograph by its name."""
+    return _is_image(path.name) and not is_mask_beside(path)
 
 
 def all_images(root: Path) -> list[Path]:
@@ -143,40 +170,26 @@ def _is_image(name: str) -> bool:
     return PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".")
 
 
-class ImageIndex:
-    """The photographs below a folder, found by the names that programs give them: with or without folders and
-    extension, in any case."""
-
-    def __init__(self, root: Path) -> None:
-        self._root = root
-        self._by_name: dict[str, list[Path]] = {}
-        for path in images_below(root):
-            for name in (folded(path.name), folded(path.stem)):
-                self._by_name.setdefault(name, []).append(path)
-
-    def find(self, label: str, source: str) -> Path | None:
-        """The photograph of that name, or else of that name with another extension, or None. Raises SceneError where
-        several folders have one."""
-        path = PurePosixPath(label.replace("\\", "/"))
-        named = self._by_name.get(folded(path.name)) or self._by_name.get(folded(path.stem), [])
-        found = sorted(set(named))
-        if len(found) > 1:
-            both = ", ".join(str(path.relative_to(self._root)) for path in found[:2])
-            raise SceneError(f"{source}: {label!r} may be {both}; leave one image of each name in the folder")
-        return found[0] if found else None
-
-
 def view_names(images: Sequence[Path]) -> list[str]:
-    """A name for each image: its file name without extension, after the folders in which the images differ.
-
-    Raises SceneError where two images get the same name: their renders would overwrite each other.
-    """
+    """Return a unique name for each image: its file name without extension, after the folders in which the images
+    differ; with the extension where two would have the same name, and with a number where they still would."""
     parents = [str(image.parent) for image in images]
     common = os.path.commonpath(parents) if parents else ""
     relative = [PurePosixPath(image.relative_to(common).as_posix()) for image in images]
     names = ["_".join([*path.parts[:-1], path.stem]) for path in relative]
-    doubled = [name for name, count in Counter(names).items() if count > 1]
-    if doubled:
-        both = [str(image) for image, name in zip(relative, names, strict=True) if name == doubled[0]]
-        raise SceneError(f"two images have the same name {doubled[0]!r}: {', '.join(both)}; rename or remove one")
-    return names
+    count = Counter(names)
+    names = [
+        name if count[name] == 1 else f"{name}_{path.suffix[1:].lower()}"
+        for name, path in zip(names, relative, strict=True)
+    ]
+    return _numbered(names)
+
+
+def _numbered(names: Sequence[str]) -> list[str]:
+    taken: set[str] = set()
+    unique = []
+    for name in names:
+        tries = itertools.chain([name], (f"{name}_{number}" for number in itertools.count(2)))
+        unique.append(next(text for text in tries if text not in taken))
+        taken.add(unique[-1])
+    return unique

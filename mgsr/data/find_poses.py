@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import os
+import importlib
+import importlib.util
 import shutil
 import signal
 import tempfile
@@ -12,64 +13,80 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.data.archive import unpack
-from mgsr.data.files import images_below, view_names
-from mgsr.data.images import is_heif, read_image
+from mgsr.data.gather_photos import find_photos, gather
+from mgsr.data.odd_files import VIDEO_CURE, is_video
 from mgsr.data.registration import check_share
-from mgsr.errors import ConfigError, SceneError
+from mgsr.data.shared_lenses import Lens, describe_lenses, share_lenses
+from mgsr.data.zoom_check import zoom_note
+from mgsr.errors import ConfigError, SceneError, in_short
 
 # Up to here each photograph is matched with each other one; beyond, that takes hours, and each is matched with those
 # that follow it by name, as in a video.
 EXHAUSTIVE_UP_TO = 300
 _FOLLOWING = 30
 
-# What COLMAP can't read, by name or by content, is handed to it as PNG.
-_CONVERTED = (".heic", ".heif")
 _LEAST_REGISTERED = 0.25
+
+# COLMAP's own: one parameter of distortion, and 1.2 times the longer side where nothing is known of the focal length.
+_LENS_MODEL = "SIMPLE_RADIAL"
+_FOCAL_FACTOR = 1.2
 
 Say = Callable[[str], None]
 
 
-def find_poses(photos: Path, scene: Path, seed: int, say: Say = print) -> tuple[str, ...]:
+def find_poses(
+    photos: Path, scene: Path, seed: int, say: Say = print, camera_per_image: bool = False
+) -> tuple[str, ...]:
     """Make the folder `scene` from the photographs below `photos`, a folder or an archive: COLMAP's largest model in
-    sparse/0 and the photographs in images/ (hard links where the disk allows it).
+    sparse/0 and the photographs in images/ (hard links where the disk allows it; PNG where COLMAP can't read them).
 
     The same seed gives the same choices of COLMAP's random samples; its threads may still differ in the last digits.
-    say: told in a line what is being done. Returns notes on what was left out. Raises ConfigError without pycolmap or
-    where `scene` holds something, and SceneError where most photographs can't be placed; then no `scene` is left.
+    say: told in a line what is being done. camera_per_image: give each photograph a lens of its own, where otherwise
+    the photographs of one camera share one. Returns notes on what could not be placed. Raises ConfigError without
+    pycolmap or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no
+    `scene` is left.
     """
-    colmap = _pycolmap()
+    _require_pycolmap()
+    if is_video(photos) and photos.is_file():
+        raise SceneError(f"{photos} is a video; {VIDEO_CURE}")
     folder = unpack(photos) if photos.is_file() else photos
-    images = images_below(folder)
-    if len(images) < 3:
-        raise SceneError(f"{photos}: {len(images)} images; at least 3 are needed to find cameras, 20 or more are good")
-    view_names(images)  # two photographs of one name are refused before an hour of matching, not after
+    images = find_photos(folder, photos)
     if scene.exists() and any(scene.iterdir()):
         raise ConfigError(f"{scene}: is not empty; name a new folder for the scene")
     scene.mkdir(parents=True, exist_ok=True)
     try:
-        names = _gather(folder, images, scene / "images")
-        with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
-            model = _largest(_run(colmap, scene / "images", names, Path(work), seed, say))
-        count = model.num_reg_images() if model is not None else 0
-        cure = "take more photographs, with more overlap and of a still scene with texture"
-        notes = check_share(count, len(names), _LEAST_REGISTERED, "could be placed", cure)
-        if model is None or count < 2:
-            raise SceneError(f"{photos}: no photographs could be placed; {cure}")
+        gathered = gather(folder, images, scene / "images")
+        for note in gathered.notes:  # before an hour of matching, not after
+            say(note)
+        lenses = [Lens((shot,)) for shot in gathered.shots] if camera_per_image else share_lenses(gathered.shots)
+        say("a camera for each photograph" if camera_per_image else describe_lenses(lenses))
+        model, notes = _placed(_pycolmap(), scene / "images", lenses, seed, say)
         (scene / "sparse/0").mkdir(parents=True)
         model.write(str(scene / "sparse/0"))
     except BaseException:
         shutil.rmtree(scene, ignore_errors=True)
         raise
-    error = model.compute_mean_reprojection_error()
-    say(f"{count} photographs placed, {model.num_points3D()} points, off by {error:.2f} pixels in the mean")
     return notes
 
 
+def _require_pycolmap() -> None:
+    if importlib.util.find_spec("pycolmap") is None:
+        raise ConfigError("finding cameras needs pycolmap; install it with `pip install 'mgsr[poses]'`")
+
+
 def _pycolmap() -> Any:
+    """pycolmap, with its messages and signals as ours.
+
+    It has an OpenImageIO of its own, and the one that is loaded later uses parts of the other. The process ends where
+    ours comes later and refuses a file, and where pycolmap's is given a file that it refuses.
+    """
+    importlib.import_module("OpenImageIO")
     try:
         import pycolmap
     except ImportError as error:
-        raise ConfigError("finding cameras needs pycolmap; install it with `pip install 'mgsr[poses]'`") from error
+        raise ConfigError(
+            f"pycolmap can't be loaded: {in_short(error)}; install it again with `pip install 'mgsr[poses]'`"
+        ) from error
     pycolmap.logging.minloglevel = 2  # its errors come as exceptions, and its chatter is not for our users
     pycolmap.logging.logtostderr = True  # else it leaves files in the folder for temporary ones
     if threading.current_thread() is threading.main_thread():
@@ -78,41 +95,30 @@ def _pycolmap() -> Any:
     return pycolmap
 
 
-def _gather(photos: Path, images: Sequence[Path], folder: Path) -> list[str]:
-    """The photographs under `folder`; their paths in it."""
-    names = []
-    for image in images:
-        place = folder / image.relative_to(photos)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if image.suffix.lower() in _CONVERTED or is_heif(image):
-            place = place.with_suffix(".png")
-            _convert(image, place)
-        else:
-            _link(image, place)
-        names.append(place.relative_to(folder).as_posix())
-    return names
+def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: Say) -> tuple[Any, tuple[str, ...]]:
+    """COLMAP's largest model of the photographs in a folder, and notes on it."""
+    with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
+        model = _largest(_run(colmap, folder, lenses, Path(work), seed, say))
+    total = sum(len(lens.shots) for lens in lenses)
+    count = model.num_reg_images() if model is not None else 0
+    cure = "take more photographs, with more overlap and of a still scene with texture"
+    if len(lenses) < total:
+        cure += "; if these were zoomed or cropped, try `--camera-per-image`"
+    notes = check_share(count, total, _LEAST_REGISTERED, "could be placed", cure)
+    if model is None or count < 2:
+        raise SceneError(f"no photographs could be placed; {cure}")
+    error = model.compute_mean_reprojection_error()
+    say(f"{count} photographs placed, {model.num_points3D()} points, off by {error:.2f} pixels in the mean")
+    return model, (*notes, *zoom_note(colmap, model))
 
 
-def _link(image: Path, place: Path) -> None:
-    try:
-        os.link(image.resolve(), place)
-    except OSError:  # another disk, or one without links
-        shutil.copyfile(image, place)
-
-
-def _convert(image: Path, place: Path) -> None:
-    import cv2  # late: few captures need it
-
-    colors, _ = read_image(image, "the folder")
-    cv2.imwrite(str(place), colors[..., ::-1])
-
-
-def _run(colmap: Any, folder: Path, names: Sequence[str], work: Path, seed: int, say: Say) -> Sequence[Any]:
+def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: int, say: Say) -> Sequence[Any]:
     """COLMAP's models of the photographs."""
     colmap.set_random_seed(seed)
     database = work / "database.db"
+    names = _write_cameras(colmap, database, folder, lenses)
     say(f"finding features in {len(names)} photographs")
-    colmap.extract_features(database, folder, image_names=list(names))
+    colmap.extract_features(database, folder, image_names=names)
     verification = colmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
     if len(names) <= EXHAUSTIVE_UP_TO:
@@ -128,6 +134,41 @@ def _run(colmap: Any, folder: Path, names: Sequence[str], work: Path, seed: int,
         database, folder, work, options, initial_image_pair_callback=placed.first, next_image_callback=placed.next
     )
     return list(models.values())
+
+
+def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Lens]) -> list[str]:
+    """Write a camera for each lens, and the photographs that have it, into a new database of COLMAP; their names,
+    sorted. COLMAP's own ways of sharing cameras know neither several lenses in a folder nor photographs whose EXIF is
+    in another file."""
+    with colmap.Database.open(str(database)) as opened:
+        rigs = {}
+        for lens in lenses:
+            camera = _camera(colmap, folder, lens)
+            camera.camera_id = opened.write_camera(camera)
+            rig = colmap.Rig()
+            rig.add_ref_sensor(camera.sensor_id)
+            rig_id = opened.write_rig(rig)
+            rigs.update({shot.name: (camera, rig_id) for shot in lens.shots})
+        for name in sorted(rigs):
+            camera, rig_id = rigs[name]
+            image = opened.write_image(colmap.Image(name=name, camera_id=camera.camera_id))
+            frame = colmap.Frame(rig_id=rig_id)
+            frame.add_data_id(colmap.data_t(camera.sensor_id, image))
+            opened.write_frame(frame)
+    return sorted(rigs)
+
+
+def _camera(colmap: Any, folder: Path, lens: Lens) -> Any:
+    """A camera of COLMAP with what EXIF says of the focal length: the equivalent one, or else the real one with the
+    size of the sensor, which COLMAP knows for many cameras."""
+    focal = lens.tags.focal_pixels(lens.size)
+    if focal is None and lens.tags.focal is not None:
+        return colmap.infer_camera_from_image(folder / lens.shots[0].name)
+    width, height = lens.size
+    guess = focal or _FOCAL_FACTOR * max(lens.size)
+    camera = colmap.Camera.create_from_model_name(0, _LENS_MODEL, guess, width, height)
+    camera.has_prior_focal_length = focal is not None
+    return camera
 
 
 class _Counter:

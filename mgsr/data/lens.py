@@ -107,6 +107,31 @@ class DivisionLens:
 
 
 @dataclass(frozen=True)
+class InverseRadialLens:
+    """One factor; undistorted = distorted (1 + k r^2), with the distorted radius r (VisualSFM's "measurement
+    distortion", Wu 2011)."""
+
+    k: float
+
+    @property
+    def flat(self) -> bool:
+        """Whether this lens changes nothing."""
+        return self.k == 0
+
+    def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
+        """The cubic equation's root that goes over into r at k = 0; none is left beyond the largest undistorted radius
+        that a negative k has."""
+        if self.flat:
+            return x, y
+        r = np.maximum(np.hypot(x, y), 1e-12)
+        s = math.sqrt(3 * abs(self.k))
+        with np.errstate(invalid="ignore"):
+            angle = (np.arcsinh(1.5 * s * r) if self.k > 0 else np.arcsin(1.5 * s * r)) / 3
+        factor = 2 / (s * r) * (np.sinh(angle) if self.k > 0 else np.sin(angle))
+        return x * factor, y * factor
+
+
+@dataclass(frozen=True)
 class UnifiedLens:
     """The enhanced unified camera model (Khomutenko, Garcia and Martinet 2016)."""
 

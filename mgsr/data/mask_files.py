@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
-from mgsr.data.files import IMAGE_SUFFIXES, MASK_FOLDERS, all_images, folded
+from mgsr.data.files import IGNORED_PREFIX, IMAGE_SUFFIXES, MASK_FOLDERS, all_images, folded, is_mask_beside
+from mgsr.data.photo_files import SceneFolder
 
 
 class MaskIndex:
-    """The masks of the photographs in `root`: in root/masks or root/mask, or beside the photograph as RealityCapture
-    has it.
+    """The masks of a scene's photographs: in a folder masks/ or mask/ of the scene's root, or of a folder that the
+    photographs lie in, or beside the photograph as RealityCapture has it.
 
     In the folder: the photograph's name with an image's extension in place of, or after, its own, also with _mask or
     .mask before that, or mask_ at the front (``0001.png``, ``0001.jpg.png``, ``0001_mask.png``, ``0001.mask.png``,
@@ -19,40 +20,63 @@ class MaskIndex:
     folder of all count where masks/ has them too (``masks/left/0001.png``). Letters may be large or small.
     """
 
-    def __init__(self, root: Path) -> None:
-        self._root = root
-
-    @cached_property
-    def folders(self) -> list[Path]:
-        """The folders of masks."""
-        inner = [path for path in self._root.iterdir() if path.name.lower() in MASK_FOLDERS and path.is_dir()]
-        return sorted(inner, key=lambda path: (MASK_FOLDERS.index(path.name.lower()), path.name))
+    def __init__(self, folder: SceneFolder) -> None:
+        self._folder = folder
+        self._listed: dict[Path, dict[str, Path]] = {}
+        self._inner: dict[Path, list[Path]] = {}
 
     @cached_property
     def masks(self) -> list[Path]:
-        """All images in them."""
-        return [path for folder in self.folders for path in all_images(folder)]
+        """All images in the folders of masks of the scene itself."""
+        homes = dict.fromkeys((self._folder.root, self._folder.top))
+        return [path for home in homes for folder in self._mask_folders(home) for path in all_images(folder)]
 
     def find(self, image: Path) -> Path | None:
-        """The mask of the photograph `image`, whose path lies in the root; None if there is none."""
+        """Return the mask of the photograph `image`, whose path lies below the scene's top; None if there is none."""
         marked = (image.stem + ".mask", image.name + ".mask")
         names = (image.stem, image.name, image.stem + "_mask", *marked, "mask_" + image.stem)
-        parts = image.relative_to(self._root).parts
-        for folder in self.folders:
-            for first in range(len(parts)):
-                place = folder.relative_to(self._root).joinpath(*parts[first:-1])
-                if found := self._first(place, names, image):
+        for home in self._homes(image):
+            parts = image.relative_to(home).parts
+            for folder in self._mask_folders(home):
+                places = (Path(*parts[first:-1]) for first in range(len(parts)))
+                found = next((path for place in places if (path := self._first(folder, place, names))), None)
+                if found is not None:
                     return found
-        return self._first(image.parent.relative_to(self._root), marked, image)
+        return self._beside(image, marked)
 
-    def _first(self, place: Path, names: Sequence[str], image: Path) -> Path | None:
-        keys = (folded(str(place / name)) for name in names)
-        found = (self._by_name[key] for key in keys if key in self._by_name)
-        return next((path for path in found if path != image), None)
+    def find_ignored(self, image: Path) -> Path | None:
+        """Return instant-ngp's dynamic_mask_NAME.png beside the photograph `image`, or None."""
+        return self._beside(image, (IGNORED_PREFIX + image.stem,))
 
-    @cached_property
-    def _by_name(self) -> dict[str, Path]:
-        """Masks by their path in the root without extension; those that come first among the types of image first."""
-        beside = [path for path in all_images(self._root) if path.stem.lower().endswith(".mask")]
-        ordered = sorted([*self.masks, *beside], key=lambda path: IMAGE_SUFFIXES.index(path.suffix.lower()))
-        return {folded(str(path.relative_to(self._root).with_suffix(""))): path for path in reversed(ordered)}
+    def _homes(self, image: Path) -> list[Path]:
+        """The folders that may hold a folder of masks for a photograph: the root, and those that it lies in."""
+        root = [self._folder.root] if image.is_relative_to(self._folder.root) else []
+        return [*root, *(path for path in image.parents if path.is_relative_to(self._folder.top) and path not in root)]
+
+    def _mask_folders(self, home: Path) -> list[Path]:
+        """The folders of masks in a folder."""
+        if home not in self._inner:
+            inner = [path for path in home.iterdir() if path.name.lower() in MASK_FOLDERS and path.is_dir()]
+            self._inner[home] = sorted(inner, key=lambda path: (MASK_FOLDERS.index(path.name.lower()), path.name))
+        return self._inner[home]
+
+    def _beside(self, image: Path, names: Sequence[str]) -> Path | None:
+        if image.parent not in self._listed:
+            images = [path for path in image.parent.iterdir() if is_mask_beside(path)]
+            self._listed[image.parent] = _by_name(image.parent, images)
+        return self._first(image.parent, Path(), names)
+
+    def _first(self, folder: Path, place: Path, names: Sequence[str]) -> Path | None:
+        """The first image at a place in a folder that has one of these names, without its extension."""
+        if folder not in self._listed:
+            self._listed[folder] = _by_name(folder, all_images(folder))
+        there = self._listed[folder]
+        return next((there[key] for name in names if (key := folded(str(place / name))) in there), None)
+
+
+def _by_name(folder: Path, images: Sequence[Path]) -> dict[str, Path]:
+    """Images by their folded paths in a folder, without extension; those that come first among the kinds of images
+    first."""
+    known = [path for path in images if path.suffix.lower() in IMAGE_SUFFIXES]
+    ordered = sorted(known, key=lambda path: IMAGE_SUFFIXES.index(path.suffix.lower()))
+    return {folded(str(path.relative_to(folder).with_suffix(""))): path for path in reversed(ordered)}

@@ -47,8 +47,13 @@ def with_masks(scene: Scene, masks: Sequence[np.ndarray] | None) -> Scene:
 def leave_borders_free(masks: Sequence[np.ndarray]) -> bool:
     """Whether masks [H,W] uint8 leave the images' borders to what lies behind, as an object's before a plain backdrop
     do."""
+    return 1 - white_borders(masks) >= FREE
+
+
+def white_borders(masks: Sequence[np.ndarray]) -> float:
+    """Return the share of the border pixels of masks [H,W] uint8 that are white."""
     borders = [np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]]) for mask in masks]
-    return float((np.concatenate(borders) < 128).mean()) >= FREE
+    return float((np.concatenate(borders) >= 128).mean())
 
 
 def inverted_masks(masks: Sequence[np.ndarray]) -> bool:

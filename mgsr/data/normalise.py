@@ -39,7 +39,7 @@ def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Se
         raise SceneError("all cameras stand at the same place; a surface needs views from different places")
     if outlines:
         return Similarity(*_swapped(_masked_ball(views, outlines)))
-    return Similarity(*_swapped(_unmasked_ball([whole_part(view).camera for view in views], points)))
+    return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points)))
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
@@ -120,9 +120,10 @@ def _box(view: View) -> tuple[np.ndarray, float]:
     return direction / np.linalg.norm(direction), float(np.hypot(np.ptp(x), np.ptp(y)) / 2)
 
 
-def _unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
+def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
+    """Return centre [3] and radius of the ball around what the cameras look at, and what the points [P,3] crowd in."""
     origins = np.array([camera.center for camera in cameras])
-    directions = np.array([camera.cam_from_world[2, :3] for camera in cameras])
+    directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
     center = focus(origins, directions)
     if center is None:
@@ -130,6 +131,15 @@ def _unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tupl
     # The median: a few cameras that came close must not shrink the ball to what they alone see.
     radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
     return (center, radius) if positions is None else _ball_of_points(positions, center, radius)
+
+
+def _view_direction(camera: Camera) -> np.ndarray:
+    """The unit direction [3] in the world to the middle of the image, which is not the camera's axis where the image
+    was cut out of a larger one."""
+    if 0 <= camera.K[0, 2] <= camera.width and 0 <= camera.K[1, 2] <= camera.height:
+        return np.asarray(camera.cam_from_world[2, :3])
+    middle = np.linalg.solve(camera.K, [camera.width / 2, camera.height / 2, 1.0])
+    return np.asarray(camera.cam_from_world[:3, :3].T @ middle / np.linalg.norm(middle))
 
 
 def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:

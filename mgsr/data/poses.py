@@ -15,6 +15,9 @@ SKEW_TOLERANCE = 1e-6
 # Pixels; and focal lengths in larger sides of the image. No camera lies beyond these.
 LARGEST_SIDE = 1_000_000
 LEAST_FOCAL, LARGEST_FOCAL = 0.003, 3000.0
+# How far the principal point may lie from the image's middle, in focal lengths: parts that are cut out of a larger
+# image lie beside the camera's axis, but nobody takes photographs at more than about 80 degrees to it.
+FARTHEST_PRINCIPAL_POINT = 5.0
 
 
 def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.ndarray:
@@ -30,29 +33,71 @@ def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.
     return matrix
 
 
-def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
-    """The rigid transform [4,4] with its rounding removed. Raises SceneError if it isn't one."""
+def pose_from(value: Any, what: str, source: str) -> np.ndarray:
+    """Return the pose [4,4] of a nested list of 3 or 4 rows of 4 numbers, or of those numbers in one list.
+
+    Raises SceneError with `source` and `what` for anything else.
+    """
+    try:
+        matrix = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{source}: {what}: expected a 4x4 or 3x4 matrix of numbers; mend the file") from error
+    if matrix.shape in ((12,), (16,)):
+        matrix = matrix.reshape(-1, 4)
+    if matrix.shape == (3, 4):
+        return np.vstack([matrix, [0.0, 0, 0, 1]])
+    if matrix.shape != (4, 4):
+        raise SceneError(
+            f"{source}: {what}: expected a 4x4 or 3x4 matrix, got shape {list(matrix.shape)}; mend the file"
+        )
+    return matrix
+
+
+def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return rotation [3,3] without rounding, translation [3] and uniform scale of a pose [4,4]: points x become
+    scale rotation x + translation. The scale is 1 where it differs from it by rounding alone.
+
+    Raises SceneError for a matrix with NaN, with shear, with unequal scales of its axes, or that mirrors space.
+    """
     if not np.isfinite(matrix).all():
         raise SceneError(f"{source}: the pose has NaN or infinite numbers; remove this view or mend its pose")
-    rotation = matrix[:3, :3]
-    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if error > RIGID_TOLERANCE or np.abs(matrix[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
+    with np.errstate(all="ignore"):  # what overflows is refused
+        matrix = matrix / matrix[3, 3] if matrix[3, 3] else matrix
+        linear = matrix[:3, :3]
+        determinant = float(np.linalg.det(linear))
+        scale = abs(determinant) ** (1 / 3)
+        error = np.abs(linear @ linear.T / max(scale, 1e-150) ** 2 - np.eye(3)).max()
+    if not error <= RIGID_TOLERANCE or np.abs(matrix[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
         raise SceneError(
-            f"{source}: the pose is not rigid (rotation off by {error:.2g}, last row {matrix[3].tolist()}); "
-            "expected a rotation and a translation, without scale or shear"
+            f"{source}: the pose is not rigid (rotation off by {error:.2g}, last row {matrix[3].tolist()}); expected a "
+            "rotation and a translation: its three axes must be at right angles and equally long. Divide each axis of "
+            "a look-at matrix by its length, and apply the unequal scales of a Blender object or its parents (Ctrl+A) "
+            "before you export it"
         )
-    if np.linalg.det(rotation) < 0:
+    if determinant < 0:
         raise SceneError(f"{source}: the pose mirrors space (determinant -1); expected a rotation: check the axes")
-    left, _, right = np.linalg.svd(rotation)
+    left, _, right = np.linalg.svd(linear)
+    return left @ right, matrix[:3, 3], 1.0 if abs(scale - 1) <= RIGID_TOLERANCE else scale
+
+
+def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
+    """Return the rigid transform [4,4] of a cam_from_world pose, with rounding removed and a uniform scale divided out:
+    the scaled pose projects every point to the same pixel. Raises SceneError as `split_pose`."""
+    rotation, translation, scale = split_pose(matrix, source)
+    return rigid(rotation, translation / scale)
+
+
+def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Return the pose [4,4] of a rotation [3,3] and a translation [3]."""
     pose = np.eye(4)
-    pose[:3, :3] = left @ right
-    pose[:3, 3] = matrix[:3, 3]
+    pose[:3, :3], pose[:3, 3] = rotation, translation
     return pose
 
 
 def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.ndarray:
-    """The intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1. Raises SceneError if no pinhole
-    camera has them, or its principal point lies outside the image."""
+    """Return the intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1. The principal point may lie
+    outside the image, as in a part that is cut out of a larger one. Raises SceneError if no pinhole camera has
+    them."""
     if not np.isfinite(K).all():
         raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers; remove this view or mend them")
     if not all(1 <= side <= LARGEST_SIDE for side in size):
@@ -75,10 +120,13 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
             f"{source}: focal lengths of {K[0, 0]:g} and {K[1, 1]:g} pixels in an image of {size[0]}x{size[1]}; "
             f"expected {LEAST_FOCAL:g} to {LARGEST_FOCAL:g} times its larger side"
         )
-    if not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1]):
+    with np.errstate(over="ignore"):  # what overflows is refused
+        beside = np.abs(K[:2, 2] - np.array(size) / 2) / K.diagonal()[:2]
+    if beside.max() > FARTHEST_PRINCIPAL_POINT:
         raise SceneError(
-            f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies outside the image of {size[0]}x{size[1]} "
-            "pixels; expected cx and cy in pixels of it: give the images that were calibrated, not parts of them"
+            f"{source}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies {beside.max():.3g} focal lengths beside "
+            f"the middle of the image of {size[0]}x{size[1]} pixels, expected at most {FARTHEST_PRINCIPAL_POINT:g}: "
+            "give cx and cy in pixels of this image"
         )
     return np.array([[K[0, 0], 0, K[0, 2]], [0, K[1, 1], K[1, 2]], [0, 0, 1]])
 
@@ -88,11 +136,25 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
 
+def cuts_out(K: np.ndarray, size: tuple[int, int]) -> bool:
+    """Return whether the principal point lies outside an image of `size`: it was cut out of a larger one."""
+    return not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1])
+
+
+def from_world_from_cam(world_from_cam: np.ndarray, source: str) -> np.ndarray:
+    """Return cam_from_world [4,4] of a camera-to-world pose [4,4], both with OpenCV's axes. A uniform scale is kept,
+    as its inverse. Raises SceneError as `split_pose`."""
+    return _inverse(*split_pose(world_from_cam, source))
+
+
 def from_opengl(world_from_cam: np.ndarray, source: str) -> np.ndarray:
-    """cam_from_world [4,4] with OpenCV axes from a camera-to-world pose with OpenGL axes (y up, z backward)."""
-    pose = check_pose(world_from_cam, source)
-    rotation = pose[:3, :3] * [1, -1, -1]
-    result = np.eye(4)
-    result[:3, :3] = rotation.T
-    result[:3, 3] = -rotation.T @ pose[:3, 3]
-    return result
+    """Return cam_from_world [4,4] with OpenCV's axes of a camera-to-world pose [4,4] with OpenGL's axes (y up, z
+    backward). A uniform scale is kept, as its inverse. Raises SceneError as `split_pose`."""
+    rotation, center, scale = split_pose(world_from_cam, source)
+    return _inverse(rotation * [1, -1, -1], center, scale)
+
+
+def _inverse(rotation: np.ndarray, center: np.ndarray, scale: float) -> np.ndarray:
+    pose = rigid(rotation.T, -rotation.T @ center)
+    pose[:3] /= scale
+    return pose

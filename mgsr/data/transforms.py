@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mgsr.data.capture import Photo, Split
-from mgsr.data.files import find_image, inside, number, read_json
+from mgsr.data.capture import Capture, Photo, Split
+from mgsr.data.files import inside, number, read_json
 from mgsr.data.images import image_size
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
-from mgsr.data.poses import from_opengl, intrinsics, matrix_from
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import from_opengl, intrinsics, pose_from
 from mgsr.errors import SceneError
 
 _PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "PERSPECTIVE")
@@ -45,7 +47,7 @@ def _has_angle(frame: dict[str, Any]) -> bool:
 
 
 def refuse_doubles(photos: Sequence[Photo]) -> None:
-    """Raises SceneError where two frames have the same photograph: it would count twice, or train and test."""
+    """Raise SceneError where two frames have the same photograph: it would count twice, or train and test."""
     first: dict[Path, Photo] = {}
     for photo in photos:
         other = first.setdefault(photo.image, photo)
@@ -53,21 +55,33 @@ def refuse_doubles(photos: Sequence[Photo]) -> None:
             raise SceneError(f"{photo.source}: the same photograph as {other.source}; remove one of the two frames")
 
 
-def read_frame(root: Path, source: str, frame: dict[str, Any], split: Split | None) -> Photo:
-    """One photograph. Raises SceneError naming the frame."""
-    image = find_image(root, frame.get("file_path"), source)
-    source = f"{source} ({image.relative_to(root)})"
-    pose = matrix_from(frame.get("transform_matrix"), 4, 4, "transform_matrix", source)
-    size = _size(frame, image, source)
+@dataclass(frozen=True)
+class Frame:
+    """One frame. source: its place in the file, for messages; values: its values after the file's own."""
+
+    source: str
+    values: dict[str, Any]
+    split: Split | None
+
+
+def read_frames(folder: SceneFolder, file: str, frames: Sequence[Frame]) -> Capture:
+    """Read the photographs of frames whose paths are relative to the scene's root."""
+    found = folder.find_photos(file, [frame.values.get("file_path") for frame in frames])
+    return Capture.of(found, lambda i, path: _read_frame(folder, path, frames[i]))
+
+
+def _read_frame(folder: SceneFolder, image: Path, frame: Frame) -> Photo:
+    source, values = f"{frame.source} ({folder.shown(image)})", frame.values
+    size = _size(values, image, source)
     return Photo(
         image=image,
-        K=_intrinsics(frame, size, source),
+        K=_intrinsics(values, size, source),
         size=size,
-        cam_from_world=from_opengl(pose, source),
+        cam_from_world=from_opengl(pose_from(values.get("transform_matrix"), "transform_matrix", source), source),
         source=source,
-        mask=inside(root, frame["mask_path"], source) if frame.get("mask_path") else None,
-        split=split,
-        lens=_lens(frame, source),
+        mask=inside(folder.root, values["mask_path"], source) if values.get("mask_path") else None,
+        split=frame.split,
+        lens=_lens(values, source),
     )
 
 

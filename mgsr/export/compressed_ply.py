@@ -2,7 +2,8 @@
 
 Source: PlayCanvas's documentation of the format. Chunks of 256 splats have ranges; a splat has its position, scale and
 colour within them in 32 bits each (11, 10, 11 bits; colour and opacity 8 each), and its quaternion's three smaller
-parts in 10 bits. The light split's reflected half has no place in it.
+parts in 10 bits. The light split's reflected half has no place in it. A comment names the origin of the positions where
+that is not the frame's (`ply_notes.py`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from scipy.special import expit
 
 from mgsr.errors import SceneError, in_short
+from mgsr.export.ply_notes import origin_comments
 from mgsr.export.splats import DAMAGE, Splats
 from mgsr.export.spz import three_scales
 
@@ -29,9 +31,9 @@ _SH_C0 = 0.28209479177387814
 _SCALE_LIMIT = 20.0
 
 
-def write_compressed_ply(path: Path, splats: Splats) -> None:
+def write_compressed_ply(path: Path, splats: Splats, origin: np.ndarray | None = None) -> None:
     """Write splats as `write_splats` takes them, finite but for opacity logits, ordered along a curve through space so
-    that chunks are small."""
+    that chunks are small. origin [3]: what the positions are about, None for the frame's own."""
     ordered = {name: array[_along_curve(splats["means"])] for name, array in splats.items()}
     values = {
         "position": ordered["means"].astype(np.float32),
@@ -51,11 +53,12 @@ def write_compressed_ply(path: Path, splats: Splats) -> None:
     elements = [PlyElement.describe(chunks, "chunk"), PlyElement.describe(vertices, "vertex")]
     if ordered["sh"].shape[1] > 1:
         elements.append(PlyElement.describe(_harmonics(ordered["sh"][:, 1:]), "sh"))
-    PlyData(elements, byte_order="<").write(str(path))
+    PlyData(elements, byte_order="<", comments=origin_comments(origin)).write(str(path))
 
 
 def load_compressed_ply(path: Path) -> Splats:
-    """The splats of such a file, as volumes. Raises SceneError naming the file for others."""
+    """The splats of such a file, as volumes, about the origin that its header names (`ply_notes.read_origin`). Raises
+    SceneError naming the file for others."""
     try:
         data = PlyData.read(str(path))
         chunks, vertices = data["chunk"].data, data["vertex"].data

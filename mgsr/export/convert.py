@@ -11,17 +11,18 @@ import numpy as np
 from mgsr.data.scene import Similarity
 from mgsr.errors import ConfigError, SceneError
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
+from mgsr.export.far_origin import box, origin_near, origin_text, scaled_origin
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
-from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.splats import Splats, load_splats, require_finite, write_splats
-from mgsr.export.spz import load_spz, write_spz
+from mgsr.export.spz import load_spz, read_spz_origin, write_spz
 
 COMPRESSED = ".compressed.ply"
 _MESHES = (".ply", ".glb", ".obj")
-_PACKED: dict[str, Callable[[Path, Splats], None]] = {COMPRESSED: write_compressed_ply, ".spz": write_spz}
+_PACKED: dict[str, Callable[[Path, Splats, np.ndarray], None]] = {COMPRESSED: write_compressed_ply, ".spz": write_spz}
 _SPLATS = (COMPRESSED, ".ply", ".spz")
 # The longer ending first, as both fit the same names.
 FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
@@ -35,6 +36,8 @@ def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = 
 
     Raises as `require_kinds`, ConfigError for a scale that is no number above 0, SceneError and MeshError for files
     that can't be read and for what `target` can't hold.
+
+    Splats keep the origin that their file names; far from the frame's, they get one (`origin_near`).
     """
     require_kinds(source, target, up)
     if not (math.isfinite(scale) and scale > 0):
@@ -78,20 +81,33 @@ def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
 
 
 def _convert_splats(source: Path, target: Path, scale: float) -> str:
-    splats = _load_splats(source)
-    means = _scaled(splats["means"], scale)
-    suffix = _suffix(target)
-    if suffix == ".ply":
+    splats, given = _load_splats(source), _read_origin(source)
+    places = _scaled(splats["means"] + given, scale)
+    origin = scaled_origin(given, scale) if given.any() else origin_near(*box(places))
+    to_target = Similarity(scale, given * scale - origin)
+    text = f"{len(places)} splats"
+    if _suffix(target) == ".ply":
         unit, low_pass = (read_number(source, name) for name in (UNIT, LOW_PASS))
-        write_splats(target, splats, Similarity(1 / unit), unit * scale, low_pass)
-        return f"{len(means)} splats"
-    splats["means"] = means.astype(np.float32)
-    splats["log_scales"] = splats["log_scales"] + np.float32(math.log(scale))
+        write_splats(target, splats, to_target, unit * scale, low_pass, origin)
+    else:
+        text += ", without their reflected half" if "refl_sh" in splats else ""
+        _pack_splats(source, target, splats, to_target, origin)
+    return text + (f", about the origin {origin_text(origin)}, which the file names" if origin.any() else "")
+
+
+def _pack_splats(source: Path, target: Path, splats: Splats, to_target: Similarity, origin: np.ndarray) -> None:
+    """Write splats of `source` in a packed format, taken to the target's positions, which are about `origin`."""
+    means = to_target.to_user(splats["means"].astype(np.float64)).astype(np.float32)
+    log_scales = splats["log_scales"] + np.float32(math.log(to_target.scale))
     try:
-        _PACKED[suffix](target, splats)
+        _PACKED[_suffix(target)](target, splats | {"means": means, "log_scales": log_scales}, origin)
     except SceneError as error:
         raise SceneError(f"{source}: {error}") from error
-    return f"{len(means)} splats" + (", without their reflected half" if "refl_sh" in splats else "")
+
+
+def _read_origin(source: Path) -> np.ndarray:
+    """Return the origin [3] that a file of splats names. Raises SceneError where it is no place."""
+    return read_spz_origin(source) if source.suffix.lower() == ".spz" else read_origin(source)
 
 
 def _scaled(places: np.ndarray, scale: float) -> np.ndarray:

@@ -24,17 +24,13 @@ class UpAxis(StrEnum):
     MINUS_Z = "-z"
 
 
-# Turns about x that take the up axis to y.
-_TURNS = {
-    UpAxis.Y: [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    UpAxis.Z: [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    UpAxis.MINUS_Y: [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    UpAxis.MINUS_Z: [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-}
+# What points up in the mesh's frame: an axis by its name, or any direction [3] of length 1.
+Up = UpAxis | np.ndarray
+_DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1, 0), UpAxis.MINUS_Z: (0, 0, -1)}
 
 
 def glb(
-    vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: UpAxis, png: bytes | None = None
+    vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: Up, png: bytes | None = None
 ) -> bytes:
     """The file of a mesh: vertices [V,3], faces [F,3], and attributes by glTF's names, arrays [V,n] of little-endian
     float32. png: the surface's colours, sRGB, by TEXCOORD_0.
@@ -99,12 +95,26 @@ def _picture(view: int) -> dict[str, Any]:
     }
 
 
-def _node_matrix(middle: np.ndarray, up: UpAxis) -> list[float]:
+def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
     """Column by column, as glTF has it."""
     matrix = np.eye(4)
-    matrix[:3, :3] = _TURNS[up]
+    matrix[:3, :3] = _turn_upright(up)
     matrix[:3, 3] = matrix[:3, :3] @ middle
     return [float(value) for value in matrix.T.ravel()]
+
+
+def _turn_upright(up: Up) -> np.ndarray:
+    """Return the shortest rotation [3,3] that takes `up` to y; the half turn round x where that points down.
+
+    Source: Rodrigues' formula for the axis up x y, without the angle.
+    """
+    x, y, z = np.array(_DIRECTIONS[up] if isinstance(up, UpAxis) else up, np.float64)
+    if y < -1 + 1e-9:
+        return np.diag([1.0, -1, -1])
+    # The matrix of the cross product with up x y = (-z, 0, x).
+    cross = np.array([[0, -x, 0], [x, 0, z], [0, -z, 0]])
+    # Adding 0 takes the sign off negative zeros.
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + y)) + 0.0
 
 
 def glb_file(document: dict[str, Any], body: bytes) -> bytes:

@@ -8,7 +8,8 @@ import numpy as np
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.gltf import UpAxis, glb
+from mgsr.export.far_origin import box, float_is_too_coarse
+from mgsr.export.gltf import Up, UpAxis, glb
 from mgsr.export.ply_notes import number_comments
 
 
@@ -38,7 +39,7 @@ def write_ply(
     for the header. Raises MeshError for arrays that don't fit together.
     """
     check_mesh(vertices, faces, normals=normals, colors=colors)
-    real = "double" if _needs_double(vertices) else "float"
+    real = "double" if float_is_too_coarse(*box(vertices)) else "float"
     columns = [(axis, "<f8" if real == "double" else "<f4") for axis in "xyz"]
     columns += [(name, "<f4") for name in ("nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
     rows = np.empty(len(vertices), columns)
@@ -62,18 +63,13 @@ def _ply_header(vertex_count: int, face_count: int, real: str, unit: float) -> b
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-def _needs_double(vertices: np.ndarray) -> bool:
-    size = float((vertices.max(0) - vertices.min(0)).max())
-    return bool(np.abs(vertices).max() * np.finfo(np.float32).eps > 1e-5 * size)
-
-
 def write_glb(
     path: Path,
     vertices: np.ndarray,
     faces: np.ndarray,
     normals: np.ndarray,
     colors: np.ndarray,
-    up: UpAxis = UpAxis.Y,
+    up: Up = UpAxis.Y,
 ) -> None:
     """Binary glTF 2.0 with vertex colours, which glTF wants linear: they are converted from sRGB, and stored as
     float32: 8 linear bits would band in dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors
@@ -92,7 +88,7 @@ def write_textured_glb(
     normals: np.ndarray,
     uvs: np.ndarray,
     picture: np.ndarray,
-    up: UpAxis = UpAxis.Y,
+    up: Up = UpAxis.Y,
 ) -> None:
     """Binary glTF 2.0 with a texture: uvs [V,2] in 0..1 from the upper left corner of picture [H,W,3] uint8, sRGB as
     glTF wants it, stored without loss. See `glb`; the other arguments and errors as of `write_ply`."""

@@ -1,13 +1,19 @@
-"""Numbers that MGSR keeps in the header of a PLY, so that later steps find them again: the file's unit, and what its
-splats must be drawn with."""
+"""Numbers that MGSR keeps in the header of a PLY, so that later steps find them again: the file's unit, what its splats
+must be drawn with, and the origin of its positions, where that is not the frame's (see `far_origin.py`)."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
+
+import numpy as np
+
+from mgsr.export.far_origin import no_origin, origin_text, read_origin_text
 
 UNIT = "unit"  # what the lengths are multiplied with against the capture's
 LOW_PASS = "low_pass"  # px^2, see `VolumeModel`
+ORIGIN = "origin"  # what is added to positions for those of the frame, in the file's unit
 # What a file means that does not say: other programs' splats are drawn with 3DGS's low-pass.
 _UNSAID = {UNIT: 1.0, LOW_PASS: 0.3}
 _LONGEST_HEADER = 1 << 16
@@ -19,15 +25,32 @@ def number_comments(**numbers: float | None) -> list[str]:
     return [f"mgsr {name} {value!r}" for name, value in said.items()]
 
 
+def origin_comments(origin: np.ndarray | None) -> list[str]:
+    """Return the header's comment for an origin [3]; none where it is that of the frame: zeros, or None."""
+    return [] if origin is None or not origin.any() else [f"mgsr {ORIGIN} {origin_text(origin)}"]
+
+
 def read_number(path: Path, name: str) -> float:
     """A number of a PLY's header; what goes without saying where it is not there."""
+    values = next((values for values in _notes(path, name) if len(values) == 1), None)
+    return _UNSAID[name] if values is None else _positive(values[0], _UNSAID[name])
+
+
+def read_origin(path: Path) -> np.ndarray:
+    """Return the origin [3] that a PLY's header names, zeros where it names none. Raises SceneError, naming the file,
+    for other than three finite numbers."""
+    values = next(_notes(path, ORIGIN), None)
+    return no_origin() if values is None else read_origin_text(values, str(path))
+
+
+def _notes(path: Path, name: str) -> Iterator[list[str]]:
+    """Yield the words behind the name in each such comment of a PLY's header."""
     with path.open("rb") as file:
         header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
     for line in header.decode("ascii", "replace").splitlines():
         words = line.split()
-        if words[:3] == ["comment", "mgsr", name] and len(words) == 4:
-            return _positive(words[3], _UNSAID[name])
-    return _UNSAID[name]
+        if words[:3] == ["comment", "mgsr", name]:
+            yield words[3:]
 
 
 def _positive(text: str, otherwise: float) -> float:

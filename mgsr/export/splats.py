@@ -7,8 +7,8 @@ opacity (logit); scale_0..2 (log); rot_0..3 (wxyz).
 
 Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
 refl_opacity (logit), refl_weight (beta's logit) and refl_dc_0..2, refl_rest_0.. (ordered as above, unpadded); viewers
-skip them and show the transmitted half. Comments tell the kind, how many coefficients are real, and the 3D branch's
-low-pass (`ply_notes.py`).
+skip them and show the transmitted half. Comments tell the kind, how many coefficients are real, the 3D branch's
+low-pass, and the origin of the positions where that is not the frame's (`ply_notes.py`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError, in_short
-from mgsr.export.ply_notes import number_comments
+from mgsr.export.far_origin import box, float_is_too_coarse
+from mgsr.export.ply_notes import number_comments, origin_comments
 
 Splats = dict[str, np.ndarray]
 
@@ -45,37 +46,38 @@ DAMAGE = (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryErro
 def write_splats(
     path: Path,
     splats: Splats,
-    user_from_scene: Similarity | None = None,
+    file_from_scene: Similarity | None = None,
     unit: float = 1.0,
     low_pass: float | None = None,
+    origin: np.ndarray | None = None,
 ) -> None:
-    """Write splats as a PLY in the user's frame.
+    """Write splats as a PLY.
 
     splats, float32 in the scene's frame: means [N,3], quats [N,4] wxyz, log_scales [N,3] or [N,2] (surfels),
     opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
-    weight_logits [N], refl_sh [N,K',3]. Without a similarity the frame stays. unit: what the lengths in the user's
-    frame are multiplied with. low_pass: px^2, of the 3D branch (see `VolumeModel`).
+    weight_logits [N], refl_sh [N,K',3]. file_from_scene leads to the positions in the file; without it they stay.
+    The header tells the others: unit, what the user's lengths were multiplied with; low_pass, px^2, of the 3D branch
+    (see `VolumeModel`); origin [3], in the file's unit, what the file's positions are about, None for the frame's own.
 
     Raises SceneError for arrays that are missing, not known or of the wrong shape.
     """
     _check(splats, "splats")
-    frame = user_from_scene or Similarity()
-    frame = Similarity(frame.scale * unit, frame.offset * unit)
-    columns = _columns(splats, frame)
+    columns = _columns(splats, file_from_scene or Similarity())
     rows = np.empty(len(splats["means"]), [(name, "<f4") for name in columns])
     for name, values in columns.items():
         rows[name] = values
     kind = "surfels" if splats["log_scales"].shape[1] == 2 else "volumes"
     comments = [f"mgsr kind {kind}", f"mgsr sh_coefficients {splats['sh'].shape[1]}"]
-    comments += number_comments(unit=unit, low_pass=low_pass)
+    comments += number_comments(unit=unit, low_pass=low_pass) + origin_comments(origin)
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments).write(str(path))
 
 
 def load_splats(path: Path) -> Splats:
-    """The arrays of `write_splats`, float32, in the file's (the user's) frame.
+    """The arrays of `write_splats`, float32, with the file's own positions: they are about the origin that its header
+    names (`ply_notes.read_origin`).
 
-    Files of other programs are read too: as volumes, with all the coefficients that they have. Raises SceneError for
-    a file that is no such PLY.
+    Files of other programs are read too: as volumes, with all the coefficients that they have, and with float64 means
+    where they have such and float32 would be too coarse. Raises SceneError for a file that is no such PLY.
     """
     try:
         data = PlyData.read(str(path))
@@ -114,7 +116,7 @@ def _splats(vertex: PlyElement, path: Path, notes: dict[str, str]) -> Splats:
     sh = _load_sh(vertex, names, _COLOR)
     stored = int(notes.get("sh_coefficients", str(sh.shape[1])))
     splats = {
-        "means": np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=1),
+        "means": _places(vertex),
         "quats": stack("rot_", 4),
         "log_scales": stack("scale_", 2 if notes.get("kind") == "surfels" or "scale_2" not in names else 3),
         "opacity_logits": np.asarray(vertex["opacity"], np.float32),
@@ -125,6 +127,14 @@ def _splats(vertex: PlyElement, path: Path, notes: dict[str, str]) -> Splats:
         splats["weight_logits"] = np.asarray(vertex["refl_weight"], np.float32)
         splats["refl_sh"] = _load_sh(vertex, names, _REFLECTED)
     return splats
+
+
+def _places(vertex: PlyElement) -> np.ndarray:
+    """Return positions [N,3] as float32, or as float64 where the file has them so and float32 would be too coarse."""
+    places = np.stack([np.asarray(vertex[axis]) for axis in "xyz"], axis=1)
+    if places.dtype == np.float64 and float_is_too_coarse(*box(places)):
+        return places
+    return places.astype(np.float32)
 
 
 def _check_properties(names: set[str], path: Path) -> None:

@@ -7,6 +7,10 @@ version 3 the three smaller parts in ten bits each. The format has y up and z ba
 z forward, so that everything is turned half round x on the way, as Niantic's own converter does. The light split's
 reflected half has no place in it.
 
+The format has no place for notes. Where positions are about another origin than the frame's, the comment of the gzip
+header (RFC 1952, section 2.3), which decoders skip, names it as PLYs do (`ply_notes.py`): "mgsr origin X Y Z", in the
+axes of splat PLYs.
+
 Version 2 is written, which more programs read. Its w, which follows from bytes, is up to 10 degrees off near 0, but an
 ellipsoid is the same with its axes named otherwise: those names are taken that make w largest (`_least_turned`).
 """
@@ -25,6 +29,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import expit
 
 from mgsr.errors import SceneError, in_short
+from mgsr.export.far_origin import no_origin, read_origin_text
+from mgsr.export.ply_notes import ORIGIN, origin_comments
 from mgsr.export.splats import SURFEL_THICKNESS, Splats
 
 _MAGIC = 0x5053474E
@@ -45,12 +51,18 @@ _MAX_CUT_OFF = 0.1
 # The most that programs are known to read right.
 _MAX_FRACTION_BITS = 20
 
+# The flags of a gzip header, and its length without what they add.
+_EXTRA, _NAME, _COMMENT = 4, 8, 16
+_GZIP_HEADER = 10
+_LONGEST_GZIP_HEADER = 1 << 17
+
 # A file of a hundred million splats would not fit a card; what claims more was made to fill the memory.
 _MAX_SPLATS = 100_000_000
 
 
-def write_spz(path: Path, splats: Splats) -> None:
-    """Write splats as `write_splats` takes them, finite but for opacity logits, in the frame that they have.
+def write_spz(path: Path, splats: Splats, origin: np.ndarray | None = None) -> None:
+    """Write splats as `write_splats` takes them, finite but for opacity logits, in the frame that they have. origin
+    [3]: what their positions are about, None for the frame's own.
 
     Raises SceneError for positions that its 24 bits can't hold, and where many sizes are out of its range.
     """
@@ -69,11 +81,12 @@ def write_spz(path: Path, splats: Splats) -> None:
         _quantised_harmonics(splats["sh"][:, 1:] * _SH_TURN[: coefficients - 1]),
     ]
     body = b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
-    path.write_bytes(gzip.compress(header + body, mtime=0))
+    path.write_bytes(_with_comments(gzip.compress(header + body, mtime=0), origin_comments(origin)))
 
 
 def load_spz(path: Path) -> Splats:
-    """The splats of a file of version 2 or 3, as volumes. Raises SceneError naming the file for others."""
+    """The splats of a file of version 2 or 3, as volumes, about the origin that it names (`read_spz_origin`). Raises
+    SceneError naming the file for others."""
     header, body = _unpacked(path)
     _, version, count, degree, fraction, _, _ = header
     coefficients = {value: key for key, value in _DEGREES.items()}[degree]
@@ -100,6 +113,37 @@ def load_spz(path: Path) -> Splats:
         "sh": np.concatenate([(color / 255 - 0.5)[:, None] / _COLOR_SCALE, higher], axis=1),
     }
     return {name: array.astype(np.float32) for name, array in splats.items()}
+
+
+def read_spz_origin(path: Path) -> np.ndarray:
+    """Return the origin [3] that the comment of an SPZ file's gzip header names, zeros where it names none. Raises
+    SceneError, naming the file, for other than three finite numbers."""
+    with path.open("rb") as file:
+        comment = _gzip_comment(file.read(_LONGEST_GZIP_HEADER))
+    for words in map(str.split, comment.splitlines()):
+        if words[:2] == ["mgsr", ORIGIN]:
+            return read_origin_text(words[2:], str(path))
+    return no_origin()
+
+
+def _with_comments(data: bytes, comments: list[str]) -> bytes:
+    """Return a gzip file, whose header has nothing added, with comments in it."""
+    if not comments:
+        return data
+    text = "\n".join(comments).encode("latin-1")
+    return data[:3] + bytes([data[3] | _COMMENT]) + data[4:_GZIP_HEADER] + text + b"\0" + data[_GZIP_HEADER:]
+
+
+def _gzip_comment(data: bytes) -> str:
+    """Return the comment of a gzip header, empty where there is none or the header is cut off."""
+    if data[:2] != b"\x1f\x8b" or len(data) < _GZIP_HEADER or not data[3] & _COMMENT:
+        return ""
+    rest = data[_GZIP_HEADER:]
+    if data[3] & _EXTRA:
+        rest = rest[2 + int.from_bytes(rest[:2], "little") :]
+    if data[3] & _NAME:
+        rest = rest.partition(b"\0")[2]
+    return rest.partition(b"\0")[0].decode("latin-1")
 
 
 def three_scales(log_scales: np.ndarray) -> np.ndarray:

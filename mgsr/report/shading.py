@@ -25,6 +25,13 @@ OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothin
 OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
 EVEN_NORMAL, EVEN_STEP = 0.9, 0.01  # there: the least cosine between normals, and the most of the mesh's radius off
 
+# What tells which direction is up.
+NEAR_AXIS = 20.0  # degrees within which an axis is taken
+CANCELLED = 0.1  # length of the mean of the cameras' upper sides under which it means nothing
+LYING = 0.9  # length of the mean of their right sides from which all lie on their side
+LEVEL = 0.14  # root mean square of the sines by which level cameras lean to a side: 8 degrees
+ROUND = 0.1  # mean square of the cameras' right sides across their main direction from which they look round
+
 
 @dataclass(frozen=True)
 class TriangleMesh:
@@ -159,13 +166,43 @@ def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: 
 
 
 def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
-    """Where most cameras have their upper side, [3] unit; the nearest axis, if that is within 20 degrees."""
-    mean = -np.sum([camera.cam_from_world[1, :3] for camera in cameras], axis=0)
-    if np.linalg.norm(mean) < 1e-6:
-        return np.array((0.0, 0.0, 1.0))
+    """Return the direction [3] that points up in the cameras' frame, of length 1.
+
+    It is where most cameras have their upper side. An axis is taken where that is within NEAR_AXIS degrees of it, and
+    where it is the nearest and the cameras are level under it. In other frames it is the direction under which the
+    cameras are most nearly level, if they look round far enough to tell: the mean of their upper sides leans where
+    they look down from one side more than from the others.
+    """
+    rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
+    rights, mean = rows[:, 0], -rows[:, 1].mean(axis=0)
+    if np.linalg.norm(mean) < CANCELLED:
+        return _side_up(rights)
     mean = mean / np.linalg.norm(mean)
-    axis = int(np.abs(mean).argmax())
-    return np.sign(mean[axis]) * np.eye(3)[axis] if abs(mean[axis]) > np.cos(np.radians(20)) else mean
+    axis = _nearest_axis(mean)
+    if _near(mean, axis) or np.sqrt(((rights @ axis) ** 2).mean()) < LEVEL:
+        return axis
+    spreads, directions = np.linalg.eigh(rights.T @ rights / len(rights))
+    if spreads[0] > LEVEL**2 or spreads[1] < ROUND:
+        return mean
+    level = directions[:, 0] * np.sign(directions[:, 0] @ mean)
+    axis = _nearest_axis(level)
+    return axis if _near(level, axis) else level
+
+
+def _side_up(rights: np.ndarray) -> np.ndarray:
+    """Return the axis that points up where the cameras' upper sides point everywhere: the one to their right, if all
+    lie on their side, as beside a turntable; else z."""
+    mean = rights.mean(axis=0)
+    return _nearest_axis(mean) if np.linalg.norm(mean) > LYING else np.array((0.0, 0.0, 1.0))
+
+
+def _nearest_axis(direction: np.ndarray) -> np.ndarray:
+    axis = int(np.abs(direction).argmax())
+    return np.asarray(np.sign(direction[axis]) * np.eye(3)[axis])
+
+
+def _near(direction: np.ndarray, axis: np.ndarray) -> bool:
+    return bool(direction @ axis > np.cos(np.radians(NEAR_AXIS)))
 
 
 def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:

@@ -9,13 +9,22 @@ from PIL import Image
 
 from mgsr.data.capture import Capture
 from mgsr.data.formats import all_formats
+from mgsr.data.photo_files import SceneFolder
 
 
 def read_capture(root: Path, name: str) -> Capture:
     """The capture in `root`, which must be recognised as the format of that name before all others."""
     kind = next(kind for kind in all_formats() if kind.recognises(root))
     assert kind.name == name
-    return kind.read(root)
+    return kind.read(SceneFolder.at(root))
+
+
+def read_strictly(root: Path, name: str) -> Capture:
+    """The capture in `root`, if all of its photographs can be used; else raises the reason of the first that can't."""
+    capture = read_capture(root, name)
+    if capture.lost:
+        raise capture.lost[0]
+    return capture
 
 
 def draw(path: Path, width: int = 64, height: int = 64) -> None:

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.usable import usable_photos
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
-from tests.data.reading import draw, project, read_capture
+from tests.data.reading import draw, project, read_capture, read_strictly
 
 BALL = BallCapture(views=4, center=np.array([1.0, -2, 3]))
 POINTS = BALL.center + np.random.default_rng(3).uniform(-0.8, 0.8, (30, 3))
@@ -89,39 +91,71 @@ def test_metashape_results_go_to_the_chunks_world(tmp_path, where):
 
 
 def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
-    capture = read_capture(metashape(tmp_path, aligned=(0, 1, 2)), "metashape")
-    assert capture.notes == ("3 of 4 photographs are aligned in cameras.xml and there; the others are left out",)
-    off = read_capture(metashape(tmp_path, camera=lambda i: 'enabled="false"' if i == 3 else ""), "metashape")
-    assert len(off.photos) == 3 and off.notes == ()
-    with pytest.raises(SceneError, match=r"only 1 of 4 .* aligned in cameras\.xml and there; align the cameras"):
-        read_capture(metashape(tmp_path, aligned=(0,)), "metashape")
+    def usable(**values):
+        folder = SceneFolder.at(metashape(tmp_path, **values))
+        return usable_photos(read_capture(folder.root, "metashape"), folder)
+
+    photos, notes = usable(aligned=(0, 1, 2))
+    assert len(photos) == 3
+    assert notes == (
+        "1 of 4 photographs left out: cameras.xml, camera 'IMG_3': it is not aligned; align the cameras in Metashape "
+        "and export them again",
+    )
+    photos, notes = usable(camera=lambda i: 'enabled="false"' if i == 3 else "")
+    assert len(photos) == 3 and notes == ()
+    with pytest.raises(SceneError, match=r"3 of 4 photographs can't be used; the first: .*'IMG_1': it is not aligned"):
+        usable(aligned=(0,))
     metashape(tmp_path)
     for i in (0, 2, 3):
         (tmp_path / f"photos/IMG_{i}.JPG").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 4 .* \(IMG_0 is missing\); put the photographs into"):
-        read_capture(tmp_path, "metashape")
+    folder = SceneFolder.at(tmp_path)
+    with pytest.raises(SceneError, match=r"only 1 of 4 .* \(IMG_0 is missing\); put them into"):
+        usable_photos(read_capture(tmp_path, "metashape"), folder)
 
 
 def test_metashape_slaves_of_multi_camera_systems(tmp_path):
     def pairs(i):
         return f'master_id="{i - i % 2}"'
 
-    capture = read_capture(metashape(tmp_path, camera=pairs, aligned=(0, 2)), "metashape")
+    capture = read_capture(metashape(tmp_path, camera=pairs), "metashape")
     assert [photo.image.name for photo in capture.photos] == ["IMG_0.JPG", "IMG_2.JPG"]
-    assert capture.notes[0].startswith("2 of 4 photographs are aligned")
-    assert capture.notes[1].startswith("2 of the others are slaves of multi-camera systems, which is not")
-    with pytest.raises(SceneError, match=r"only 1 of 4 .* and there; 3 are slaves of multi-camera systems.* as single"):
-        read_capture(metashape(tmp_path, camera=lambda i: 'master_id="0"', aligned=(0,)), "metashape")
+    assert [str(error) for error in capture.lost] == [
+        f"cameras.xml, camera 'IMG_{i}': it is a slave of a multi-camera system, which is not supported: add the "
+        "photographs to Metashape as single cameras, align and export them again"
+        for i in (1, 3)
+    ]
+
+
+@pytest.mark.parametrize("label", ["cam0", "Rig/cam0", "left"])
+def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path, label):
+    """Groups are called as the folders, or as something else, where nothing tells which folder is meant."""
+    path = metashape(tmp_path) / "cameras.xml"
+    text = path.read_text().replace('<group id="0">', f'<group id="0" label="{label}">')
+    text = text.replace('label="IMG_1"', 'label="IMG_2"').replace('label="IMG_0"', 'label="IMG_3"')
+    path.write_text(text)
+    for i in range(2):
+        (tmp_path / f"photos/IMG_{i}.JPG").unlink()
+        draw(tmp_path / f"cam0/IMG_{i + 2}.JPG", 96, 64)
+    capture = read_capture(tmp_path, "metashape")
+    names = [photo.image.relative_to(tmp_path).as_posix() for photo in capture.photos]
+    if label == "left":
+        assert names == [] and len(capture.lost) == 4
+        with pytest.raises(
+            SceneError, match=r"cameras\.xml: the photograph '.*' may be cam0/.*; name it with its folder"
+        ):
+            usable_photos(capture, SceneFolder.at(tmp_path))
+    else:
+        assert sorted(names)[:2] == ["cam0/IMG_2.JPG", "cam0/IMG_3.JPG"]
 
 
 def test_metashape_panoramas_without_a_calibration(tmp_path):
     path = metashape(tmp_path, kind="spherical") / "cameras.xml"
     path.write_text(re.sub("<calibration.*</calibration>", "", path.read_text(), flags=re.DOTALL))
     with pytest.raises(SceneError, match="'IMG_0': camera type 'spherical' is not supported: a panorama"):
-        read_capture(tmp_path, "metashape")
+        read_strictly(tmp_path, "metashape")
     path.write_text(path.read_text().replace("spherical", "frame"))
     with pytest.raises(SceneError, match="'IMG_0': its sensor has no calibration; export"):
-        read_capture(tmp_path, "metashape")
+        read_strictly(tmp_path, "metashape")
 
 
 def test_metashape_in_utf_16_beside_other_documents(tmp_path):
@@ -149,7 +183,7 @@ def test_metashape_in_utf_16_beside_other_documents(tmp_path):
 )
 def test_metashape_refusals(tmp_path, values, message):
     with pytest.raises(SceneError, match=message):
-        read_capture(metashape(tmp_path, **values), "metashape")
+        read_strictly(metashape(tmp_path, **values), "metashape")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
@@ -161,10 +195,9 @@ def test_metashape_entities_are_refused(tmp_path, encoding):
         read_capture(tmp_path, "metashape")
 
 
-def test_two_photographs_for_one_label(tmp_path):
+def test_of_two_photographs_for_one_label_the_folder_with_most_of_them_has_it(tmp_path):
     draw(metashape(tmp_path) / "more/IMG_2.png")
-    with pytest.raises(SceneError, match=r"'IMG_2' may be more/IMG_2\.png, photos/IMG_2\.JPG; leave one"):
-        read_capture(tmp_path, "metashape")
+    assert {photo.image.parent.name for photo in read_strictly(tmp_path, "metashape").photos} == {"photos"}
 
 
 # RealityCapture
@@ -220,11 +253,12 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path):
     rows = [f"{name}.jpg,0,0,{i},0,0,0,18" for i, name in enumerate("abc")]
     realitycapture(tmp_path, *rows, header="#name,x,y,alt,heading,pitch,roll,f")
     (tmp_path / "images/b.jpg").unlink()
-    capture = read_capture(tmp_path, "realitycapture")
-    assert capture.notes == ("2 of 3 photographs named by export.csv are there; the others are left out",)
+    folder = SceneFolder.at(tmp_path)
+    _, notes = usable_photos(read_capture(tmp_path, "realitycapture"), folder)
+    assert notes == ("1 of 3 photographs of export.csv left out: b.jpg is missing",)
     (tmp_path / "images/c.jpg").unlink()
-    with pytest.raises(SceneError, match=r"only 1 of 3 .* named by export\.csv are there \(b\.jpg is missing\); put"):
-        read_capture(tmp_path, "realitycapture")
+    with pytest.raises(SceneError, match=r"only 1 of 3 .* that export\.csv names are there \(b\.jpg is missing\); put"):
+        usable_photos(read_capture(tmp_path, "realitycapture"), SceneFolder.at(tmp_path))
 
 
 def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path):
@@ -262,7 +296,7 @@ def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path, te
 )
 def test_realitycapture_refusals(tmp_path, row, message):
     with pytest.raises(SceneError, match=message):
-        read_capture(realitycapture(tmp_path, row), "realitycapture")
+        read_strictly(realitycapture(tmp_path, row), "realitycapture")
 
 
 # Polycam
@@ -303,7 +337,7 @@ def test_polycam_files_of_macos_are_no_cameras(tmp_path):
 def test_polycam_refusals(tmp_path, text, message):
     (polycam(tmp_path) / "keyframes/cameras/101.json").write_text(text)
     with pytest.raises(SceneError, match=message):
-        read_capture(tmp_path, "polycam")
+        read_strictly(tmp_path, "polycam")
 
 
 # OpenSfM and OpenDroneMap
@@ -368,4 +402,4 @@ def test_opensfm_fisheye(tmp_path):
 )
 def test_opensfm_refusals(tmp_path, change, message):
     with pytest.raises(SceneError, match=message):
-        read_capture(opensfm(tmp_path, change=change), "opensfm")
+        read_strictly(opensfm(tmp_path, change=change), "opensfm")

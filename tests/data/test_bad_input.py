@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,13 @@ def root(tmp_path):
 def refuses(root, match, config=DataConfig()):  # noqa: B008 (frozen)
     with pytest.raises(SceneError, match=match):
         load_scene(root, config)
+
+
+def leaves_out(root, match, count=1):
+    """The scene loads without its bad photographs, and a note tells why."""
+    scene = load_scene(root, DataConfig())
+    assert len(scene.train) + len(scene.test) == 12 - count
+    assert any(re.search(f"^{count} of 12 photographs .*left out: .*({match})", note) for note in scene.notes)
 
 
 def edit_view(root, index=3, **values):
@@ -67,11 +76,11 @@ def test_single_view(root):
 def test_missing_images_of_the_plain_form(root):
     (root / "photos/003.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes == ("11 of 12 photographs of cameras.json are there; the others are left out",)
+    assert scene.notes == ("1 of 12 photographs of cameras.json left out: photos/003.png is missing",)
     for path in sorted((root / "photos").iterdir())[:6]:
         path.unlink()
     refuses(
-        root, r"only 5 of 12 photographs of cameras\.json are there \(photos/000\.png is missing\); put the missing"
+        root, r"only 5 of 12 photographs that cameras\.json names are there \(photos/000\.png is missing\); put them"
     )
 
 
@@ -80,63 +89,110 @@ def test_few_missing_images_are_left_out_and_many_are_an_error(tmp_path):
     for number in (2, 5):
         (root / f"train/r_{number}.png").unlink()
     scene = load_scene(root, DataConfig())
-    assert scene.notes == ("10 of 12 photographs are there; the others are left out",)
+    assert scene.notes == ("2 of 12 photographs of transforms_train.json left out: ./train/r_2 is missing",)
     assert len(scene.train) + len(scene.test) == 10
     for path in sorted((root / "train").iterdir())[:5]:
         path.unlink()
-    refuses(root, r"only 5 of 12 photographs are there \(train/r_0 of transforms_train\.json, frame 0 .* is missing")
+    refuses(root, r"only 5 of 12 photographs that transforms_train\.json names are there \(\./train/r_0 is missing")
 
 
 def test_damaged_image(root):
     path = root / "photos/003.png"
     path.write_bytes(path.read_bytes()[:60])
-    refuses(root, r"003\.png")
+    leaves_out(root, r"003\.png")
 
 
 def test_not_an_image(root):
     (root / "photos/003.png").write_text("hello")
-    refuses(root, r"003\.png: not an image that can be read")
+    leaves_out(root, r"003\.png: not an image that can be read")
 
 
 def test_image_outside_the_folder(root):
     edit_view(root, image="../../etc/hosts.png")
-    refuses(root, "lies outside the scene's folder")
+    leaves_out(root, r"\.\./\.\./etc/hosts\.png is missing")
 
 
 def test_image_that_is_no_text(root):
     edit_view(root, image=5)
-    refuses(root, "view 3: expected the path of an image, got 5")
+    leaves_out(root, "photograph 4: expected the path of an image, got '5'")
 
 
 def test_two_images_of_the_same_name(root):
     save(root / "photos/004.jpg", np.zeros((SIDE, SIDE, 3), np.uint8), "RGB")
     edit_view(root, image="photos/004.jpg")
-    refuses(root, r"two images have the same name '004': .*004\.jpg.*rename")
+    scene = load_scene(root, DataConfig(masks=Masks.OFF))
+    names = [view.name for view in scene.train + scene.test]
+    assert len(names) == 12 and {"004_jpg", "004_png"} < set(names)
 
 
 def test_nan_pose(root):
     edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__((0, 3), np.nan)))
-    refuses(root, r"view 3 \(photos/003\.png\): the pose has NaN")
+    leaves_out(root, r"view 3 \(photos/003\.png\): the pose has NaN")
 
 
-def test_scaled_pose(root):
-    edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__((slice(3), slice(3)), pose[:3, :3] * 2)))
-    refuses(root, "view 3.*the pose is not rigid")
+def test_a_uniform_scale_of_poses_is_divided_out(root):
+    """Of points x that a pose takes to 0.01 (R x + t), the photographs are the same."""
+    expected = load_scene(root, DataConfig())
+    scaled = np.diag([0.01, 0.01, 0.01, 1])
+    poses = [(scaled @ pose).tolist() for pose in BallCapture().poses()]
+    edit_json(
+        root / "cameras.json",
+        lambda content: [v.update(cam_from_world=p) for v, p in zip(content["views"], poses, strict=True)],
+    )
+    scene = load_scene(root, DataConfig())
+    for view, other in zip(scene.train, expected.train, strict=True):
+        np.testing.assert_allclose(view.camera.cam_from_world, other.camera.cam_from_world, atol=1e-12)
+    assert scene.notes == (
+        "12 of 12 photographs with a scale in the pose (100): it is divided out, which keeps places and directions",
+    )
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_stretched_poses(root, count):
+    """A look-at matrix with axes of unequal lengths."""
+    stretch = np.diag([1, 1.3, 1, 1])
+
+    def edit(content):
+        for view in content["views"][:count]:
+            view["cam_from_world"] = (stretch @ np.array(view["cam_from_world"])).tolist()
+
+    edit_json(root / "cameras.json", edit)
+    message = "the pose is not rigid"
+    if count == 1:
+        leaves_out(root, message)
+    else:
+        cure = "Divide each axis of a look-at matrix by its length"
+        refuses(root, f"12 of 12 photographs can't be used; the first: .*view 0.*{message}.*{cure}")
+
+
+def test_poses_of_three_rows_or_in_one_list(root):
+    expected = load_scene(root, DataConfig())
+
+    def edit(content):
+        for i, view in enumerate(content["views"]):
+            pose = view["cam_from_world"]
+            view["cam_from_world"] = pose[:3] if i % 2 else np.ravel(pose).tolist()
+
+    edit_json(root / "cameras.json", edit)
+    scene = load_scene(root, DataConfig())
+    for view, other in zip(scene.train, expected.train, strict=True):
+        np.testing.assert_array_equal(view.camera.cam_from_world, other.camera.cam_from_world)
+    assert scene.notes == ()
 
 
 def test_mirrored_pose(root):
     edit_view(root, cam_from_world=pose_with(lambda pose: pose.__setitem__(0, -pose[0])))
-    refuses(root, "view 3.*mirrors space")
+    leaves_out(root, "view 3.*mirrors space")
 
 
 def test_pose_of_wrong_shape(root):
-    edit_view(root, cam_from_world=[[1, 0, 0, 0]] * 3)
-    refuses(root, "view 3.*cam_from_world: expected a 4x4 matrix, got shape")
+    edit_view(root, cam_from_world=[[1, 0, 0, 0]] * 2)
+    leaves_out(root, "view 3.*cam_from_world: expected a 4x4 or 3x4 matrix, got shape")
 
 
 def test_missing_pose(root):
     edit_view(root, cam_from_world=None)
-    refuses(root, "view 3.*cam_from_world: expected a 4x4 matrix")
+    leaves_out(root, "view 3.*cam_from_world: expected a 4x4 or 3x4 matrix")
 
 
 @pytest.mark.parametrize(
@@ -152,12 +208,12 @@ def test_missing_pose(root):
 )
 def test_bad_intrinsics(root, K, message):
     edit_view(root, K=K)
-    refuses(root, f"view 3.*({message})")
+    leaves_out(root, f"view 3.*({message})")
 
 
 def test_mask_of_another_size(root):
     save(root / "masks/003.png", np.zeros((10, 20), np.uint8), "L")
-    refuses(root, r"003\.png: 20x10 pixels, but its image has 64x64")
+    leaves_out(root, r"003\.png: 20x10 pixels, but its image has 64x64")
 
 
 def test_named_mask_that_is_missing(root):
@@ -229,7 +285,7 @@ def test_masks_that_some_views_have_are_told_of(tmp_path):
     (root / "masks/003.png").unlink()
     scene = load_scene(root, DataConfig())
     assert not scene.masked
-    assert scene.notes == ("9 of 10 training views have a mask, but '003' has none: masks are not used",)
+    assert scene.notes[0] == "9 of 10 training views have a mask, but '003' has none: masks are not used"
 
 
 def test_masks_of_other_names_are_told_of(tmp_path):
@@ -238,11 +294,12 @@ def test_masks_of_other_names_are_told_of(tmp_path):
     ball.write_masks(root)
     for path in sorted((root / "masks").iterdir()):
         path.rename(path.with_name(f"object-{path.name}"))
-    (note,) = load_scene(root, DataConfig()).notes
+    note, _ = load_scene(root, DataConfig()).notes
     assert note == (
         "masks/object-000.png is no photograph's mask, nor is any beside it: name it as 000.png to have it used"
     )
-    assert load_scene(root, DataConfig(masks=Masks.OFF)).notes == ()
+    (few,) = load_scene(root, DataConfig(masks=Masks.OFF)).notes
+    assert few.startswith("too few photographs: half or more of the 10 training photographs have no other within 35")
 
 
 def test_all_cameras_at_one_place(root):
@@ -274,13 +331,26 @@ def test_json_with_half_a_character(root):
 
 def test_json_with_nan_in_the_intrinsics(root):
     edit_view(root, K=[[float("nan"), 0, 30], [0, 90, 35], [0, 0, 1]])
-    refuses(root, "view 3.*the intrinsics have NaN or infinite numbers")
+    leaves_out(root, "view 3.*the intrinsics have NaN or infinite numbers")
 
 
-@pytest.mark.parametrize("place", [(-3, 35), (30, 65)])
-def test_principal_point_outside(root, place):
-    edit_view(root, K=[[80, 0, place[0]], [0, 90, place[1]], [0, 0, 1]])
-    refuses(root, rf"view 3.*the principal point \({place[0]}, {place[1]}\) lies outside the image of 64x64 pixels")
+@pytest.mark.parametrize("place", [(-3, 35), (30, 65), (-300, 300)])
+def test_parts_that_were_cut_out_of_larger_photographs(root, place):
+    edit_json(
+        root / "cameras.json",
+        lambda content: [v.update(K=[[80, 0, place[0]], [0, 90, place[1]], [0, 0, 1]]) for v in content["views"]],
+    )
+    scene = load_scene(root, DataConfig(masks=Masks.OFF))
+    np.testing.assert_array_equal(scene.train[0].camera.K[:2, 2], place)
+    assert (
+        "12 of 12 photographs taken for parts cut out of larger ones: the principal point lies outside the image"
+        in scene.notes
+    )
+
+
+def test_a_principal_point_that_no_photograph_has(root):
+    edit_view(root, K=[[80, 0, 5000], [0, 90, 35], [0, 0, 1]])
+    leaves_out(root, r"view 3.*the principal point \(5000, 35\) lies 62\.1 focal lengths beside the middle")
 
 
 def test_images_without_cameras_name_the_command_that_finds_them(tmp_path):

@@ -55,8 +55,8 @@ def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -
         name = f"photo {i:02d}.png"
         image = pycolmap.Image(name=name, camera_id=1, image_id=i)
         reconstruction.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
-        if model in PARAMS:
-            Image.fromarray(paint(camera)).save(root / "images" / name)
+        picture = paint(camera) if model in PARAMS else np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+        Image.fromarray(picture).save(root / "images" / name)
     points = np.random.default_rng(0).normal(size=(40, 3)) * 0.3 + [1, 2, 3]
     for point in points:
         reconstruction.add_point3D(point, pycolmap.Track(), np.array([10, 20, 30], np.uint8))
@@ -154,6 +154,7 @@ def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
         frame = pycolmap.Frame(frame_id=i, rig_id=1, rig_from_world=pycolmap.Rigid3d(pose[:3]))
         images = [pycolmap.Image(name=f"{side}{i}.png", camera_id=side, image_id=2 * i + side) for side in (1, 2)]
         for image in images:
+            draw(tmp_path / "images" / image.name)
             image.frame_id = i
             frame.add_data_id(image.data_id)
         reconstruction.add_frame(frame)
@@ -249,6 +250,7 @@ def test_lines_of_points_are_no_images(tmp_path, points, keep):
     reconstruction = write(tmp_path, "PINHOLE", text=True)
     path = tmp_path / "sparse/0/images.txt"
     lines = path.read_text().replace("photo 03.png", "3").splitlines()
+    (tmp_path / "images/photo 03.png").rename(tmp_path / "images/3")
     empty = [i for i, line in enumerate(lines) if not line]
     assert len(empty) == 10
     for i in empty[::3]:
@@ -273,9 +275,12 @@ def test_other_programs_images_txt_is_no_model(tmp_path):
     assert not any(kind.recognises(tmp_path) for kind in all_formats())
 
 
-def test_a_model_alone_is_no_scene(tmp_path):
+def test_a_model_alone_lacks_its_photographs(tmp_path):
     write(tmp_path, "PINHOLE")
-    assert not any(kind.recognises(tmp_path / "sparse/0") for kind in all_formats())
+    with pytest.raises(
+        SceneError, match=r"only 0 of 10 photographs that 0/images\.bin names are there \(photo 01\.png is"
+    ):
+        load_scene(tmp_path / "sparse/0", DataConfig())
 
 
 def test_unsupported_camera_model_names_the_cure(tmp_path):

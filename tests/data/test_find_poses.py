@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import sqlite3
 import subprocess
 import sys
 import zipfile
@@ -10,14 +13,18 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 from pillow_heif import from_pillow
 
-from mgsr.data.find_poses import _gather, find_poses
+from mgsr.data.find_poses import _write_cameras, find_poses
+from mgsr.data.gather_photos import gather
+from mgsr.data.shared_lenses import share_lenses
 from mgsr.errors import ConfigError, SceneError
 from tests.data.captures import look_at
 from tests.data.reading import draw, read_capture
 
-pytest.importorskip("pycolmap")
+importlib.import_module("OpenImageIO")  # before pycolmap, as in the program: the two don't bear the other order
+pycolmap = pytest.importorskip("pycolmap")
 
 WIDTH, HEIGHT = 320, 240
 K = np.array([[300.0, 0, WIDTH / 2], [0, 300, HEIGHT / 2], [0, 0, 1]])
@@ -66,7 +73,8 @@ def test_cameras_are_found_up_to_the_frame(tmp_path):
         cv2.imwrite(str(path), picture(pose))
     said = []
     assert find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append) == ()
-    assert said[0] == "finding features in 8 photographs" and said[-1].startswith("8 photographs placed")
+    assert said[:2] == ["one camera: 320x240", "finding features in 8 photographs"]
+    assert said[-1].startswith("8 photographs placed")
     photos = sorted(read_capture(tmp_path / "scene", "colmap").photos, key=lambda photo: photo.image)
     found = np.array([photo.cam_from_world for photo in photos])
     true = np.array(poses())
@@ -76,15 +84,60 @@ def test_cameras_are_found_up_to_the_frame(tmp_path):
     assert np.abs(rest).max() < 0.05, "one per cent of the distance"
     for ours, theirs in zip(found[:, :3, :3], true[:, :3, :3], strict=True):
         assert np.degrees(np.arccos(np.clip((np.trace(ours @ turn.T @ theirs.T) - 1) / 2, -1, 1))) < 1
-    assert all(abs(photo.K[0, 0] / 300 - 1) < 0.05 for photo in photos)
+    assert all(abs(photo.K[0, 0] / 300 - 1) < 0.02 for photo in photos)
+    assert len({photo.K[0, 0] for photo in photos}) == 1, "one lens"
 
 
-def test_pictures_without_texture_leave_nothing_behind(tmp_path):
+@pytest.mark.parametrize(
+    ("camera_per_image", "cameras", "cure"),
+    [
+        (False, "one camera: ", r"with texture; if these were zoomed or cropped, try `--camera-per-image`$"),
+        (True, "a camera for each photograph", "with texture$"),
+    ],
+)
+def test_pictures_without_texture_leave_nothing_behind(tmp_path, camera_per_image, cameras, cure):
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
-    with pytest.raises(SceneError, match="only 0 of 4 photographs could be placed; take more photographs"):
-        find_poses(tmp_path / "photos", tmp_path / "scene", 0, lambda text: None)
+    said = []
+    with pytest.raises(SceneError, match=rf"only 0 of 4 photographs could be placed; take more photographs.*{cure}"):
+        find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append, camera_per_image)
+    assert said[0].startswith(cameras)
     assert not (tmp_path / "scene").exists()
+
+
+def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path):
+    """Read by SQLite, in the layout of COLMAP's documentation ("Database Format")."""
+    equivalent = {0xA405: 26}  # Exif 2.32: FocalLengthIn35mmFilm
+    real = {0x920A: IFDRational(42, 10)}  # FocalLength; COLMAP knows the sensor's size of 5.76 mm
+    for name, tags in (("a.jpg", equivalent), ("b.jpg", equivalent), ("c.heic", equivalent), ("d.jpg", real)):
+        save_photo(tmp_path / "photos" / name, {0x010F: "Apple", 0x0110: "iPhone 12"}, tags)
+    save_photo(tmp_path / "photos/e.png", {}, {})
+    gathered = gather(tmp_path / "photos", sorted((tmp_path / "photos").iterdir()), tmp_path / "images")
+    names = _write_cameras(pycolmap, tmp_path / "new.db", tmp_path / "images", share_lenses(gathered.shots))
+    assert names == ["a.jpg", "b.jpg", "c.png", "d.jpg", "e.png"]
+    with contextlib.closing(sqlite3.connect(tmp_path / "new.db")) as database:
+        images = dict(database.execute("SELECT name, camera_id FROM images"))
+        cameras = {row[0]: row[1:] for row in database.execute("SELECT * FROM cameras")}
+    assert images["a.jpg"] == images["b.jpg"] == images["c.png"], "the HEIC lost its EXIF in conversion, not its lens"
+    assert len({images[name] for name in ("a.jpg", "d.jpg", "e.png")}) == len(cameras) == 3
+    for name, focal, known in (("a.jpg", 26 / 43.27 * 500, 1), ("d.jpg", 4.2 / 5.76 * 400, 1), ("e.png", 480, 0)):
+        model, width, height, params, prior = cameras[images[name]]
+        assert (model, width, height, prior) == (2, 400, 300, known), "2 is SIMPLE_RADIAL"
+        assert np.frombuffer(params) == pytest.approx([focal, 200, 150, 0], rel=1e-5)
+    by_colmap = pycolmap.infer_camera_from_image(tmp_path / "images/a.jpg")
+    assert by_colmap.focal_length == pytest.approx(26 / 43.27 * 500), "as COLMAP itself"
+
+
+def save_photo(path, main, more):
+    tags = Image.Exif()
+    tags.update(main)
+    tags.get_ifd(0x8769).update(more)
+    path.parent.mkdir(exist_ok=True)
+    image = Image.new("RGB", (400, 300))
+    if path.suffix == ".heic":
+        from_pillow(image).save(path, exif=tags.tobytes())
+    else:
+        image.save(path, exif=tags.tobytes() if main else b"")
 
 
 def test_too_few_photographs(tmp_path):
@@ -100,21 +153,6 @@ def test_an_archive_of_too_few_photographs(tmp_path):
             out.write(tmp_path / f"{i}.png", f"holiday/{i}.png")
     with pytest.raises(SceneError, match=r"photos\.zip: 2 images; at least 3 are needed"):
         find_poses(tmp_path / "photos.zip", tmp_path / "scene", 0)
-
-
-def test_what_colmap_does_not_read_is_converted(tmp_path):
-    """Also HEIC that is named .jpg."""
-    for name in ("a.heic", "b.jpg"):
-        from_pillow(Image.new("RGB", (32, 24), (200, 100, 50))).save(tmp_path / "written.heic")
-        (tmp_path / "written.heic").rename(tmp_path / name)
-    draw(tmp_path / "c.png")
-    images = [tmp_path / name for name in ("a.heic", "b.jpg", "c.png")]
-    assert _gather(tmp_path, images, tmp_path / "images") == ["a.png", "b.png", "c.png"]
-    for name in ("a.png", "b.png"):
-        with Image.open(tmp_path / "images" / name) as image:
-            assert image.format == "PNG"
-            assert np.abs(np.subtract(image.getpixel((9, 9)), (200, 100, 50))).max() <= 3, "what lossy coding does"
-    assert (tmp_path / "images/c.png").samefile(tmp_path / "c.png")
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path):

@@ -168,7 +168,7 @@ def test_masks_folder(tmp_path, ball, suffix):
         save(path.with_name(path.stem + suffix), ball.rgba(ball.poses()[int(path.stem)])[..., 3], "L")
         if suffix != ".png":
             path.unlink()
-    scene = load_scene(root, DataConfig(masks=Masks.REQUIRE))
+    scene = load_scene(root, DataConfig(masks=Masks.OBJECT))
     view = scene.train[0]
     assert scene.masked
     np.testing.assert_array_equal(view.alpha > 127, ball.mask(ball.poses()[int(view.name)]))
@@ -188,8 +188,8 @@ def test_alpha_of_255_everywhere_is_no_mask(tmp_path, ball):
         save(path, np.full((SIDE, SIDE, 4), 255, np.uint8), "RGBA")
     scene = load_scene(root, DataConfig())
     assert not scene.masked and scene.train[0].alpha is None
-    with pytest.raises(SceneError, match="masks=require: every mask is white"):
-        load_scene(root, DataConfig(masks=Masks.REQUIRE))
+    with pytest.raises(SceneError, match="masks=object: every mask is white"):
+        load_scene(root, DataConfig(masks=Masks.OBJECT))
 
 
 def test_one_view_without_mask_leaves_all_without(tmp_path, ball):
@@ -197,8 +197,8 @@ def test_one_view_without_mask_leaves_all_without(tmp_path, ball):
     save(root / "photos/003.png", ball.rgba(ball.poses()[3]), "RGB")
     scene = load_scene(root, DataConfig())
     assert all(view.alpha is None for view in scene.train + scene.test)
-    with pytest.raises(SceneError, match="masks=require: view '003' has none"):
-        load_scene(root, DataConfig(masks=Masks.REQUIRE))
+    with pytest.raises(SceneError, match="masks=object: view '003' has none"):
+        load_scene(root, DataConfig(masks=Masks.OBJECT))
 
 
 # Sizes

@@ -21,7 +21,8 @@ from PIL import Image
 from mgsr.data import archive
 from mgsr.data.formats import all_formats
 from mgsr.data.images import read_picture
-from mgsr.data.readers import _checked
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.usable import usable_photos
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
 from tests.data.test_app_formats import metashape, opensfm, polycam, realitycapture
@@ -90,8 +91,8 @@ JSON_TARGETS = [name for name, target in TARGETS.items() if target.file.endswith
 def read(root: Path) -> None:
     for kind in all_formats():
         if kind.recognises(root):
-            for photo in kind.read(root).photos:
-                _checked(photo)
+            folder = SceneFolder.at(root)
+            usable_photos(kind.read(folder), folder)
             return
 
 

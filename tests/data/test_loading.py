@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from PIL import Image, ImageOps
 from mgsr.config import DataConfig, Masks
 from mgsr.data import loading
 from mgsr.data.capture import Photo
-from mgsr.data.files import ImageIndex, find_image, images_below
+from mgsr.data.files import images_below
 from mgsr.data.lens import Lens
-from mgsr.data.loading import load_views, settle_masks
+from mgsr.data.loading import load_views
 from mgsr.data.mask_files import MaskIndex
+from mgsr.data.photo_files import SceneFolder
 from mgsr.data.pixels import PixelStore
-from mgsr.errors import SceneError
+from mgsr.data.settle_masks import settle_masks
+from mgsr.errors import MissingPhotoError, SceneError
 from tests.data.captures import BallCapture, save
 from tests.data.reading import read_capture
 
@@ -29,7 +32,11 @@ def photo(path, size=(60, 40), **values) -> Photo:
 
 
 def load(*photos, config=DataConfig(max_side=1600)):  # noqa: B008 (frozen)
-    return [item.view for item in load_views(photos, [item.image.stem for item in photos], config)]
+    return [item.view for item in load_items(*photos, config=config)]
+
+
+def load_items(*photos, config=DataConfig(max_side=1600)):  # noqa: B008 (frozen)
+    return load_views(photos, [item.image.stem for item in photos], config)
 
 
 # EXIF orientation
@@ -64,8 +71,8 @@ def test_the_mask_of_a_turned_photograph(sideways, stored):
     upright = np.zeros((40, 60), np.uint8)
     upright[:10, :25] = 255
     Image.fromarray(np.rot90(upright) if stored else upright).save(sideways.with_name("m.png"))
-    (view,) = load(photo(sideways, mask=sideways.with_name("m.png")))
-    np.testing.assert_array_equal(view.alpha, upright)
+    (item,) = load_items(photo(sideways, mask=sideways.with_name("m.png")))
+    np.testing.assert_array_equal(item.mask, upright)
 
 
 # Masks
@@ -77,10 +84,10 @@ def test_masks_of_another_size_and_the_same_shape(tmp_path, scale):
     mask = np.zeros((int(40 * scale), int(60 * scale)), np.uint8)
     mask[: int(20 * scale), : int(30 * scale)] = 255
     Image.fromarray(mask).save(tmp_path / "m.png")
-    (view,) = load(photo(tmp_path / "a.png", mask=tmp_path / "m.png"))
+    (item,) = load_items(photo(tmp_path / "a.png", mask=tmp_path / "m.png"))
     expected = np.zeros((40, 60), bool)
     expected[:20, :30] = True
-    np.testing.assert_array_equal(view.alpha > 127, expected)
+    np.testing.assert_array_equal(item.mask > 127, expected)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +112,7 @@ def test_masks_of_another_size_and_the_same_shape(tmp_path, scale):
 def test_names_of_masks(tmp_path, name):
     for path in ("images/left/0001.jpg", "images/left/0002.jpg", name):
         save(tmp_path / path, np.zeros((4, 4), np.uint8), "L")
-    index = MaskIndex(tmp_path)
+    index = MaskIndex(SceneFolder.at(tmp_path))
     assert index.find(tmp_path / "images/left/0001.jpg") == tmp_path / name
     assert index.find(tmp_path / "images/left/0002.jpg") is None
     assert [path.name for path in images_below(tmp_path)] == ["0001.jpg", "0002.jpg"]
@@ -128,16 +135,22 @@ def test_inverted_masks_are_noticed(tmp_path):
     assert settle_masks(loaded, [], Masks.OFF).train[0].alpha is None
 
 
-@pytest.mark.parametrize("fill", [0, 255])
-def test_good_masks_are_not_taken_for_inverted_ones(tmp_path, fill):
-    """Of objects with a hole, and of those that fill the picture but for some specks."""
-
+def test_masks_of_objects_with_a_hole_are_not_taken_for_inverted_ones(tmp_path):
     def change(mask):
-        mask = mask if fill == 0 else np.full_like(mask, 255)
         mask[30:34, 30:34] = 0
         return mask
 
     assert settle_masks(masked_views(tmp_path, change), [], Masks.AUTO).train[0].alpha is not None
+
+
+def test_masks_that_are_white_but_for_some_specks_are_no_silhouettes(tmp_path):
+    def change(mask):
+        mask[:] = 255
+        mask[30:34, 30:34] = 0
+        return mask
+
+    (view, *_) = settle_masks(masked_views(tmp_path, change), [], Masks.AUTO).train
+    assert view.alpha is None and not view.known[30:34, 30:34].any() and view.known.sum() == 64 * 64 - 6 * 6
 
 
 # Names
@@ -146,12 +159,14 @@ def test_good_masks_are_not_taken_for_inverted_ones(tmp_path, fill):
 def test_photographs_by_label(tmp_path):
     for name in ("a/IMG_1.JPG", "a/IMG_2.png", "b/img_2.PNG", "masks/IMG_3.png"):
         save(tmp_path / name, np.zeros((4, 4), np.uint8), "L")
-    index = ImageIndex(tmp_path)
-    assert index.find("img_1", "test") == index.find("C:\\dir\\IMG_1.jpg", "test") == tmp_path / "a/IMG_1.JPG"
-    assert index.find("IMG_1.tif", "test") == tmp_path / "a/IMG_1.JPG"
-    assert index.find("IMG_3", "test") is None
-    with pytest.raises(SceneError, match=r"'IMG_2' may be a/IMG_2\.png, b/img_2\.PNG; leave one"):
-        index.find("IMG_2", "test")
+
+    def find(label):
+        return SceneFolder.at(tmp_path).find_photos("labels", [label], labels=True).paths[0]
+
+    assert find("img_1") == find("C:\\dir\\IMG_1.jpg") == find("IMG_1.tif") == tmp_path / "a/IMG_1.JPG"
+    assert isinstance(find("IMG_3"), MissingPhotoError)
+    assert find("b/IMG_2") == tmp_path / "b/img_2.PNG"
+    assert re.match(r"labels: the photograph 'IMG_2' may be a/IMG_2\.png or b/img_2\.PNG; name it", str(find("IMG_2")))
 
 
 @pytest.mark.parametrize("asked", ["Photos/a.JPG", "photos/u\u0308.png", "photos/\u00fc", "photos/b", "photos/B.jpeg"])
@@ -160,7 +175,8 @@ def test_photographs_whose_names_other_systems_write_otherwise(tmp_path, asked):
     for name in ("photos/A.jpg", "photos/\u00fc.png", "photos/b.png", "photos/b.jpeg"):
         save(tmp_path / name, np.zeros((4, 4), np.uint8), "L")
     expected = {"a": "A.jpg", "u": "\u00fc.png", "\u00fc": "\u00fc.png", "b": "b.png", "B": "b.jpeg"}
-    assert find_image(tmp_path, asked, "test") == tmp_path / "photos" / expected[asked[7]]
+    found = SceneFolder.at(tmp_path).find_photos("test", [asked])
+    assert found.paths == [tmp_path / "photos" / expected[asked[7]]] and found.notes == ()
 
 
 def test_a_linked_folder_of_photographs_is_looked_into_once(tmp_path):
@@ -184,16 +200,25 @@ def test_progress_comes_while_photographs_load(tmp_path, monkeypatch):
     assert told == [(i, 5) for i in range(1, 6)]
 
 
-def test_a_bad_photograph_stops_the_others(tmp_path, monkeypatch):
-    """Nobody wants to wait for a thousand photographs to hear that the first is damaged."""
+def test_a_bad_photograph_is_told_of_and_loses_no_other(tmp_path):
+    Image.new("RGB", (60, 40)).save(tmp_path / "good.png")
+    (tmp_path / "bad.png").write_text("hello")
+    good = photo(tmp_path / "good.png")
+    first, bad, last = load_items(good, photo(tmp_path / "bad.png"), good)
+    assert first.view.image.shape == last.view.image.shape == (40, 60, 3)
+    assert isinstance(bad, SceneError) and "bad.png: not an image that can be read" in str(bad)
+
+
+def test_bad_photographs_stop_the_others_once_they_are_the_most(tmp_path, monkeypatch):
+    """Nobody wants to wait for a thousand photographs to hear that they are damaged."""
     decoded = []
     read = loading.read_picture
     monkeypatch.setattr(loading, "read_picture", lambda *given: (decoded.append(given), read(*given))[1])
     Image.new("RGB", (60, 40)).save(tmp_path / "good.png")
     (tmp_path / "bad.png").write_text("hello")
     with pytest.raises(SceneError, match=r"bad\.png"):
-        load(photo(tmp_path / "bad.png"), *[photo(tmp_path / "good.png")] * 300)
-    assert len(decoded) < 200
+        load(*[photo(tmp_path / "bad.png")] * 160, *[photo(tmp_path / "good.png")] * 140)
+    assert len(decoded) < 250
 
 
 def test_photographs_of_one_camera_share_one_map(tmp_path, monkeypatch):
@@ -224,5 +249,5 @@ def test_names_in_files_that_no_file_can_have(tmp_path):
         content = json.loads((root / "cameras.json").read_text())
         content["views"][1]["image"] = name
         (root / "cameras.json").write_text(json.dumps(content))
-        with pytest.raises(SceneError, match=r"view 1: .*for a file's name; mend the file"):
-            read_capture(root, "plain")
+        (lost,) = read_capture(root, "plain").lost
+        assert re.search("too long, or with a zero byte, for a file's name; mend the file", str(lost))

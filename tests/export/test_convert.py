@@ -94,7 +94,7 @@ def test_splats_keep_what_their_header_says(tmp_path):
     assert [read_number(tmp_path / name, LOW_PASS) for name in ("b.ply", "c.ply")] == [0.1, 0.1]
     before, same, scaled = (load_splats(tmp_path / name) for name in ("a.ply", "b.ply", "c.ply"))
     assert all(np.array_equal(before[name], same[name]) for name in before)
-    np.testing.assert_allclose(scaled["means"], splats()["means"] * 3, rtol=1e-6)
+    np.testing.assert_allclose(scaled["means"], splats()["means"] * 10, rtol=1e-6)
 
 
 def test_meshes_keep_their_unit(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,22 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     assert np.abs(found.seen_by(view).astype(int) - lighting().seen_by(view)).max() <= 1
 
 
+def test_a_far_surface_keeps_its_shape(tmp_path: Path) -> None:
+    away, origin = np.array([512345.6, 4501234.4, 431.2]), np.array([512346.0, 4501234.0, 431.0])
+    far = replace(lighting(), vertices=lighting().vertices + away)
+    write_flash(tmp_path / "flash.npz", far, origin)
+    np.testing.assert_allclose(load_flash(tmp_path / "flash.npz").vertices, far.vertices, rtol=0, atol=1e-7)
+    with np.load(tmp_path / "flash.npz") as content:
+        assert content["vertices"].dtype == np.float32
+        np.testing.assert_allclose(content["vertices"] + content["origin"], far.vertices, rtol=0, atol=1e-7)
+
+
+def test_a_near_surface_names_no_origin(tmp_path: Path) -> None:
+    write_flash(tmp_path / "flash.npz", lighting(), np.zeros(3))
+    with np.load(tmp_path / "flash.npz") as content:
+        assert content.files == ["vertices", "faces", "besides", "like", "lamp"]
+
+
 @pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
 def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "flash.npz").write_bytes(content)
@@ -51,6 +68,8 @@ def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
         {"like": np.full(642, -1)},
         {"lamp": np.zeros(2)},
         {"vertices": np.full((642, 3), np.nan)},
+        {"origin": np.zeros(2)},
+        {"origin": np.array([0, np.inf, 0])},
     ],
 )
 def test_other_arrays_are_refused(tmp_path: Path, other: dict[str, np.ndarray]) -> None:

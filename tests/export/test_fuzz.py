@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +18,26 @@ from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
+from mgsr.export.ply_notes import read_origin
 from mgsr.export.splats import load_splats, write_splats
-from mgsr.export.spz import load_spz, write_spz
+from mgsr.export.spz import load_spz, read_spz_origin, write_spz
 from tests.export.test_flash import lighting
 from tests.export.test_packed_splats import splats
 from tests.fuzzing import LONG, QUICK, byte_changes, fuzz
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 MESH = (CORNERS, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]), np.eye(4)[:, :3] + 0.1, CORNERS)
+ORIGIN = np.array([512346.0, 4501234.0, 431.0])
 
 SPLATS: dict[str, tuple[Callable[..., None], Callable[[Path], Any]]] = {
     "a.ply": (write_splats, load_splats),
     "a.compressed.ply": (write_compressed_ply, load_compressed_ply),
     "a.spz": (write_spz, load_spz),
+    "far.ply": (partial(write_splats, origin=ORIGIN), lambda path: (load_splats(path), read_origin(path))),
+    "far.spz": (partial(write_spz, origin=ORIGIN), lambda path: (load_spz(path), read_spz_origin(path))),
 }
 LIGHTS: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
-    "flash.npz": (lambda path: write_flash(path, lighting()), load_flash),
+    "flash.npz": (lambda path: write_flash(path, lighting(), ORIGIN), load_flash),
     "mirrored_light.npz": (lambda path: write_mirrored_light(path, np.ones((2, 3, 4, 4))), load_mirrored_light),
 }
 MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": write_glb, "mesh.obj": write_obj}

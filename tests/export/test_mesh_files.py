@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import trimesh
 from plyfile import PlyData
+from scipy.spatial.transform import Rotation
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
+from mgsr.export.convert import convert
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
@@ -129,6 +131,31 @@ def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float,
     mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
     np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
     np.testing.assert_allclose(mesh.face_normals, [[0, 0, 1]], atol=1e-6)
+
+
+@pytest.mark.parametrize("up", [(1, 0, 0), (-1, 0, 0), (0.68, 0.09, 0.727), (0.1, -0.99, 0.1), (-0.3, 0.5, -0.8)])
+def test_glb_stands_upright_for_any_direction(tmp_path: Path, up: tuple[float, float, float]) -> None:
+    """The node's matrix takes it to y by the shortest way, about the axis that is normal to both."""
+    direction = np.array(up) / np.linalg.norm(up)
+    vertices, faces, normals, colors = ball(4e6)
+    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors, direction)
+    scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
+    pose, _ = scene.graph[next(iter(scene.graph.nodes_geometry))]
+    turn = Rotation.from_matrix(pose[:3, :3])
+    np.testing.assert_allclose(turn.apply(direction), [0, 1, 0], atol=1e-12)
+    assert turn.magnitude() == pytest.approx(np.arccos(direction[1]))
+    np.testing.assert_allclose(scene.to_geometry().vertices, turn.apply(vertices), rtol=0, atol=1e-6)
+
+
+def test_glb_keeps_far_places_through_a_conversion(tmp_path: Path) -> None:
+    arrays = ball(5e6)
+    write_ply(tmp_path / "a.ply", *arrays)
+    for name in ("b.glb", "c.ply", "d.obj", "e.ply"):
+        before = sorted(tmp_path.iterdir())[-1]
+        convert(before, tmp_path / name)
+    for name in ("c.ply", "e.ply"):
+        read = PlyData.read(str(tmp_path / name))["vertex"]
+        np.testing.assert_allclose(np.stack([read[axis] for axis in "xyz"], 1), arrays[0], rtol=0, atol=1e-7)
 
 
 def test_srgb_curve_ends() -> None:

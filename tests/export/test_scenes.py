@@ -36,6 +36,11 @@ def scene() -> Scene:
     return Scene("ball", None, "plain", views[:4], views[4:], points, FRAME)  # type: ignore[arg-type]
 
 
+def _left_out(scene: Scene) -> list[str]:
+    """What the notes say but for the few photographs."""
+    return [note for note in scene.notes if not note.startswith("too few photographs")]
+
+
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
 def test_colmap_reads_the_cameras_and_points(tmp_path, scene, scale):
     pycolmap = pytest.importorskip("pycolmap")
@@ -56,7 +61,7 @@ def test_colmap_reads_the_cameras_and_points(tmp_path, scene, scale):
 def test_the_whole_folder_keeps_the_split(tmp_path, scene):
     write_scene(tmp_path, scene)
     read = load_scene(tmp_path, DataConfig())
-    assert read.format == "nerfstudio" and read.notes == ()
+    assert read.format == "nerfstudio" and _left_out(read) == []
     assert [len(read.train), len(read.test)] == [len(scene.train), len(scene.test)] and scene.test
 
 
@@ -68,7 +73,7 @@ def test_our_readers_get_back_what_was_written(tmp_path, scene, name):
     else:
         (tmp_path / "transforms.json").unlink()
     read = load_scene(tmp_path, DataConfig(test_every=100))
-    assert read.format == name and read.masked and read.notes == ()
+    assert read.format == name and read.masked and _left_out(read) == []
     views = {view.name: view for view in read.train + read.test}
     if name == "nerfstudio":
         assert (len(read.train), len(read.test)) == (4, 2)

@@ -7,19 +7,20 @@ images file still holds every photograph's own pose, so they say nothing more ab
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_image, images_below
+from mgsr.data.files import is_photo, text_number
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, AnyLens, AriaLens, DivisionLens, FieldOfViewLens, Lens, UnifiedLens
+from mgsr.data.odd_files import require_content
+from mgsr.data.photo_files import FoundPhotos, SceneFolder
 from mgsr.data.poses import intrinsics
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
@@ -99,20 +100,22 @@ class _Model:
 
 
 def recognises(root: Path) -> str | None:
-    """The images file of a model, if there is one."""
+    """Return the images file of a model, if there is one."""
     _, markers = _find_models(root)
     return str(markers[0].relative_to(root)) if markers else None
 
 
-def read(root: Path) -> Capture:
-    """Every registered image and every 3D point of the model with most images."""
-    place, markers = _find_models(root)
-    models = [_read_images(root, marker) for marker in markers]
+def read(folder: SceneFolder) -> Capture:
+    """Read every registered image and every 3D point of the model with most images."""
+    place, markers = _find_models(folder.root)
+    models = [_read_images(folder.root, marker) for marker in markers]
     model = max(models, key=lambda candidate: len(candidate.images))
     cameras, points = _read_scene(model)
-    folder = _photograph_folder(root, _PLACES[place], model)
-    photos = [_photo(root, folder, image, cameras, f"{model.where}/{model.marker.name}") for image in model.images]
-    return Capture(photos, points, _other_models(models, model) + _left_out(root / folder, model))
+    file = f"{model.where}/{model.marker.name}"
+    found = folder.find_photos(file, [image.name for image in model.images], _PLACES[place])
+    capture = Capture.of(found, lambda i, path: _photo(path, model.images[i], cameras, file))
+    notes = (*_other_models(models, model), *capture.notes, *_left_out(found, model))
+    return replace(capture, points=points, notes=notes)
 
 
 def _find_models(root: Path) -> tuple[str, list[Path]]:
@@ -122,7 +125,7 @@ def _find_models(root: Path) -> tuple[str, list[Path]]:
         return "", []
     for place in _PLACES:
         numbered = sorted((root / place).glob("[0-9]*"), key=lambda path: (len(path.name), path.name))
-        folders = [*numbered, root / place] if place != "." else [root] if _is_scene(root) else []
+        folders = [*numbered, root / place] if place != "." else [path for path in (*numbered, root) if _is_model(path)]
         if markers := [marker for folder in folders if (marker := _marker(folder))]:
             return place, markers
     return "", []
@@ -134,9 +137,9 @@ def _marker(folder: Path) -> Path | None:
     return next((path for path in found if path.is_file()), None)
 
 
-def _is_scene(folder: Path) -> bool:
-    """Whether a folder with an images file is more than another program's list of images or a model by itself."""
-    return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS) and bool(images_below(folder))
+def _is_model(folder: Path) -> bool:
+    """Whether a folder with an images file is more than another program's list of images."""
+    return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS)
 
 
 def _read_images(root: Path, marker: Path) -> _Model:
@@ -155,6 +158,7 @@ def _read_scene(model: _Model) -> tuple[dict[int, _Camera], PointCloud | None]:
 
 def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where: str) -> _Content:
     """A model's file, binary or text. Raises SceneError where it is missing or damaged."""
+    require_content(path)
     try:
         return parsers[path.suffix](path)
     except FileNotFoundError as error:
@@ -163,39 +167,29 @@ def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where
         raise SceneError(f"{where}/{path.name}: damaged COLMAP model: {in_short(error)}; export it again") from error
 
 
-def _photograph_folder(root: Path, folders: Sequence[str], model: _Model) -> str:
-    """The folder with most of the model's photographs; of equals the first."""
-    return max(folders, key=lambda folder: sum(os.path.isfile(root / folder / image.name) for image in model.images))
-
-
 def _other_models(models: Sequence[_Model], used: _Model) -> tuple[str, ...]:
     others = ", ".join(f"{model.where} has {len(model.images)}" for model in models if model is not used)
     return (f"{used.where} is used, with {len(used.images)} photographs; {others}",) if others else ()
 
 
-def _left_out(folder: Path, model: _Model) -> tuple[str, ...]:
-    """Raises SceneError where COLMAP registered a few of the photographs only."""
+def _left_out(found: FoundPhotos, model: _Model) -> tuple[str, ...]:
+    """A note on the photographs that COLMAP did not register. Raises SceneError where it registered few."""
+    folders = {path.parent for path in found.files}
+    there = {path for folder in folders for path in folder.iterdir() if is_photo(path)}
     registered = len(model.images)
-    total = max(registered, len(images_below(folder)))
-    cure = f"register more, or remove the other photographs from {folder.name}/"
+    total = max(registered, registered + len(there - set(found.files)))
+    cure = "register more, or remove the others from the folder"
     return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {model.where}", cure)
 
 
-def _photo(root: Path, folder: str, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+def _photo(path: Path, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
     source = f"{file}, image {image.name}"
     if image.camera not in cameras:
         raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
     camera = cameras[image.camera]
-    path = find_image(root, f"{folder}/{image.name}", source)
     K, lens = _to_pinhole(camera, source)
-    return Photo(
-        image=path,
-        K=K,
-        size=(camera.width, camera.height),
-        cam_from_world=_pose(image, source),
-        source=source,
-        lens=lens,
-    )
+    size = (camera.width, camera.height)
+    return Photo(image=path, K=K, size=size, cam_from_world=_pose(image, source), source=source, lens=lens)
 
 
 def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, AnyLens | None]:
@@ -262,7 +256,7 @@ def _pose(image: _Image, source: str) -> np.ndarray:
 # COLMAP didn't write may leave it out.
 
 
-_NUMBERS = re.compile(r"[-+.\deE\s]+")
+_NUMBERS = re.compile(r"(?:[-+.\deE\s]|-?nan(?:\(\w*\))?)+", re.IGNORECASE)
 
 
 def _text_lines(path: Path) -> list[str]:
@@ -272,7 +266,7 @@ def _text_lines(path: Path) -> list[str]:
 
 def _text_cameras(path: Path) -> dict[int, _Camera]:
     rows = [line.split() for line in _text_lines(path) if line]
-    return {int(row[0]): _checked(row[1], int(row[2]), int(row[3]), tuple(map(float, row[4:]))) for row in rows}
+    return {int(row[0]): _checked(row[1], int(row[2]), int(row[3]), tuple(map(text_number, row[4:]))) for row in rows}
 
 
 def _text_images(path: Path) -> list[_Image]:
@@ -282,7 +276,7 @@ def _text_images(path: Path) -> list[_Image]:
         is_image = bool(line) and not (may_be_points and _is_points(line))
         if is_image:
             row = line.split(maxsplit=9)
-            numbers = tuple(map(float, row[1:8]))
+            numbers = tuple(map(text_number, row[1:8]))
             images.append(_Image(row[9], numbers[:4], numbers[4:], int(row[8])))
         may_be_points = is_image
     return images
@@ -295,7 +289,8 @@ def _is_points(line: str) -> bool:
 
 def _text_points(path: Path) -> PointCloud:
     rows = [line.split(maxsplit=7)[1:7] for line in _text_lines(path) if line]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    table = np.array([[text_number(word) for word in row] for row in rows]).reshape(-1, 6)
+    table = table[np.isfinite(table).all(axis=1)]
     return PointCloud(table[:, :3], table[:, 3:].astype(np.uint8))
 
 
@@ -353,7 +348,9 @@ def _binary_points(path: Path) -> PointCloud:
         positions.append(record[1:4])
         colors.append(record[4:7])
         data.skip(8 * record[8])
-    return PointCloud(np.array(positions, np.float64).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3))
+    places = np.array(positions, np.float64).reshape(-1, 3)
+    finite = np.isfinite(places).all(axis=1)
+    return PointCloud(places[finite], np.array(colors, np.uint8).reshape(-1, 3)[finite])
 
 
 def _checked(model: str, width: int, height: int, params: tuple[float, ...]) -> _Camera:

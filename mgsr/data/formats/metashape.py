@@ -6,6 +6,7 @@ Source: Metashape's user manual, appendix "Camera models", and its forum's notes
 from __future__ import annotations
 
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -13,22 +14,22 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import ImageIndex
+from mgsr.data.files import text_number
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
-from mgsr.data.poses import check_pose, intrinsics
-from mgsr.data.registration import check_share
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import intrinsics, rigid, split_pose
 from mgsr.errors import SceneError, in_short
 
 _LENSES = {"frame": False, "fisheye": True}
-_SLAVES = (
-    "are slaves of multi-camera systems, which is not supported: add the photographs to Metashape as single cameras, "
+_SLAVE = (
+    "a slave of a multi-camera system, which is not supported: add the photographs to Metashape as single cameras, "
     "align and export them again"
 )
 _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 
 
 def recognises(root: Path) -> str | None:
-    """The first .xml of the folder that begins as Metashape's documents do and has cameras, else the first that
+    """Return the first .xml of the folder that begins as Metashape's documents do and has cameras, else the first that
     begins so."""
     paths = (path for path in sorted(root.glob("[!.]*.xml")) if path.is_file())
     documents = [path for path in paths if _is_document(path)]
@@ -36,44 +37,42 @@ def recognises(root: Path) -> str | None:
     return best.name if best else None
 
 
-def read(root: Path) -> Capture:
-    """Every aligned camera's photograph, found by its label anywhere in the folder, in the chunk's world frame.
+def read(folder: SceneFolder) -> Capture:
+    """Read every enabled camera, in the chunk's world frame. Its photograph is found by its label anywhere in the
+    folder; where labels repeat, the labels of the camera's groups tell its folder.
 
     Slaves of multi-camera systems are left out: their sensors say where they stand from a master, in a convention that
-    no export has confirmed yet. Raises SceneError where fewer than half of the cameras are used.
+    no export has confirmed yet.
     """
-    name = recognises(root)
+    name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
-    chunk = _chunk(root / name)
-    index, sensors, worlds = ImageIndex(root), _by_id(chunk, "sensors/sensor"), _worlds(chunk)
-    cameras = [camera for camera in chunk.iterfind("cameras//camera") if camera.get("enabled") not in ("0", "false")]
-    photos, missing = [], []
-    for camera in cameras:
-        label = camera.get("label") or ""
+    chunk = _chunk(folder.root / name)
+    sensors, worlds = _by_id(chunk, "sensors/sensor"), _worlds(chunk)
+    cameras = [(camera, label) for camera, label in _cameras(chunk) if camera.get("enabled") not in ("0", "false")]
+
+    def build(i: int, image: Path) -> Photo:
+        camera, label = cameras[i]
         source = f"{name}, camera {label[:80]!r}"
-        image = index.find(label, source)
-        if image is None:
-            missing.append(label)
-        elif camera.find("transform") is not None and not _is_slave(camera):
-            sensor = sensors.get(camera.get("sensor_id"))
-            photos.append(_photo(image, camera, sensor, _world(camera, worlds, source), source))
-    slaves = sum(_is_slave(camera) for camera in cameras)
-    cure = _cure(root, slaves, missing)
-    notes = check_share(len(photos), len(cameras), 0.5, f"are aligned in {name} and there", cure, missing)
-    return Capture(photos, notes=(*notes, f"{slaves} of the others {_SLAVES}") if slaves else notes)
+        return _photo(image, camera, sensors.get(camera.get("sensor_id")), _world(camera, worlds, source), source)
+
+    return Capture.of(folder.find_photos(name, [label for _, label in cameras], labels=True), build)
+
+
+def _cameras(chunk: Element) -> Iterator[tuple[Element, str]]:
+    """All cameras in the file's order, with their labels after those of the groups that they are in."""
+    waiting = [(item, "") for item in reversed(chunk.findall("cameras"))]
+    while waiting:
+        item, path = waiting.pop()
+        label = item.get("label") or ""
+        if item.tag == "camera":
+            yield item, path + label
+        else:
+            inner = f"{path}{label}/" if label else path
+            waiting += [(child, inner) for child in reversed(item) if child.tag in ("camera", "group")]
 
 
 def _is_slave(camera: Element) -> bool:
     return camera.get("master_id") not in (None, camera.get("id"))
-
-
-def _cure(root: Path, slaves: int, missing: list[str]) -> str:
-    """What to do where most cameras can't be used."""
-    if slaves:
-        return f"{slaves} {_SLAVES}"
-    if missing:
-        return f"put the photographs into {root.name} under the names of the cameras, in any folder of it"
-    return "align the cameras in Metashape and export them again"
 
 
 def _is_document(path: Path) -> bool:
@@ -139,14 +138,16 @@ def _photo(
     world: tuple[np.ndarray, np.ndarray, float],
     source: str,
 ) -> Photo:
+    if camera.find("transform") is None:
+        raise SceneError(f"{source}: it is not aligned; align the cameras in Metashape and export them again")
+    if _is_slave(camera):
+        raise SceneError(f"{source}: it is {_SLAVE}")
     K, lens, size = _intrinsics(sensor, source)
-    pose = check_pose(_numbers(camera, "transform", 16, source).reshape(4, 4), source)
+    own, center, _ = split_pose(_numbers(camera, "transform", 16, source).reshape(4, 4), source)
     rotation, translation, scale = world
-    turned = rotation @ pose[:3, :3]
-    cam_from_world = np.eye(4)
-    cam_from_world[:3, :3] = turned.T
-    cam_from_world[:3, 3] = -turned.T @ (scale * rotation @ pose[:3, 3] + translation)
-    return Photo(image, K, size, cam_from_world, source, lens=lens)
+    turned = rotation @ own
+    pose = rigid(turned.T, -turned.T @ (scale * rotation @ center + translation))
+    return Photo(image, K, size, pose, source, lens=lens)
 
 
 def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens | None, tuple[int, int]]:
@@ -194,7 +195,7 @@ def _numbers(item: Element, name: str, count: int, source: str, default: np.ndar
         return default
     text = "" if child is None else child.text or ""
     try:
-        values = np.array(text.split(), dtype=np.float64)
+        values = np.array([text_number(word) for word in text.split()])
     except ValueError:
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():

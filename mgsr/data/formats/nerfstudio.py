@@ -9,45 +9,48 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.files import find_image, inside, number
+from mgsr.data.files import inside, number
+from mgsr.data.photo_files import SceneFolder
 from mgsr.data.pointclouds import read_points
-from mgsr.data.poses import check_pose, matrix_from
-from mgsr.data.registration import check_share
+from mgsr.data.poses import matrix_from, rigid, split_pose
 from mgsr.data.scene import PointCloud
-from mgsr.data.transforms import merged_frames, read_content, read_frame, refuse_doubles
+from mgsr.data.transforms import Frame, merged_frames, read_content, read_frames, refuse_doubles
 from mgsr.errors import SceneError
 
 _FILE = "transforms.json"
 
 
 def recognises(root: Path) -> str | None:
-    """transforms.json, if the folder has it."""
+    """Return transforms.json, if the folder has it."""
     return _FILE if (root / _FILE).is_file() else None
 
 
-def read(root: Path) -> Capture:
-    """Every frame whose photograph is there, in the frame that the poses had before `applied_transform` and
-    `applied_scale`; the file's own split where it names one; the points of `ply_file_path`.
+def read(folder: SceneFolder) -> Capture:
+    """Read every frame, in the world frame that the poses had before `applied_transform` and `applied_scale`; the
+    file's own split where it names one; the points of `ply_file_path`.
 
-    Raises SceneError where more than half of the photographs are missing, or one is there twice.
+    Raises SceneError where a photograph is there twice.
     """
-    content = read_content(root / _FILE)
+    content = read_content(folder.root / _FILE)
     splits = _splits(content)
-    frames = merged_frames(content, _FILE)
-    found = [(source, frame, find_image(root, frame.get("file_path"), source)) for source, frame in frames]
-    missing = [str(frame["file_path"]) for _, frame, image in found if not image.is_file()]
-    cure = f"put the missing ones where {_FILE} has them, its paths are relative to its own folder"
-    kept = len(frames) - len(missing)
-    notes = check_share(kept, len(frames), 0.5, f"named by {_FILE} are there", cure, missing)
-    there = [(source, frame) for source, frame, image in found if image.is_file()]
-    photos = [read_frame(root, source, frame, _split(frame, splits)) for source, frame in there]
-    refuse_doubles(photos)
+    frames = [Frame(source, values, _split(values, splits)) for source, values in merged_frames(content, _FILE)]
+    capture = read_frames(folder, _FILE, frames)
+    refuse_doubles(capture.photos)
     undo = _Applied(content)
-    points = None
-    if content.get("ply_file_path"):
-        path = inside(root, content["ply_file_path"], f"{_FILE}, ply_file_path")
-        points = read_points(path) if path.is_file() else None
-    return Capture([undo.photo(photo) for photo in photos], undo.points(points), notes)
+    points, notes = _points(folder.root, content)
+    photos = [undo.photo(photo) for photo in capture.photos]
+    return replace(capture, photos=photos, points=undo.points(points), notes=(*capture.notes, *notes))
+
+
+def _points(root: Path, content: dict[str, Any]) -> tuple[PointCloud | None, tuple[str, ...]]:
+    """The points that the file names, or a note that they are missing."""
+    name = content.get("ply_file_path")
+    if not name:
+        return None, ()
+    path = inside(root, name, f"{_FILE}, ply_file_path")
+    if path.is_file():
+        return read_points(path), ()
+    return None, (f"the points {str(name)[:80]} that {_FILE} names are missing: the run starts without them",)
 
 
 def _splits(content: dict[str, Any]) -> dict[str, Split]:
@@ -85,18 +88,19 @@ class _Applied:
             given = np.array(content["applied_transform"], dtype=object)
             rows = 4 if given.ndim and len(given) == 4 else 3
             pose[:rows] = matrix_from(content["applied_transform"], rows, 4, "applied_transform", _FILE)
-        self._file_from_user = check_pose(pose, source)
+        self._rotation, self._offset, scale = split_pose(pose, source)
+        self._scale *= scale
+        self._offset = self._offset / scale
 
     def photo(self, photo: Photo) -> Photo:
         pose = photo.cam_from_world.copy()
         pose[:3, 3] /= self._scale
-        return replace(photo, cam_from_world=pose @ self._file_from_user)
+        return replace(photo, cam_from_world=pose @ rigid(self._rotation, self._offset))
 
     def points(self, points: PointCloud | None) -> PointCloud | None:
         if points is None:
             return None
-        rotation, offset = self._file_from_user[:3, :3], self._file_from_user[:3, 3]
-        return PointCloud((points.positions / self._scale - offset) @ rotation, points.colors)
+        return PointCloud((points.positions / self._scale - self._offset) @ self._rotation, points.colors)
 
 
 FORMAT = Format("nerfstudio", f"{_FILE} (nerfstudio, instant-ngp)", recognises, read, rank=40)

@@ -12,6 +12,7 @@ from mgsr.data.files import images_below
 from mgsr.data.images import image_size
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.npz import read_arrays
+from mgsr.data.photo_files import FoundPhotos, SceneFolder
 from mgsr.errors import SceneError, in_short
 
 _FILES = ("cameras_sphere.npz", "cameras.npz")
@@ -24,14 +25,14 @@ _ROUNDING = 1e-4
 
 
 def recognises(root: Path) -> str | None:
-    """cameras_sphere.npz, else cameras.npz."""
+    """Return cameras_sphere.npz, else cameras.npz."""
     return next((name for name in _FILES if (root / name).is_file()), None)
 
 
-def read(root: Path) -> Capture:
-    """Every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame; `scale_mat` says
-    where others normalise to, and is not needed here."""
-    name = recognises(root)
+def read(folder: SceneFolder) -> Capture:
+    """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame; `scale_mat`
+    says where others normalise to, and is not needed here."""
+    root, name = folder.root, recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
     matrices = _matrices(root / name)
     images = _images(root, name)
@@ -40,8 +41,9 @@ def read(root: Path) -> Capture:
             f"{name}: {len(matrices)} cameras (world_mat_0...), but {len(images)} images in {images[0].parent.name}/; "
             "give one image for each camera"
         )
-    masks = _masks(root, images)
-    return Capture([_photo(images[i], masks[i], matrices[i], f"{name}, world_mat_{i}") for i in range(len(images))])
+    masks = _masks(folder, images)
+    found = FoundPhotos(name, list(images))
+    return Capture.of(found, lambda i, path: _photo(path, masks[i], matrices[i], f"{name}, world_mat_{i}"))
 
 
 def _matrices(path: Path) -> list[np.ndarray]:
@@ -64,11 +66,11 @@ def _images(root: Path, name: str) -> list[Path]:
     return images
 
 
-def _masks(root: Path, images: list[Path]) -> list[Path | None]:
-    """Each image's mask, by name or, as in DTU (000000.png, 000.png), by place."""
-    index = MaskIndex(root)
+def _masks(folder: SceneFolder, images: list[Path]) -> list[Path | None]:
+    """Find each image's mask, by name or, as in DTU (000000.png, 000.png), by place."""
+    index = MaskIndex(folder)
     masks = [index.find(image) for image in images]
-    in_order = images_below(root / "mask")
+    in_order = images_below(folder.root / "mask")
     if not any(masks) and len(in_order) == len(images):
         return list(in_order)
     return masks

@@ -5,6 +5,7 @@ Source: OpenSfM's documentation, "Reconstruction file format", "Coordinate Syste
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_image, images_below, number, read_json
+from mgsr.data.files import images_below, number, read_json
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
+from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import intrinsics, matrix_from
 from mgsr.data.registration import check_share
 from mgsr.data.scene import PointCloud
@@ -29,18 +31,20 @@ def recognises(root: Path) -> str | None:
     return next((place for place in _PLACES if (root / place).is_file()), None)
 
 
-def read(root: Path) -> Capture:
-    """The photographs and points of the largest reconstruction, in its frame (metres, z up, where it knows them)."""
-    name = recognises(root)
+def read(folder: SceneFolder) -> Capture:
+    """Read the photographs and points of the largest reconstruction, in its frame (metres, z up, where it knows
+    them)."""
+    name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
-    largest = _largest(read_json(root / name), name)
-    shots = largest["shots"]
-    cameras = largest["cameras"]
-    photos = [_photo(root, shot, shots[shot], cameras, f"{name}, shot {shot[:80]}") for shot in sorted(shots)]
+    largest = _largest(read_json(folder.root / name), name)
+    shots, cameras = largest["shots"], largest["cameras"]
+    names = sorted(shots)
+    found = folder.find_photos(name, names, ("images",))
+    capture = Capture.of(found, lambda i, path: _photo(path, shots[names[i]], cameras, f"{name}, shot {names[i][:80]}"))
     cure = "take more photographs between those that were left out, or remove them"
-    total = max(len(images_below(root / "images")), len(photos))
-    notes = check_share(len(photos), total, 0.25, f"are in the largest part of {name}", cure)
-    return Capture(photos, _points(largest.get("points"), name), notes)
+    total = max(len(images_below(folder.root / "images")), len(names))
+    notes = check_share(len(names), total, 0.25, f"are in the largest part of {name}", cure)
+    return replace(capture, points=_points(largest.get("points"), name), notes=(*capture.notes, *notes))
 
 
 def _largest(content: Any, name: str) -> dict[str, Any]:
@@ -56,12 +60,11 @@ def _maps(*values: Any) -> bool:
     return all(isinstance(value, dict) and all(isinstance(x, dict) for x in value.values()) for value in values)
 
 
-def _photo(root: Path, name: str, shot: dict[str, Any], cameras: dict[str, Any], source: str) -> Photo:
+def _photo(image: Path, shot: dict[str, Any], cameras: dict[str, Any], source: str) -> Photo:
     camera = cameras.get(str(shot.get("camera")))
     if camera is None:
         raise SceneError(f"{source}: camera {str(shot.get('camera'))[:80]!r} is not in the file")
     size = (int(number(camera, "width", source)), int(number(camera, "height", source)))
-    image = find_image(root, "images/" + name, source)
     K, lens = _camera(camera, size, source)
     pose = np.eye(4)
     axis = matrix_from([shot.get("rotation")], 1, 3, "rotation", source)[0]

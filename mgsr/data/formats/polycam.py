@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import find_image, number, read_json
+from mgsr.data.files import number, read_json
+from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import from_opengl, intrinsics
 from mgsr.errors import SceneError
 
@@ -20,27 +21,26 @@ _CAMERAS = "[!.]*.json"
 
 
 def recognises(root: Path) -> str | None:
-    """The folder of cameras, if it and its images are there."""
+    """Return the folder of cameras, if it and its images are there."""
     there = (place for place, images in _PLACES if (root / images).is_dir() and any((root / place).glob(_CAMERAS)))
     return next(there, None)
 
 
-def read(root: Path) -> Capture:
-    """Every camera's photograph, in Polycam's frame: metres, y up."""
-    place = recognises(root)
+def read(folder: SceneFolder) -> Capture:
+    """Read every camera and its photograph, in Polycam's frame: metres, y up."""
+    place = recognises(folder.root)
     assert place is not None, "read() is for folders that were recognised"
-    images = dict(_PLACES)[place]
-    return Capture([_photo(root, path, images) for path in sorted((root / place).glob(_CAMERAS))])
+    files = sorted((folder.root / place).glob(_CAMERAS))
+    found = folder.find_photos(place, [path.stem for path in files], (dict(_PLACES)[place],))
+    return Capture.of(found, lambda i, path: _photo(path, files[i], files[i].relative_to(folder.root).as_posix()))
 
 
-def _photo(root: Path, path: Path, images: str) -> Photo:
-    source = path.relative_to(root).as_posix()
+def _photo(image: Path, path: Path, source: str) -> Photo:
     camera = read_json(path)
     if not isinstance(camera, dict):
         raise SceneError(f"{source}: expected an object with fx, fy, cx, cy and t_00 to t_23")
     pose = np.eye(4)
     pose[:3] = [[number(camera, f"t_{row}{col}", source) for col in range(4)] for row in range(3)]
-    image = find_image(root, f"{images}/{path.stem}", source)
     return Photo(
         image=image,
         K=intrinsics(*(number(camera, name, source) for name in ("fx", "fy", "cx", "cy"))),

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.files import ImageIndex
+from mgsr.data.files import text_number
 from mgsr.data.images import image_size
 from mgsr.data.lens import Lens
+from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import from_opengl, intrinsics
-from mgsr.data.registration import check_share
 from mgsr.errors import SceneError, in_short
 
 _POSE = ("x", "y", "alt", "heading", "pitch", "roll")
@@ -29,27 +29,20 @@ _FILM = 36.0  # millimetres: the focal length is that of 35 mm film, whose large
 
 
 def recognises(root: Path) -> str | None:
-    """The first .csv of the folder whose header has the needed columns, else the first with one of RealityCapture's
-    other headers."""
+    """Return the first .csv of the folder whose header has the needed columns, else the first with one of
+    RealityCapture's other headers."""
     paths = (path for path in sorted(root.glob("[!.]*.csv")) if path.is_file())
     found = [(path.name, header) for path in paths if (header := _header(path))]
     return min(found, key=lambda item: not item[1].fits)[0] if found else None
 
 
-def read(root: Path) -> Capture:
-    """Every row's photograph, found by name anywhere in the folder, in the frame of the export (z up).
-
-    Raises SceneError where more than half of the photographs are missing.
-    """
-    name = recognises(root)
+def read(folder: SceneFolder) -> Capture:
+    """Read every row's photograph, found by name anywhere in the folder, in the frame of the export (z up)."""
+    name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
-    rows = _rows(root / name)
-    index = ImageIndex(root)
-    found = [(i, row, index.find(row["#name"], f"{name}, row {i}")) for i, row in enumerate(rows, start=1)]
-    photos = [_photo(row, image, f"{name}, row {i} ({image.name})") for i, row, image in found if image]
-    cure = f"put the missing ones into {root.name}, under their file names, in any folder of it"
-    missing = [row["#name"] for _, row, image in found if image is None]
-    return Capture(photos, notes=check_share(len(photos), len(rows), 0.5, f"named by {name} are there", cure, missing))
+    rows = _rows(folder.root / name)
+    found = folder.find_photos(name, [row["#name"] for row in rows], labels=True)
+    return Capture.of(found, lambda i, path: _photo(rows[i], path, f"{name}, row {i + 1} ({path.name})"))
 
 
 @dataclass(frozen=True)
@@ -127,7 +120,7 @@ def _photo(row: dict[str, str], image: Path, source: str) -> Photo:
 
 def _value(row: dict[str, str], name: str, source: str) -> float:
     try:
-        value = float(row[name])
+        value = text_number(row[name].strip())
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):

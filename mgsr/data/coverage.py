@@ -1,0 +1,43 @@
+"""Whether there are enough photographs, near enough to each other, to tell a surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.scene import View
+
+# Fewer training views than this give a rough surface at best.
+FEW = 8
+
+# Degrees between two views, as seen from what they look at, up to which parts of the surface look alike in both.
+STEREO_ANGLE = 35.0
+
+
+def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -> str | None:
+    """Return a note where training views are too few, or too far apart, for what they show; else None.
+
+    center [3]: what they look at, in the views' frame. masked: whether silhouettes tell the shape besides.
+    """
+    count = len(views)
+    alone = np.mean(_angles_to_nearest(views, center) > STEREO_ANGLE)
+    if alone >= 0.5 and not masked:
+        return (
+            f"too few photographs: half or more of the {count} training photographs have no other within "
+            f"{STEREO_ANGLE:.0f} degrees, so that nothing tells depth and the surface is a guess; take 20 or more that "
+            "overlap"
+        )
+    if count < FEW:
+        rough = "the surface is little more than what the silhouettes allow" if masked else "the surface is rough"
+        return f"too few photographs: with {count} training photographs {rough}; take 20 or more that overlap"
+    return None
+
+
+def _angles_to_nearest(views: Sequence[View], center: np.ndarray) -> np.ndarray:
+    """Degrees [V] between each view and the nearest other one, as seen from a place."""
+    rays = np.array([view.camera.center - center for view in views])
+    rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+    cosines = rays @ rays.T
+    np.fill_diagonal(cosines, -1)
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))

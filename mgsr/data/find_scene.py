@@ -1,0 +1,153 @@
+"""Where a scene lies in what a person gives: the folder itself, one below it, or the one that it is a part of."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mgsr.data.archive import ARCHIVE_SUFFIXES
+from mgsr.data.capture import Format, Photo
+from mgsr.data.files import MASK_FOLDERS, images_below
+from mgsr.data.formats import all_formats
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.unread import unread_cameras
+from mgsr.errors import SceneError
+
+# How many folders deep a scene is looked for, and in how many folders at most.
+_DEEPEST = 5
+_MOST_FOLDERS = 2000
+
+# Folders that programs make for their files: a scene has the name of the folder that holds them.
+_PROGRAMS_FOLDER = re.compile(r"\d+$|sparse|dense|colmap|sfm|.*_calibration|.*distorted|output$|images$|keyframes$")
+
+
+@dataclass(frozen=True)
+class FoundScene:
+    """A scene's folder, its format, its name, and notes for the person on where and how else it could be read."""
+
+    folder: SceneFolder
+    kind: Format
+    name: str
+    notes: tuple[str, ...]
+
+
+def find_scene(folder: Path, given: Path) -> FoundScene:
+    """Find the scene in a folder: the nearest of the folders below it that a format recognises, itself first.
+
+    given: what the person gave, for messages: the folder or the archive that it was unpacked from. A folder of
+    photographs whose cameras lie beside it belongs to the scene around it, unless it comes from an archive.
+    Raises SceneError, with what lies there and what to do, where no scene or several are found.
+    """
+    formats = all_formats()
+    for level in _levels(folder):
+        scenes = [path for path in level if _recognised(path, formats)]
+        if len(scenes) > 1:
+            names = ", ".join(str(path.relative_to(folder)) for path in scenes[:3])
+            raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
+        if scenes:
+            return _found(SceneFolder(scenes[0], folder), formats)
+    if given.is_dir() and (around := _around(folder, formats)):
+        return around
+    raise _unknown(folder, given, formats)
+
+
+def _levels(folder: Path) -> Iterator[list[Path]]:
+    """The folder, those in it, those in these, and so on."""
+    level, seen = [folder], {os.path.realpath(folder)}
+    for _ in range(_DEEPEST):
+        if not level:
+            return
+        yield level
+        level = [inner for path in level for inner in _inner(path, seen)]
+
+
+def _inner(folder: Path, seen: set[str]) -> list[Path]:
+    """The folders in a folder that may hold a scene and were not seen yet."""
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.is_dir())
+    except OSError:
+        return []
+    found = []
+    for path in paths:
+        real = os.path.realpath(path)
+        hidden = path.name.startswith((".", "__")) or path.name.lower() in MASK_FOLDERS
+        if not hidden and real not in seen and len(seen) < _MOST_FOLDERS:
+            seen.add(real)
+            found.append(path)
+    return found
+
+
+def _recognised(root: Path, formats: Sequence[Format]) -> list[tuple[Format, str]]:
+    """The formats that the folder may be read as, and the files that tell so."""
+    return [(kind, file) for kind in formats if (file := kind.recognises(root))]
+
+
+def _found(folder: SceneFolder, formats: Sequence[Format]) -> FoundScene:
+    (kind, file), *others = _recognised(folder.root, formats)
+    left = " and ".join(f"{name} ({other.name})" for other, name in others)
+    notes = (f"read from {file} ({kind.name}); {left} in the same folder is not used",) if others else ()
+    return FoundScene(folder, kind, _name(folder), notes)
+
+
+def _name(folder: SceneFolder) -> str:
+    """The name of the scene's folder, or of the first around it that has no program's name."""
+    path = folder.root
+    while path != folder.top and _PROGRAMS_FOLDER.match(path.name):
+        path = path.parent
+    return path.name or path.resolve().name
+
+
+def _around(folder: Path, formats: Sequence[Format]) -> FoundScene | None:
+    """The scene in the folder around a folder of photographs, if most of its photographs lie in that."""
+    parent = folder.resolve().parent
+    if not images_below(folder) or not _recognised(parent, formats):
+        return None
+    found = _found(SceneFolder.at(parent), formats)
+    photos = _photos(found)
+    if 2 * sum(photo.image.is_relative_to(folder.resolve()) for photo in photos) <= len(photos):
+        return None
+    note = f"{folder.name} is a part of the scene {parent.name}, which is read"
+    return FoundScene(found.folder, found.kind, found.name, (note, *found.notes))
+
+
+def _photos(found: FoundScene) -> list[Photo]:
+    try:
+        return found.kind.read(found.folder).photos
+    except SceneError:
+        return []
+
+
+def _unknown(folder: Path, given: Path, formats: Sequence[Format]) -> SceneError:
+    """What is wrong with a folder that no format recognises."""
+    looked = "; ".join(kind.looks_for for kind in formats)
+    files = [path for level in _levels(folder) for inner in level for path in _files(inner)]
+    archives = [path.name for path in files if path.name.lower().endswith(ARCHIVE_SUFFIXES)]
+    videos = [path.name for path in files if is_video(path)]
+    raw = [path.name for path in files if path.suffix.lower() in RAW_SUFFIXES]
+    images = images_below(folder)
+    if archives:
+        return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
+    if unread := unread_cameras(folder):
+        return SceneError(f"{given}: {unread}")
+    if images:
+        return SceneError(
+            f"{given}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {given} -o SCENE`, "
+            f"or put them there. Looked for: {looked}. See docs/inputs.md"
+        )
+    if videos:
+        return SceneError(f"{given}: a video ({videos[0]}) but no photographs; {VIDEO_CURE}")
+    if raw:
+        return SceneError(f"{given}: raw photographs ({raw[0]}), which are not read; {RAW_CURE}")
+    state = "no known scene in it" if any(folder.iterdir()) else "the folder is empty"
+    return SceneError(f"{given}: {state}. Looked for: {looked}. See docs/inputs.md")
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if path.is_file() and not path.name.startswith("."))
+    except OSError:
+        return []

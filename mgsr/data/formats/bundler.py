@@ -1,0 +1,215 @@
+"""Bundler: bundle.out, the list of its photographs, and the photographs. COLMAP, VisualSFM, RealityCapture and others
+export it too.
+
+Source: Bundler's user manual, "Output format and scene representation": cameras look along -z with y up; pixels are
+counted from the image's middle; the radial terms act on x / z and y / z. Lists have a photograph on each line, in some
+files with a zero and a focal length after it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.files import IMAGE_SUFFIXES
+from mgsr.data.images import image_size
+from mgsr.data.lens import Lens
+from mgsr.data.number_lists import numbers, point_cloud
+from mgsr.data.odd_files import require_content
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import intrinsics, rigid
+from mgsr.data.scene import PointCloud
+from mgsr.errors import SceneError, in_short
+
+# The original program keeps its list beside a folder of bundles.
+_FOLDERS = (".", "bundle")
+_USUAL = ("bundle.out", "bundle.rd.out")
+_VERSIONS = ("v0.1", "v0.2", "v0.3")
+_PER_CAMERA = 15
+_LARGEST_LIST = 1 << 26  # bytes
+_LIST_LINE = re.compile(r"(.*?)(?:\s+\d+(?:\s+[-+.\deE]+)?)?\s*")
+
+
+def recognises(root: Path) -> str | None:
+    """Return the first bundle file of the folder, or of bundle/ in it; one of the usual names comes first."""
+    found = [path for folder in _FOLDERS for path in sorted((root / folder).glob("[!.]*.out")) if _is_bundle(path)]
+    best = min(found, key=lambda path: path.name not in _USUAL, default=None)
+    return best.relative_to(root).as_posix() if best else None
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read every camera, with the photograph that stands on its line of the list, and every point."""
+    file = recognises(folder.root)
+    assert file is not None, "read() is for folders that were recognised"
+    bundle = _bundle(folder.root / file)
+    listed = _list(folder.root, folder.root / file, len(bundle.cameras))
+    places = (".", listed.path.parent.relative_to(folder.root).as_posix(), PurePosixPath(file).parent.as_posix())
+    found = folder.find_photos(listed.path.name, listed.names, places)
+    capture = Capture.of(
+        found, lambda i, path: _photo(path, bundle.cameras[i], f"{file}, camera {i} ({folder.shown(path)})")
+    )
+    return replace(capture, points=bundle.points, least_kept=0.25)
+
+
+@dataclass(frozen=True)
+class _Bundle:
+    """cameras: for each its numbers, as words."""
+
+    cameras: list[list[str]]
+    points: PointCloud | None
+
+
+@dataclass(frozen=True)
+class _List:
+    """A list of photographs: its file and the names, in the order of the cameras."""
+
+    path: Path
+    names: list[str]
+
+
+def _is_bundle(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            head = file.read(100).removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    except OSError:
+        return False
+    return head.startswith(b"# bundle file") or (path.name in _USUAL and re.match(rb"\d+\s+\d+\s", head) is not None)
+
+
+def _bundle(path: Path) -> _Bundle:
+    require_content(path)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            words = _Words(_without_comments(file, path.name))
+            cameras, points = words.whole(), words.whole()
+            return _Bundle([words.take(_PER_CAMERA) for _ in range(cameras)], _points(words, points))
+    except (OSError, ValueError, OverflowError) as error:
+        raise SceneError(f"{path.name}: damaged bundle file: {in_short(error)}; export it again") from error
+
+
+def _without_comments(lines: Iterable[str], name: str) -> Iterator[str]:
+    for line in lines:
+        if not line.startswith("#"):
+            yield line
+        elif (version := re.search(r"bundle file\s+(\S+)", line, re.IGNORECASE)) and version[1] not in _VERSIONS:
+            raise SceneError(
+                f"{name}: version {version[1][:20]} of bundle files is not read; export {_VERSIONS[-1]}, or another "
+                "format (docs/inputs.md)"
+            )
+
+
+class _Words:
+    """The words of a text, line by line."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines, self._words, self._at = lines, [""], 1
+
+    def take(self, count: int) -> list[str]:
+        """The next `count` words. Raises ValueError where the text ends before."""
+        taken: list[str] = []
+        while len(taken) < count:
+            if self._at == len(self._words):
+                self._next_line()
+            part = self._words[self._at : self._at + count - len(taken)]
+            self._at += len(part)
+            taken += part
+        return taken
+
+    def whole(self) -> int:
+        """The next word as a whole number that counts something."""
+        value = int(self.take(1)[0])
+        if value < 0:
+            raise ValueError(f"expected a count, got {value}")
+        return value
+
+    def _next_line(self) -> None:
+        line = next(self._lines, None)
+        if line is None:
+            raise ValueError("the file ends early")
+        self._words, self._at = line.split(), 0
+
+
+def _points(words: _Words, count: int) -> PointCloud | None:
+    """Positions and colours; where the points are seen is passed over."""
+    places, colors = [], []
+    for _ in range(count):
+        places.append(words.take(3))
+        colors.append(words.take(3))
+        words.take(4 * words.whole())
+    return point_cloud(places, colors)
+
+
+def _list(root: Path, bundle: Path, cameras: int) -> _List:
+    """The list of the bundle's photographs: by its usual names, else the only one of as many photographs."""
+    folders = list(dict.fromkeys((bundle.parent, root)))
+    usual = (folder / name for folder in folders for name in _usual_lists(bundle))
+    for path in usual:
+        if path.is_file():
+            names = _names(path)
+            if len(names) != cameras:
+                raise SceneError(
+                    f"{path.name}: names {len(names)} photographs for the {cameras} cameras of {bundle.name}; put the "
+                    "list there that belongs to it"
+                )
+            return _List(path, names)
+    others = [path for folder in folders for kind in ("*.txt", "*.lst") for path in sorted(folder.glob(kind))]
+    fitting = [_List(path, names) for path in others if len(names := _names(path)) == cameras and _are_images(names)]
+    if len(fitting) != 1:
+        raise SceneError(
+            f"{bundle.name}: {len(fitting)} lists of its {cameras} photographs are there, expected one; put "
+            f"{_usual_lists(bundle)[0]} beside it, with a photograph's name on each line, in the order of the cameras"
+        )
+    return fitting[0]
+
+
+def _usual_lists(bundle: Path) -> list[str]:
+    """What programs call the list of a bundle: Bundler and VisualSFM, COLMAP, multicore bundle adjustment, others."""
+    stem = bundle.name.removesuffix(".out")
+    names = [stem.replace("bundle", "list") + ".txt"] if "bundle" in stem else []
+    return [*names, f"{stem}-list.txt", f"{stem}.list.txt", f"{bundle.name}.list.txt", f"{stem}.lst", f"{stem}.out.lst"]
+
+
+def _names(path: Path) -> list[str]:
+    """The names in a list; none where it is no text."""
+    try:
+        if path.stat().st_size > _LARGEST_LIST:
+            return []
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError):
+        return []
+    return [_name(line) for line in lines if line.strip() and not line.startswith("#")]
+
+
+def _name(line: str) -> str:
+    match = _LIST_LINE.fullmatch(line.strip())
+    return match[1] if match else line
+
+
+def _are_images(names: list[str]) -> bool:
+    return bool(names) and all(PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES for name in names)
+
+
+def _photo(image: Path, camera: list[str], source: str) -> Photo:
+    values = numbers(camera, _PER_CAMERA, "the camera", source)
+    f, k1, k2 = values[:3]
+    if f == 0:
+        raise SceneError(f"{source}: the program did not place it (its focal length is 0)")
+    size = image_size(image, source)
+    lens = Lens(k1, k2)
+    opencv = np.diag([1.0, -1, -1])
+    return Photo(
+        image=image,
+        K=intrinsics(f, f, size[0] / 2, size[1] / 2),
+        size=size,
+        cam_from_world=rigid(opencv @ values[3:12].reshape(3, 3), opencv @ values[12:]),
+        source=source,
+        lens=None if lens.flat else lens,
+    )
+
+
+FORMAT = Format("bundler", "bundle.out and list.txt (Bundler, COLMAP, VisualSFM)", recognises, read, rank=130)

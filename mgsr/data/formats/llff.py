@@ -1,0 +1,131 @@
+"""LLFF: poses_bounds.npy, and photographs in the order of their names.
+
+Source: the README of LLFF (Fyusion/LLFF), "Using your own poses without running COLMAP": a row has a 3x5 matrix, of
+which the last column is height, width and focal length and the others a pose from the camera to the world, and the
+bounds of depth; the camera's axes are down, right, backwards. Its principal point is the image's middle.
+"""
+
+from __future__ import annotations
+
+import tokenize
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.number_files import LARGEST_CAPTURE, folders_in, photographs_in, read_lines
+from mgsr.data.odd_files import is_video, require_content
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import from_world_from_cam, intrinsics, rigid
+from mgsr.errors import SceneError, in_short
+
+_FILE = "poses_bounds.npy"
+_REGISTERED = "view_imgs.txt"
+_COLUMNS = 17
+_DAMAGE = (
+    ArithmeticError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    tokenize.TokenError,  # of a header
+)
+
+
+def recognises(root: Path) -> str | None:
+    """Return poses_bounds.npy, if the folder has it."""
+    return _FILE if (root / _FILE).is_file() else None
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read the pose of every photograph. Raises SceneError where there are more or fewer photographs than poses."""
+    rows = _rows(folder.root / _FILE)
+    found = folder.find_photos(_FILE, _names(folder, len(rows)))
+    return Capture.of(found, lambda i, image: _photo(image, rows[i], f"{_FILE}, row {i}"))
+
+
+def _rows(path: Path) -> np.ndarray:
+    """The file's rows [N,17]."""
+    require_content(path)
+    try:
+        rows = _load(path)
+    except _DAMAGE as error:
+        raise SceneError(f"{_FILE}: damaged: {in_short(error)}; copy it again") from error
+    if rows.ndim != 2 or rows.shape[1] != _COLUMNS or not len(rows):
+        raise SceneError(
+            f"{_FILE}: expected an array of {_COLUMNS} numbers a camera, got shape {list(rows.shape)}; write it with "
+            "LLFF's imgs2poses.py"
+        )
+    return rows
+
+
+def _load(path: Path) -> np.ndarray:
+    """The array of an .npy file (numpy.lib.format), whose size is checked before memory is taken for it."""
+    with path.open("rb") as file:
+        major, _ = np.lib.format.read_magic(file)
+        header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+        shape, _, dtype = header(file)
+        size = dtype.itemsize * int(np.prod([float(side) for side in shape]))
+        if dtype.kind not in "iuf" or not 0 <= size <= min(LARGEST_CAPTURE, path.stat().st_size):
+            raise ValueError(f"an array of {dtype} of shape {shape}")
+        file.seek(0)
+        return np.load(file, allow_pickle=False).astype(np.float64)
+
+
+def _names(folder: SceneFolder, count: int) -> list[str]:
+    """The photographs of the poses, by order: those of the first folder that has as many; or those that view_imgs.txt
+    lists, which some programs write where COLMAP left photographs out."""
+    listed = _listed(folder.root / _REGISTERED)
+    if len(listed) == count:
+        return listed
+    places = [place for place in _places(folder) if photographs_in(place)]
+    place = next((place for place in places if len(photographs_in(place)) == count), None)
+    if place is None:
+        raise SceneError(_mismatch(folder, count, places))
+    return [str(path.relative_to(folder.root)) for path in photographs_in(place)]
+
+
+def _listed(path: Path) -> list[str]:
+    if not path.is_file():
+        return []
+    return sorted(line.strip() for line in read_lines(path, LARGEST_CAPTURE) if line.strip())
+
+
+def _places(folder: SceneFolder) -> list[Path]:
+    """images/, then its reduced forms from the largest on, then all else."""
+    reduced = sorted(folder.root.glob("images_*"), key=lambda path: (len(path.name), path.name))
+    others = [path for path in folders_in(folder.root) if path not in reduced and path.name != "images"]
+    return [folder.root / "images", *reduced, folder.root, *others]
+
+
+def _mismatch(folder: SceneFolder, count: int, places: list[Path]) -> str:
+    if not places:
+        videos = any(is_video(path) for path in folder.root.iterdir())
+        cure = "take one frame of each video, into images/" if videos else "put them into images/"
+        return f"{_FILE}: cameras of {count} photographs, but there are none; {cure}, in the order of the cameras"
+    number = len(photographs_in(places[0]))
+    return (
+        f"{_FILE}: cameras of {count} photographs, but {number} in {folder.shown(places[0])}; they go by the order of "
+        f"their names: leave those that have cameras, or list their names in {_REGISTERED}"
+    )
+
+
+def _photo(image: Path, row: np.ndarray, source: str) -> Photo:
+    pose = row[:15].reshape(3, 5)
+    height, width, focal = pose[:, 4]
+    if not (1 <= height < 1e6 and 1 <= width < 1e6):
+        raise SceneError(
+            f"{source}: an image of {width:g}x{height:g} pixels; expected its height, width and focal length"
+        )
+    down, right, backwards = pose[:, :3].T
+    world_from_cam = rigid(np.stack([right, down, -backwards], axis=1), pose[:, 3])
+    size = round(float(width)), round(float(height))
+    K = intrinsics(focal, focal, width / 2, height / 2)
+    return Photo(image, K, size, from_world_from_cam(world_from_cam, source), source)
+
+
+FORMAT = Format("llff", f"{_FILE} and photographs in images/ (LLFF)", recognises, read, rank=120)

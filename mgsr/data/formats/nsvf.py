@@ -1,0 +1,125 @@
+"""NSVF's layout: intrinsics.txt, pose/*.txt and rgb/*; also that of SRN, DeepVoxels, NeRF++ and Plenoxels.
+
+Source: the README of NSVF (facebookresearch/NSVF), "Dataset", and its issues 42 and 64: poses take the camera to the
+world, with OpenCV's axes; names begin with 0_ in training, 1_ in validation and 2_ in testing. NeRF++ has intrinsics
+for each photograph, and train/ and test/ with such a layout each. Plenoxels (sxyu/svox2), which reads these scenes, has
+pixels' centres at +0.5.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+
+from mgsr.data.capture import Capture, Format, Photo, Split
+from mgsr.data.images import image_size
+from mgsr.data.number_files import calibrated_size, read_intrinsics, read_pose, texts_in
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import from_world_from_cam
+
+_ONE_FILE = "intrinsics.txt"
+_MANY_FILES = ("intrinsics", "intrinsic")
+_POSES = ("pose", "poses")
+_PHOTOGRAPHS = ("rgb", "images", "image")
+_PREFIX = re.compile(r"([012])_")
+
+
+class _Part(Enum):
+    """What a view is for, with the number that its name begins with."""
+
+    TRAIN = 0
+    VALIDATION = 1
+    TEST = 2
+
+
+@dataclass(frozen=True)
+class _View:
+    """One photograph. place: the folder that holds pose/ and rgb/; pose: the file of its pose."""
+
+    place: Path
+    pose: Path
+    part: _Part | None
+
+    @property
+    def intrinsics(self) -> Path:
+        """The photograph's own file where there is one, else the one of all."""
+        own = (self.place / folder / self.pose.name for folder in _MANY_FILES)
+        return next((path for path in own if path.is_file()), self.place / _ONE_FILE)
+
+    @property
+    def split(self) -> Split | None:
+        return None if self.part is None else Split.TEST if self.part is _Part.TEST else Split.TRAIN
+
+    def photograph(self, root: Path) -> str:
+        """The photograph's path below the root, without extension."""
+        folder = next((self.place / name for name in _PHOTOGRAPHS if (self.place / name).is_dir()), self.place)
+        return (folder / self.pose.stem).relative_to(root).as_posix()
+
+    def as_test(self) -> _View:
+        """The same view for testing."""
+        return replace(self, part=_Part.TEST)
+
+
+def recognises(root: Path) -> str | None:
+    """Return the file of intrinsics, if poses lie beside it, here or in train/."""
+    places = [place for place in (root, root / "train") if _is_scene(place)]
+    return _View(places[0], _poses(places[0])[0], None).intrinsics.relative_to(root).as_posix() if places else None
+
+
+def _is_scene(place: Path) -> bool:
+    poses = _poses(place)
+    return bool(poses) and _View(place, poses[0], None).intrinsics.is_file()
+
+
+def _poses(place: Path) -> list[Path]:
+    return next((files for name in _POSES if (files := texts_in(place / name))), [])
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read all training and test views. The validation views are the test where there is no other, else unused."""
+    views, notes = _used(_views(folder.root))
+    file = views[0].intrinsics.relative_to(folder.root).as_posix()
+    found = folder.find_photos(file, [view.photograph(folder.root) for view in views], labels=True)
+    capture = Capture.of(found, lambda i, image: _photo(folder.root, image, views[i]))
+    return replace(capture, notes=(*capture.notes, *notes))
+
+
+def _views(root: Path) -> list[_View]:
+    """Every view with its part of the split: by the beginning of its name, or by the folder that it lies in."""
+    if _is_scene(root):
+        return [_View(root, pose, _named_part(pose.stem)) for pose in _poses(root)]
+    parts = {"train": _Part.TRAIN, "validation": _Part.VALIDATION, "val": _Part.VALIDATION, "test": _Part.TEST}
+    folders = [(root / name, part) for name, part in parts.items() if _is_scene(root / name)]
+    return [_View(folder, pose, part) for folder, part in folders for pose in _poses(folder)]
+
+
+def _named_part(name: str) -> _Part | None:
+    match = _PREFIX.match(name)
+    return _Part(int(match[1])) if match else None
+
+
+def _used(views: list[_View]) -> tuple[list[_View], tuple[str, ...]]:
+    """The views that train or test, and a note on those that do not."""
+    if not any(view.part is _Part.TEST for view in views):
+        return [view.as_test() if view.part is _Part.VALIDATION else view for view in views], ()
+    used = [view for view in views if view.part is not _Part.VALIDATION]
+    left = len(views) - len(used)
+    return used, (f"{left} validation views are not used, as there are test views",) if left else ()
+
+
+def _photo(root: Path, image: Path, view: _View) -> Photo:
+    source = view.pose.relative_to(root).as_posix()
+    K, stated = read_intrinsics(view.intrinsics)
+    return Photo(
+        image=image,
+        K=K,
+        size=stated or calibrated_size(K, image_size(image, source)),
+        cam_from_world=from_world_from_cam(read_pose(view.pose), source),
+        source=source,
+        split=view.split,
+    )
+
+
+FORMAT = Format("nsvf", f"{_ONE_FILE}, pose/ and rgb/ (NSVF, SRN, NeRF++, Plenoxels)", recognises, read, rank=150)

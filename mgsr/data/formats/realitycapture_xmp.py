@@ -1,0 +1,130 @@
+"""RealityCapture / RealityScan: the .xmp files that it writes beside the photographs ("Metadata (XMP)").
+
+Source: "RealityCapture XMP Camera Math" of its knowledge base. The rotation takes the world to the camera's axes, row
+by row, and the position is the camera's centre. Lengths in the image are in its larger sides: the focal length is that
+of film 36 mm wide, and the principal point is counted from the middle. Other programs write .xmp files too, and it adds
+its values to those, as attributes or as elements.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.images import image_size
+from mgsr.data.lens import Lens
+from mgsr.data.number_lists import from_center, numbers
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import intrinsics
+from mgsr.data.xml_files import read_xml
+from mgsr.errors import SceneError
+
+_MARK = b"capturingreality.com/ns/xcr"
+_POSE = re.compile(rb"\bPosition\b")
+_HEAD = 1 << 18  # bytes: metadata is small
+_LOOKED_AT = 100
+_FILM = 36.0
+_BROWN = ("brown3", "brown4", "brown3t2", "brown4t2")
+
+
+def recognises(root: Path) -> str | None:
+    """Return the first .xmp with a pose in the folder, or in two or more folders of it."""
+    if found := _first(root):
+        return found.name
+    try:
+        folders = sorted(path for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
+    except OSError:
+        return None
+    inner = [found for folder in folders if (found := _first(folder))]
+    return inner[0].relative_to(root).as_posix() if len(inner) > 1 else None
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read every photograph beside which such a file lies."""
+    sidecars = [path for path in _sidecars(folder.root) if _is_camera(path)]
+    names = [path.relative_to(folder.root).with_suffix("").as_posix() for path in sidecars]
+    found = folder.find_photos("the .xmp files", names, labels=True)
+    return Capture.of(found, lambda i, path: _photo(path, sidecars[i], folder.shown(sidecars[i])))
+
+
+def _first(folder: Path) -> Path | None:
+    paths = sorted(folder.glob("[!.]*.[xX][mM][pP]"))[:_LOOKED_AT]
+    return next((path for path in paths if _is_camera(path, _POSE)), None)
+
+
+def _sidecars(root: Path) -> list[Path]:
+    """Every .xmp in the folder; where it has none with a camera, those in its folders."""
+    direct = sorted(root.glob("[!.]*.[xX][mM][pP]"))
+    return direct if _first(root) else sorted(root.glob("[!.]*/[!.]*.[xX][mM][pP]"))
+
+
+def _is_camera(path: Path, also: re.Pattern[bytes] = re.compile(b"")) -> bool:
+    """Whether the file has RealityCapture's values, and `also` in it."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD).replace(b"\0", b"")  # UTF-16 too
+    except OSError:
+        return False
+    return _MARK in head and also.search(head) is not None
+
+
+def _photo(image: Path, sidecar: Path, source: str) -> Photo:
+    values = _values(read_xml(sidecar))
+    if "Position" not in values or "Rotation" not in values:
+        raise SceneError(f"{source}: no Position and Rotation: the photograph was not aligned")
+    size = image_size(image, source)
+    side = max(size)
+    focal = _number(values, "FocalLength35mm", source) / _FILM * side
+    u, v = (_number(values, f"PrincipalPoint{axis}", source, 0.0) * side for axis in "UV")
+    if _number(values, "Skew", source, 0.0):
+        raise SceneError(f"{source}: Skew is {values['Skew'][:20]}, which is not supported; align without it")
+    lens = _lens(values, source)
+    rotation = numbers(values["Rotation"], 9, "Rotation", source).reshape(3, 3)
+    return Photo(
+        image=image,
+        K=intrinsics(focal, focal * _number(values, "AspectRatio", source, 1.0), size[0] / 2 + u, size[1] / 2 + v),
+        size=size,
+        cam_from_world=from_center(rotation, numbers(values["Position"], 3, "Position", source)),
+        source=source,
+        lens=None if lens.flat else lens,
+    )
+
+
+def _values(root: Element) -> dict[str, str]:
+    """RealityCapture's values by their names, of whatever element they are attributes or children."""
+    found: dict[str, str] = {}
+    for element in root.iter():
+        for tag, text in ((element.tag, element.text or ""), *element.attrib.items()):
+            space, _, name = tag.rpartition("}")
+            if _MARK.decode() in space:
+                found.setdefault(name, text.strip())
+    return found
+
+
+def _number(values: dict[str, str], name: str, source: str, default: float | None = None) -> float:
+    if name not in values and default is not None:
+        return default
+    return float(numbers([values.get(name, "")], 1, name, source)[0])
+
+
+def _lens(values: dict[str, str], source: str) -> Lens:
+    """The lens. The tangential terms are OpenCV's p2 and p1, in this order."""
+    text = values.get("DistortionCoeficients", values.get("DistortionCoefficients", ""))
+    terms = numbers(text, len(text.split()), "DistortionCoeficients", source)
+    model = values.get("DistortionModel", "perspective").lower()
+    if model == "perspective" or not terms.any():
+        return Lens()
+    if model not in _BROWN or len(terms) > 6:
+        raise SceneError(
+            f"{source}: distortion model {model[:40]!r} with {len(terms)} values is not supported; choose Brown in the "
+            "alignment settings, align again and export again"
+        )
+    k1, k2, k3, k4, t1, t2 = np.pad(terms, (0, 6 - len(terms))).tolist()
+    return Lens(k1, k2, p1=t2, p2=t1, higher=(k3, k4))
+
+
+FORMAT = Format("realitycapture_xmp", ".xmp files with cameras beside the photographs", recognises, read, rank=150)

@@ -1,0 +1,80 @@
+"""ScanNet as its SensReader exports it: color/*.jpg, pose/*.txt and intrinsic/intrinsic_color.txt.
+
+Source: ScanNet (ScanNet/ScanNet), SensReader/python: poses take the camera to the world, with OpenCV's axes; frames
+whose tracking was lost have -inf.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.images import image_size
+from mgsr.data.number_files import read_intrinsics, read_pose, texts_in
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import from_world_from_cam
+from mgsr.errors import SceneError
+
+_INTRINSICS = (
+    *("intrinsic/intrinsic_color.txt", "intrinsics/intrinsic_color.txt", "intrinsic_color.txt"),
+    *("intrinsics_color.txt", "intrinsic/intrinsics_color.txt"),
+)
+_PLACES = ("color", "rgb", "images", ".")
+_FULL = (1296, 968)  # the photographs of ScanNet's tablets, which many reduce to 640x480
+_LEAST_KEPT = 0.1  # tracking was often lost, which says nothing about the other frames
+
+
+def recognises(root: Path) -> str | None:
+    """Return the file of the photographs' intrinsics, if poses lie in pose/."""
+    name = next((name for name in _INTRINSICS if (root / name).is_file()), None)
+    return name if name and texts_in(root / "pose") else None
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read every frame that was tracked."""
+    name = recognises(folder.root)
+    assert name is not None, "read() is for folders that were recognised"
+    K, _ = read_intrinsics(folder.root / name)
+    poses = texts_in(folder.root / "pose")
+    found = folder.find_photos("pose/", [path.stem for path in poses], _PLACES, labels=True)
+    capture = Capture.of(found, lambda i, image: _photo(image, K, poses[i]))
+    return replace(capture, least_kept=_LEAST_KEPT)
+
+
+def _photo(image: Path, K: np.ndarray, file: Path) -> Photo:
+    source = f"pose/{file.name}"
+    pose = read_pose(file)
+    if not np.isfinite(pose).all():
+        raise SceneError(f"{source}: tracking was lost in this frame")
+    size = image_size(image, source)
+    return Photo(image, _for_size(K, size), size, from_world_from_cam(pose, source), source)
+
+
+def _for_size(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """The intrinsics [3,3] for a photograph of `size`, with pixels' centres at +0.5.
+
+    ScanNet writes as principal point the image's middle, counted from the middle of the first pixel of a larger image:
+    what lies within a pixel of the middle is the middle. Else pixels are counted from the middle of the first, as
+    ScanNet's programs do.
+    """
+    middle = np.array(size) / 2
+    if np.abs(K[:2, 2] - middle).max() <= 1:
+        return _with_center(K, middle)
+    full = np.array(_FULL)
+    if np.abs(K[:2, 2] - full / 2).max() <= 1:
+        scaled = K.copy()
+        scaled[:2] *= (np.array(size) / full)[:, None]
+        return _with_center(scaled, middle)
+    return _with_center(K, K[:2, 2] + 0.5)
+
+
+def _with_center(K: np.ndarray, center: np.ndarray) -> np.ndarray:
+    moved = K.copy()
+    moved[:2, 2] = center
+    return moved
+
+
+FORMAT = Format("scannet", "color/, pose/ and intrinsic/intrinsic_color.txt (ScanNet)", recognises, read, rank=160)

@@ -1,0 +1,165 @@
+"""Logs of Tanks and Temples, of Open3D and of Elastic Reconstruction: a line of three numbers and a pose for each
+photograph, and photographs in the order of their names.
+
+Source: the benchmark's toolbox (isl-org/TanksAndTemples, convert_to_logfile.py) and its issue 36: poses take the camera
+to the world, with OpenCV's axes; the line above is the photograph's number, from 0 for 000001.jpg, and -1 after it
+where the photograph has no pose.
+
+The log holds no intrinsics, so that they must lie beside it. The benchmark's download page suggests a focal length of
+0.7 times the width, but its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920), so that
+the suggestion can't be used unasked.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.files import number, read_json
+from mgsr.data.images import image_size
+from mgsr.data.number_files import (
+    LARGEST_CAPTURE,
+    calibrated_size,
+    folders_in,
+    head_of,
+    photographs_in,
+    read_intrinsics,
+    read_rows,
+    texts_in,
+)
+from mgsr.data.number_lists import numbers
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import from_world_from_cam, intrinsics, pose_from
+from mgsr.errors import SceneError
+
+_FIRST_LINES = re.compile(rb"\s*(-?\d+[ \t]+){2}-?\d+[ \t]*\r?\n(([^\s]+[ \t]+){3}[^\s]+[ \t]*\r?\n){4}")
+_TEXTS = re.compile(r"(.*[_.-])?(intrinsics?|k|camera)([_.-].*)?\.(txt|param)", re.IGNORECASE)
+_NUMBERED = re.compile(r"\d{6}")
+_JSONS = re.compile(r"(.*[_.-])?(intrinsics?|camera)([_.-].*)?\.json", re.IGNORECASE)
+
+
+def recognises(root: Path) -> str | None:
+    """Return the first .log that begins with three whole numbers and four rows of four."""
+    logs = sorted(root.glob("[!.]*.log"), key=lambda path: ("_COLMAP_SfM" not in path.name, path.name))
+    return next((path.name for path in logs if path.is_file() and _FIRST_LINES.match(head_of(path) + b"\n")), None)
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """An entry of the log. number: its photograph's, by which photographs are in order; pose: its 16 numbers."""
+
+    number: int
+    pose: list[float]
+    has_pose: bool
+
+
+@dataclass(frozen=True)
+class _Calibration:
+    """K [3,3] of all photographs, and the size of the image that it is for where its file says it."""
+
+    K: np.ndarray
+    size: tuple[int, int] | None
+
+
+def read(folder: SceneFolder) -> Capture:
+    """Read the pose of every photograph that has one. Raises SceneError where there are no intrinsics."""
+    name = recognises(folder.root)
+    assert name is not None, "read() is for folders that were recognised"
+    everything = _entries(folder.root / name)
+    entries = [entry for entry in everything if entry.has_pose]
+    if not entries:
+        raise SceneError(f"{name}: no photograph has a pose; write the log again")
+    photographs = _photographs(folder, name, [entry.number for entry in everything])
+    calibration = _calibration(folder.root, name)
+    found = folder.find_photos(name, [photographs[entry.number] for entry in entries])
+    capture = Capture.of(found, lambda i, image: _photo(image, entries[i], calibration, name))
+    left = len(everything) - len(entries)
+    notes = (f"{left} of {len(everything)} photographs have no pose in {name}",) if left else ()
+    return replace(capture, notes=(*capture.notes, *notes))
+
+
+def _entries(path: Path) -> list[_Entry]:
+    """The entries of a log, each of five lines."""
+    rows = read_rows(path, LARGEST_CAPTURE)
+    blocks = [rows[i : i + 5] for i in range(0, len(rows), 5)]
+    for i, block in enumerate(blocks):
+        if [len(row) for row in block] != [3, 4, 4, 4, 4]:
+            raise SceneError(f"{path.name}: entry {i}: expected three numbers and four rows of four; copy it again")
+    firsts = [block[0][0] for block in blocks]
+    # Open3D's logs repeat the first number or count from elsewhere; then the entries' order tells.
+    if sorted(firsts) != [*range(len(blocks))] and not _are_a_choice(firsts):
+        firsts = [*range(len(blocks))]
+    return [
+        _Entry(int(number), [*itertools.chain(*block[1:])], has_pose=block[0][1] != -1)
+        for number, block in zip(firsts, blocks, strict=True)
+    ]
+
+
+def _are_a_choice(firsts: list[float]) -> bool:
+    """Whether an entry's first number may be its photograph's: whole, none twice, and 0 among them."""
+    return 0 in firsts and len(set(firsts)) == len(firsts) and all(0 <= n < 1e6 and n == int(n) for n in firsts)
+
+
+def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, str]:
+    """The photographs of the entries' numbers, by the order of their names: those of the folder that has as many as the
+    log has entries; or else, where they have the benchmark's names, those of these names, which may be missing."""
+    root = folder.root
+    scene = name.removesuffix(".log").removesuffix("_COLMAP_SfM")
+    known = [root / place for place in ("images", scene, "color", "image", "rgb", ".")]
+    places = [*known, *(place for place in folders_in(root) if place not in known)]
+    found = [photographs for place in places if (photographs := photographs_in(place))]
+    best = next((photographs for photographs in found if len(photographs) == len(order)), None)
+    if best is not None:
+        return {n: str(path.relative_to(root)) for n, path in zip(sorted(order), best, strict=True)}
+    if found and all(_NUMBERED.fullmatch(path.stem) for path in found[0]):
+        return {n: str(found[0][0].with_name(f"{n + 1:06d}").relative_to(root)) for n in order}
+    there = f"{len(found[0])} in {folder.shown(found[0][0].parent)}" if found else "none there"
+    raise SceneError(
+        f"{name}: poses of {len(order)} photographs, but {there}; they go by the order of their names: put exactly "
+        "these into images/"
+    )
+
+
+def _calibration(root: Path, name: str) -> _Calibration:
+    """The intrinsics that lie beside a log."""
+    texts = [path for path in texts_in(root, "*") if _TEXTS.fullmatch(path.name)]
+    if texts:
+        return _Calibration(*read_intrinsics(texts[0]))
+    for path in texts_in(root, "*.json"):
+        if _JSONS.fullmatch(path.name):
+            return _from_json(read_json(path), path.name)
+    raise SceneError(
+        f"{name}: has poses, but the intrinsics of the photographs are missing: write their fx fy cx cy, in pixels, "
+        "into intrinsics.txt beside it, or give their COLMAP model in sparse/"
+    )
+
+
+def _from_json(content: Any, source: str) -> _Calibration:
+    """The intrinsics of Open3D's PinholeCameraIntrinsic, whose matrix is stored by columns, or of fx fy cx cy."""
+    values = content.get("intrinsic", content) if isinstance(content, dict) else None
+    if not isinstance(values, dict):
+        raise SceneError(f"{source}: expected intrinsics, as Open3D writes them; mend the file")
+    if "intrinsic_matrix" in values:
+        K = numbers(values["intrinsic_matrix"], 9, "intrinsic_matrix", source).reshape(3, 3)
+        K = K if K[:2, 2].any() else K.T
+    else:
+        K = intrinsics(*(number(values, key, source) for key in ("fx", "fy", "cx", "cy")))
+    if "width" not in values or "height" not in values:
+        return _Calibration(K, None)
+    return _Calibration(K, (round(number(values, "width", source)), round(number(values, "height", source))))
+
+
+def _photo(image: Path, entry: _Entry, calibration: _Calibration, name: str) -> Photo:
+    source = f"{name}, photograph {entry.number}"
+    size = calibration.size or calibrated_size(calibration.K, image_size(image, source))
+    pose = from_world_from_cam(pose_from(entry.pose, "pose", source), source)
+    return Photo(image, calibration.K, size, pose, source)
+
+
+FORMAT = Format("tanks", "a .log of poses, intrinsics.txt and images/ (Tanks and Temples)", recognises, read, rank=170)

@@ -1,0 +1,179 @@
+"""Photographs put into a scene's folder in a form that COLMAP reads; what can't be read is left out."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.camera_tags import read_tags
+from mgsr.data.files import folded, images_below
+from mgsr.data.images import Picture, is_heif, read_picture
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video, what_instead
+from mgsr.data.shared_lenses import Shot
+from mgsr.errors import SceneError, in_short
+
+# Fewer than these can't be placed.
+_FEWEST = 3
+_LEAST_READABLE = 0.5
+_MOST_NAMED = 5
+
+# What COLMAP's own reader gives the same pixels of as MGSR's; everything else is handed to it as PNG. A file that its
+# reader refuses can end the process.
+_READ_BY_COLMAP = {
+    "jpeg": (".jpg", ".jpeg", ".jfif"),
+    "png": (".png",),
+    "tiff": (".tif", ".tiff"),
+    "bmp": (".bmp",),
+    "targa": (".tga",),
+    "pnm": (".ppm", ".pgm", ".pnm"),
+}
+_BYTES_AND_WORDS = ("uint8", "uint16")
+
+# The brands of HEIC's family (ISO/IEC 23008-12, AV1 Image File Format); other files of that structure are videos.
+_HEIF_BRANDS = (b"mif1", b"msf1", b"mif2", b"avif", b"avis", b"miaf", b"jpeg", b"jpgs")
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """The photographs in the scene's folder, and notes for the person on what is left out."""
+
+    shots: tuple[Shot, ...]
+    notes: tuple[str, ...]
+
+
+def find_photos(folder: Path, given: Path) -> list[Path]:
+    """Find the photographs below a folder. Raises SceneError, with what lies there instead, where they are too few;
+    `given` is what the person gave, for the message."""
+    images = images_below(folder)
+    if len(images) < _FEWEST:
+        text = f"{given}: {len(images)} images; at least {_FEWEST} are needed to find cameras, 20 or more are good"
+        raise SceneError("; ".join([text, *_bystanders(folder, images)]))
+    return images
+
+
+def gather(photos: Path, images: Sequence[Path], folder: Path) -> Gathered:
+    """Put the photographs below `photos` into `folder`: hard links (copies where the disk has none), or PNG in 8-bit
+    sRGB with their alpha for kinds that COLMAP does not read.
+
+    Each is decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are
+    left, with the reason of the first.
+    """
+    shots: list[Shot] = []
+    lost: dict[str, SceneError] = {}
+    taken = {folded(str(image.relative_to(photos))) for image in images}
+    for image in images:
+        try:
+            shots.append(_hand_over(image, image.relative_to(photos), folder, taken))
+        except SceneError as error:
+            lost[image.relative_to(photos).as_posix()] = error
+    if lost and (len(shots) < _FEWEST or len(shots) < _LEAST_READABLE * len(images)):
+        first = next(iter(lost.values()))
+        raise SceneError(f"{len(lost)} of {len(images)} photographs can't be read; the first: {first}") from first
+    return Gathered(tuple(shots), (*_notes_of_lost(lost, len(images)), *_bystanders(photos, images)))
+
+
+def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...]:
+    if not lost:
+        return ()
+    names = ", ".join(list(lost)[:_MOST_NAMED]) + (", ..." if len(lost) > _MOST_NAMED else "")
+    first = in_short(next(iter(lost.values())))
+    return (f"{len(lost)} of {total} photographs can't be read and are left out ({names}); the first: {first}",)
+
+
+def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
+    """One photograph of a name below the photographs' folder. taken: the names that others have, to which one may be
+    added."""
+    _require_photo(image)
+    picture = read_picture(image, "mgsr poses")
+    tags = read_tags(image)
+    converted = not _is_read_by_colmap(image)
+    if converted:
+        name = _free_name(name, taken)
+    place = folder / name
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if converted:
+        place.write_bytes(_png(picture))
+    else:
+        _link(image, place)
+    height, width = picture.colors.shape[:2]
+    return Shot(name.as_posix(), (width, height), tags)
+
+
+def _require_photo(image: Path) -> None:
+    if odd := what_instead(image):
+        raise SceneError(f"{image.name} {odd}")
+    if is_heif(image) and not _has_heif_brand(image):
+        raise SceneError(f"{image.name} is a video and not a photograph; {VIDEO_CURE}")
+
+
+def _has_heif_brand(image: Path) -> bool:
+    """Whether the first box, of type ftyp, names a brand of HEIC's family (ISO/IEC 14496-12, 4.3)."""
+    with image.open("rb") as file:
+        head = file.read(256)
+    box = head[8 : int.from_bytes(head[:4], "big")]
+    brands = [box[:4], *(box[start : start + 4] for start in range(8, len(box), 4))]
+    return any(brand in _HEIF_BRANDS or brand[:3] in (b"hei", b"hev") for brand in brands)
+
+
+def _is_read_by_colmap(image: Path) -> bool:
+    if is_heif(image):
+        return False
+    import OpenImageIO  # late: training needs none
+
+    handle: Any = OpenImageIO.ImageInput.open(str(image))
+    kind, depth = handle.format_name(), str(handle.spec().format)
+    handle.close()
+    return image.suffix.lower() in _READ_BY_COLMAP.get(kind, ()) and depth in _BYTES_AND_WORDS
+
+
+def _free_name(name: Path, taken: set[str]) -> Path:
+    """A name for a photograph that becomes a PNG: its own stem, with its extension where another has that one."""
+    other = f"{name.stem}_{name.suffix[1:].lower()}"
+    stems = itertools.chain([name.stem, other], (f"{other}_{number}" for number in itertools.count(2)))
+    places = (name.with_name(f"{stem}.png") for stem in stems)
+    free = next(place for place in places if folded(str(place)) not in taken)
+    taken.add(folded(str(free)))
+    return free
+
+
+def _png(picture: Picture) -> bytes:
+    import cv2  # late: few captures need it
+
+    pixels = picture.colors[..., ::-1]
+    if picture.alpha is not None:
+        pixels = np.dstack([pixels, picture.alpha])
+    return cv2.imencode(".png", pixels)[1].tobytes()
+
+
+def _link(image: Path, place: Path) -> None:
+    try:
+        os.link(image.resolve(), place)
+    except OSError:  # another disk, or one without links
+        shutil.copyfile(image, place)
+
+
+def _bystanders(folder: Path, images: Iterable[Path]) -> tuple[str, ...]:
+    """Notes on videos and raw photographs in the folder. Those beside a photograph of their name are no loss: cameras
+    write a raw file beside each JPEG, and phones a short video beside each photograph."""
+    known = {folded(str(image.with_suffix(""))) for image in images}
+    files = [path for path in sorted(folder.rglob("*")) if not path.name.startswith(".") and path.is_file()]
+    alone = [path for path in files if folded(str(path.with_suffix(""))) not in known]
+    return (*_note_of(alone, is_video, "video", VIDEO_CURE), *_note_of(alone, _is_raw, "raw photograph", RAW_CURE))
+
+
+def _note_of(files: Sequence[Path], is_kind: Callable[[Path], bool], what: str, cure: str) -> tuple[str, ...]:
+    found = [path for path in files if is_kind(path)]
+    if len(found) == 1:
+        return (f"1 {what} ({found[0].name}) left out; {cure}",)
+    return (f"{len(found)} {what}s ({found[0].name}, ...) left out; {cure}",) if found else ()
+
+
+def _is_raw(path: Path) -> bool:
+    return path.suffix.lower() in RAW_SUFFIXES

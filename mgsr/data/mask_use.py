@@ -1,0 +1,110 @@
+"""What the masks beside photographs mean: silhouettes of the object, or what is to be ignored.
+
+COLMAP, nerfstudio and others have masks that are white but for passers-by, a tripod or a strip of the image: black
+there is unknown, and not off the object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.data.masks import inverted_masks, leave_borders_free, white_borders
+from mgsr.data.normalise import unmasked_ball
+from mgsr.errors import SceneError
+
+# Points along each side of the cube in which the black parts of the masks are compared.
+_SIDE = 20
+
+# The median share of an image that is black below which masks are no silhouettes: those of an object that fills the
+# image tell nothing, and what is left out of them is hardly missed.
+_NEXT_TO_NOTHING = 0.01
+
+# Where what is black in one view is black in this share of the others, beyond what chance gives, it lies at one place
+# in space. On the shared scenes, whole or cut down to a third of the image, the masks of objects have 0.06 to 0.28;
+# black rectangles at random places have -0.02 to 0.02 with 24 views and up to 0.06 with 6.
+_ELSEWHERE, _SAME_PLACE = 0.04, 0.06
+
+# The same for places in the image: a strip, the camera's own stand.
+_SAME_PIXELS = 0.6
+
+# With borders as white as this and black at one place in space, masks show an object that fills nearly all images, or
+# a thing that stands still and is to be ignored.
+_WHITE_BORDERS = 0.85
+
+_CHOICE = (
+    "say which with masks=object (white is the object to be reconstructed) or masks=ignore (black is what to leave "
+    "out, such as passers-by or a tripod), or leave them out with masks=off"
+)
+
+
+class MaskUse(StrEnum):
+    """object: white is the object, all else is not. ignore: black is not known, all else is used."""
+
+    OBJECT = "object"
+    IGNORE = "ignore"
+
+
+def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> MaskUse:
+    """Return what masks [H,W] uint8, each of the view of a camera, mean.
+
+    Masks that leave the images' borders black show an object before its surroundings. Others do where the black parts
+    lie at one place in space, around the object; black parts that are somewhere else in each view are to be ignored.
+    Raises SceneError, with the two meanings, where neither is clear, and for silhouettes that are inverted.
+    """
+    if leave_borders_free(masks):
+        return MaskUse.OBJECT
+    if inverted_masks(masks):
+        raise SceneError(
+            "the masks are inverted: white around the object and black on it; make them white on the object, or "
+            + _CHOICE
+        )
+    black = np.array([(mask < 128).mean() for mask in masks])
+    if np.median(black) < _NEXT_TO_NOTHING and black.mean() < 2 * _NEXT_TO_NOTHING:
+        return MaskUse.IGNORE
+    agreement = _agreement_in_space(masks, cameras)
+    if agreement < _ELSEWHERE or _agreement_in_image(masks) > _SAME_PIXELS:
+        return MaskUse.IGNORE
+    if agreement > _SAME_PLACE and white_borders(masks) < _WHITE_BORDERS:
+        return MaskUse.OBJECT
+    raise SceneError(f"the masks may show an object or what is to be ignored ({1 - black.mean():.0%} white); {_CHOICE}")
+
+
+def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> float:
+    """How much the views agree about which places around what the cameras look at are black."""
+    center, radius = unmasked_ball(cameras, None)
+    axis = np.linspace(-1, 1, _SIDE)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = center + radius * grid[np.linalg.norm(grid, axis=1) <= 1]
+    pairs = (_seen(points, mask, camera) for mask, camera in zip(masks, cameras, strict=True))
+    seen, black = (np.array(part) for part in zip(*pairs, strict=True))
+    return _agreement(seen, black)
+
+
+def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
+    """How much the views agree about which parts of the image are black."""
+    axis = (np.arange(_SIDE) + 0.5) / _SIDE
+    rows = [mask[(axis * len(mask)).astype(int)][:, (axis * mask.shape[1]).astype(int)].ravel() for mask in masks]
+    black = np.array(rows) < 128
+    return _agreement(np.ones_like(black), black)
+
+
+def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
+    """The share of the other views that have a place black where one does, less the share that is black of all that is
+    seen. seen, black [V,P] bool: black only where seen."""
+    views, votes = seen.sum(axis=0), black.sum(axis=0)
+    pairs = (votes * (views - 1)).sum()
+    if pairs == 0:
+        return 0.0
+    return float((votes * (votes - 1)).sum() / pairs - votes.sum() / views.sum())
+
+
+def _seen(points: np.ndarray, mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the points [P,3] a view sees, and which of them it has black, both [P] bool."""
+    pixels, depth = camera.project(points)
+    inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
+    columns, rows = np.where(inside[:, None], pixels, 0).astype(np.intp).T
+    return inside, inside & (mask[rows, columns] < 128)

@@ -1,0 +1,49 @@
+"""Files that are not what their names say: pointers of Git LFS, web pages, empty downloads, videos, raw photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mgsr.errors import SceneError
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi", ".mts", ".3gp", ".insv")
+RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".insp", ".360")
+
+VIDEO_CURE = (
+    "take frames from it, such as by `ffmpeg -i VIDEO -vf fps=2 -q:v 1 frames/%04d.jpg`, and find their cameras with "
+    "`mgsr poses frames -o SCENE`"
+)
+RAW_CURE = "develop them to JPEG, PNG or TIFF, all with the same settings"
+
+_LFS = b"version https://git-lfs.github.com/spec/"
+_ANNEX = b"/annex/objects/"
+
+
+def what_instead(path: Path) -> str | None:
+    """Return what a file is instead of what its name says, and the cure; None where nothing is odd."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(512)
+    except OSError:
+        return None
+    if not head:
+        return "is an empty file; copy or download it again"
+    if head.startswith(_LFS):
+        return "is a pointer of Git LFS and not the file itself; get the files with `git lfs pull`"
+    if _ANNEX in head and len(head) < 512:
+        return "is a pointer of git-annex and not the file itself; get the files with `git annex get .`"
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if text.startswith((b"<!doctype html", b"<html")):
+        return "is a web page and not the file itself; download it again, logged in or without the preview"
+    return None
+
+
+def require_content(path: Path) -> None:
+    """Raise SceneError where a file is something else than its name says."""
+    if path.is_file() and (odd := what_instead(path)):
+        raise SceneError(f"{path.name} {odd}")
+
+
+def is_video(path: Path) -> bool:
+    """Return whether a file is a video by its name."""
+    return path.suffix.lower() in VIDEO_SUFFIXES

@@ -1,0 +1,254 @@
+"""Photographs found by the names that a capture's files give them, wherever they lie below the scene's folder.
+
+Programs write paths relative to folders of their own, absolute paths of other machines, names without folders or
+extension, and names of files that were converted, cut out or reduced since.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from mgsr.data.files import IMAGE_SUFFIXES, LONGEST_NAME, LONGEST_PATH, folded, images_below, in_any_case
+from mgsr.errors import MissingPhotoError, SceneError
+
+# Folders of maps that programs write beside photographs, under the photographs' names.
+_MAPS = re.compile(r"(depth|normal|confidence|semantic|segment|label|albedo|rough|metal|thumb|render)", re.IGNORECASE)
+_REDUCED = re.compile(r"_(\d{1,2})$")
+
+
+@dataclass(frozen=True)
+class FoundPhotos:
+    """Where photographs lie: for each name its file, or the SceneError that says why there is none (MissingPhotoError
+    where it is missing). file: what names them, for messages. notes: what the person should know."""
+
+    file: str
+    paths: list[Path | SceneError]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that were found."""
+        return [path for path in self.paths if isinstance(path, Path)]
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """The folder of a scene. root: where the format's own files lie. top: the folder that the person gave, the root
+    itself or one above it: photographs that the root does not hold are looked for below it."""
+
+    root: Path
+    top: Path
+
+    @classmethod
+    def at(cls, root: Path) -> SceneFolder:
+        """Return the folder of a scene that holds all of its files."""
+        return cls(root, root)
+
+    def find_photos(
+        self, file: str, names: Sequence[Any], places: Sequence[str] = (".",), labels: bool = False
+    ) -> FoundPhotos:
+        """Find the photographs that `file` names.
+
+        names: paths as the file has them; anything else is an error of that photograph. places: the folders, below the
+        root, that the paths may be relative to. A photograph that none of them holds is looked for anywhere below the
+        root, and then below the top: the file that agrees with most of the path's last folders is taken, under the
+        same name if there is one, else the only one of that stem with another extension. labels: names are no paths,
+        so that photographs may lie in any folder without a note.
+        """
+        return _Search(self, file, names, places, labels).result()
+
+    def shown(self, path: Path) -> str:
+        """Return a path below the top as messages show it."""
+        return os.path.relpath(path, self.root if path.is_relative_to(self.root) else self.top)
+
+    def inside(self, path: str) -> Path | None:
+        """Return an absolute path, or one relative to the working folder, as one below the top; None for others: an
+        uploaded scene must not be able to make MGSR read the machine's other files."""
+        absolute = PurePosixPath(os.path.abspath(path))
+        tops = (os.path.abspath(self.top), os.path.realpath(self.top))
+        return next((self.top / absolute.relative_to(top) for top in tops if absolute.is_relative_to(top)), None)
+
+    def images_named(self, name: str) -> list[Path]:
+        """Return the images below the root, or else below the top, whose folded name or stem is `name`."""
+        below_root = self._below_root.get(name, [])
+        return below_root if below_root or self.top == self.root else self._below_top.get(name, [])
+
+    @cached_property
+    def _below_root(self) -> dict[str, list[Path]]:
+        return _index(self.root)
+
+    @cached_property
+    def _below_top(self) -> dict[str, list[Path]]:
+        return _index(self.top)
+
+
+def _index(folder: Path) -> dict[str, list[Path]]:
+    index: dict[str, list[Path]] = {}
+    for path in images_below(folder):
+        for name in {folded(path.name), folded(path.stem)}:
+            index.setdefault(name, []).append(path)
+    return index
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A file that may be the photograph. agreeing: how many of the path's last folders it agrees with; same_name:
+    whether its extension does too; plain: it lies in no folder of maps; reduction: 4 in images_4, else 1."""
+
+    path: Path
+    agreeing: int
+    same_name: bool
+    plain: bool
+    reduction: int
+
+    @property
+    def rank(self) -> tuple[int, bool, bool, int]:
+        """The more, the better."""
+        return self.agreeing, self.same_name, self.plain, -self.reduction
+
+    @property
+    def base(self) -> Path:
+        """The folder that the path is relative to, if it is this file's."""
+        return self.path.parents[self.agreeing]
+
+
+class _Search:
+    """One look-up of all names of a file, as the names tell about each other."""
+
+    def __init__(
+        self, folder: SceneFolder, file: str, names: Sequence[Any], places: Sequence[str], labels: bool
+    ) -> None:
+        self._folder, self._file, self._labels = folder, file, labels
+        self._names = [_path_text(name) for name in names]
+        self._places = places
+
+    def result(self) -> FoundPhotos:
+        stated = self._stated()
+        taken = set(stated)
+        offers = {
+            number: self._offers(name, taken)
+            for number, (name, path) in enumerate(zip(self._names, stated, strict=True))
+            if path is None and isinstance(name, str)
+        }
+        bases = Counter(base for found in offers.values() for base in {offer.base for offer in found})
+        paths = [
+            self._chosen(number, path, offers.get(number, []), bases)
+            for number, (name, path) in enumerate(zip(self._names, stated, strict=True))
+        ]
+        return FoundPhotos(self._file, paths, self._notes(stated, paths))
+
+    def _stated(self) -> list[Path | None]:
+        """The files that lie where the names say, in the place that has most of them, or else in another."""
+        columns = [[self._at(place, name) for name in self._names] for place in self._places]
+        columns.sort(key=lambda column: -sum(path is not None for path in column))
+        return [next((path for path in row if path is not None), None) for row in zip(*columns, strict=True)]
+
+    def _at(self, place: str, name: str | SceneError) -> Path | None:
+        if isinstance(name, SceneError):
+            return None
+        path = self._folder.inside(os.path.join(self._folder.root, place, name))  # an absolute name stays as it is
+        if path is None or path == self._folder.top:
+            return None
+        names = [path.name, *[path.name + suffix for suffix in IMAGE_SUFFIXES]]
+        there = next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
+        return there or in_any_case(self._folder.top, path.parent, names)
+
+    def _offers(self, name: str, taken: set[Path | None]) -> list[_Candidate]:
+        """The best files for a name, equally good, below the root or else the top."""
+        parts = [folded(part) for part in PurePosixPath(name).parts if part not in ("..", "/")]
+        files = self._folder.images_named(parts[-1]) or self._folder.images_named(PurePosixPath(parts[-1]).stem)
+        offers = [self._candidate(path, parts) for path in files if path not in taken]
+        best = max((offer.rank for offer in offers), default=None)
+        return [offer for offer in offers if offer.rank == best]
+
+    def _candidate(self, path: Path, parts: Sequence[str]) -> _Candidate:
+        folders = path.relative_to(self._folder.top).parts[:-1]
+        pairs = zip(reversed(folders), reversed(parts[:-1]), strict=False)
+        agreeing = next((i for i, (mine, asked) in enumerate(pairs) if folded(mine) != asked), None)
+        if agreeing is None:
+            agreeing = min(len(folders), len(parts) - 1)
+        reduced = [int(match[1]) for folder in folders if (match := _REDUCED.search(folder))]
+        plain = not any(_MAPS.match(folder) for folder in folders)
+        same_name = parts[-1] in (folded(path.name), folded(path.stem))
+        return _Candidate(path, agreeing, same_name, plain, max(reduced, default=1))
+
+    def _chosen(
+        self, number: int, stated: Path | None, offers: Sequence[_Candidate], bases: Counter[Path]
+    ) -> Path | SceneError:
+        name = self._names[number]
+        if isinstance(name, SceneError):
+            return SceneError(f"{self._file}, photograph {number + 1}: {name}")
+        if stated is not None:
+            return stated
+        if not offers:
+            return MissingPhotoError(f"{name} is missing")
+        most = max(bases[offer.base] for offer in offers)
+        best = sorted(offer.path for offer in offers if bases[offer.base] == most)
+        if len(best) == 1:
+            return best[0]
+        both = " or ".join(self._folder.shown(path) for path in best[:2])
+        return SceneError(
+            f"{self._file}: the photograph {name!r} may be {both}; name it with its folder, or give the photographs "
+            "different names"
+        )
+
+    def _notes(self, stated: Sequence[Path | None], paths: Sequence[Path | SceneError]) -> tuple[str, ...]:
+        moved = [
+            (name, path)
+            for name, place, path in zip(self._names, stated, paths, strict=True)
+            if place is None and isinstance(path, Path) and isinstance(name, str)
+        ]
+        return (*self._note_of_places(moved), *self._note_of_extensions(moved), *_note_of_reduction(moved))
+
+    def _note_of_places(self, moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
+        homes = [home / place for home in (self._folder.root, self._folder.top) for place in self._places]
+        elsewhere = [
+            (name, path) for name, path in moved if path.parent not in [(home / name).parent for home in homes]
+        ]
+        if self._labels or not elsewhere:
+            return ()
+        name, path = elsewhere[0]
+        count = f"{len(elsewhere)} of {len(self._names)} photographs lie elsewhere than {self._file} says"
+        return (f"{count} ({name} is read from {self._folder.shown(path)})",)
+
+    def _note_of_extensions(self, moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
+        other = [
+            (name, path)
+            for name, path in moved
+            if PurePosixPath(name).suffix.lower() in IMAGE_SUFFIXES
+            and PurePosixPath(name).suffix.lower() != path.suffix.lower()
+        ]
+        if not other:
+            return ()
+        name, path = other[0]
+        count = f"{len(other)} of {len(self._names)} photographs have another extension than {self._file} says"
+        return (f"{count} ({self._folder.shown(path)} is read for {name})",)
+
+
+def _note_of_reduction(moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
+    folders = {path.parent.name for name, path in moved if _REDUCED.search(path.parent.name)}
+    folders -= {PurePosixPath(name).parent.name for name, _ in moved}
+    if not folders:
+        return ()
+    return (f"the photographs are read from {', '.join(sorted(folders))}; the cameras are scaled to their size",)
+
+
+def _path_text(name: Any) -> str | SceneError:
+    """A name as a path with slashes, or what is wrong with it."""
+    if not isinstance(name, str) or not name.strip():
+        return SceneError(f"expected the path of an image, got {str(name)[:80]!r}")
+    text = re.sub(r"^file://", "", name.strip()).replace("\\", "/")
+    text = re.sub(r"^[A-Za-z]:/", "/", text)
+    parts = text.split("/")
+    if "\0" in text or len(text) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in parts):
+        return SceneError(f"{text[:80]!r}...: too long, or with a zero byte, for a file's name; mend the file")
+    if not [part for part in parts if part not in ("", ".", "..")]:
+        return SceneError(f"expected the path of an image, got {name[:80]!r}")
+    return text

@@ -1,0 +1,184 @@
+"""Arrays from pickle files, without what makes pickles dangerous.
+
+A pickle is a program for a small machine, which may import and call whatever it names and ask for any amount of memory.
+Here, only the instructions that arrays in tuples and lists need are let through, and each of numpy's constructors that
+they name is replaced by a class of this file that just keeps what it is given.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import pickletools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.data.odd_files import require_content
+from mgsr.errors import SceneError, in_short
+
+_LARGEST_FILE = 1 << 16
+_LARGEST_MEMO = 1 << 10  # pickle makes its table of remembered objects as long as the largest index
+_INSTRUCTIONS = frozenset(
+    (
+        *("PROTO", "FRAME", "STOP", "MARK", "POP", "GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD"),
+        *("NONE", "NEWTRUE", "NEWFALSE", "INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "FLOAT", "BINFLOAT"),
+        *("STRING", "BINSTRING", "SHORT_BINSTRING", "UNICODE", "BINUNICODE", "SHORT_BINUNICODE"),
+        *("BINBYTES", "SHORT_BINBYTES", "BYTEARRAY8", "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3"),
+        *("EMPTY_LIST", "LIST", "APPEND", "APPENDS"),
+        *("PUT", "BINPUT", "LONG_BINPUT", "GET", "BINGET", "LONG_BINGET", "MEMOIZE"),
+    )
+)
+_INDEXED = ("PUT", "BINPUT", "LONG_BINPUT")
+_DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    ImportError,
+    LookupError,
+    MemoryError,
+    NotImplementedError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    pickle.UnpicklingError,
+)
+
+
+def read_pickled_arrays(path: Path, source: str) -> list[np.ndarray]:
+    """Read the arrays of numbers of a pickled tuple or list, float64. Nothing that the file names is called.
+
+    Raises SceneError with `source` for anything else, also for files of more than 64 KiB.
+    """
+    require_content(path)
+    try:
+        data = path.read_bytes() if path.stat().st_size <= _LARGEST_FILE else b""
+        if not data:
+            raise ValueError(f"expected a file of at most {_LARGEST_FILE} bytes")
+        _check_instructions(data)
+        content = _Unpickler(io.BytesIO(data), encoding="latin-1").load()
+        if not isinstance(content, (tuple, list)):
+            raise ValueError("expected a tuple")
+        return [_array(item) for item in content]
+    except (OSError, *_DAMAGE) as error:
+        reason = in_short(error) or type(error).__name__
+        raise SceneError(f"{source}: not a pickled tuple of arrays of numbers: {reason}; copy it again") from error
+
+
+def _check_instructions(data: bytes) -> None:
+    for instruction, argument, _ in pickletools.genops(data):
+        if instruction.name not in _INSTRUCTIONS:
+            raise ValueError(f"{instruction.name}, which arrays do not need, is refused")
+        if instruction.name in _INDEXED and not 0 <= (argument or 0) < _LARGEST_MEMO:
+            raise ValueError(f"{instruction.name} {argument} is refused")
+
+
+class _Kept:
+    """An object that keeps the arguments that it is made of and the state that it is given."""
+
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
+        self.state: Any = ()
+
+    def __setstate__(self, state: Any) -> None:
+        if not isinstance(self, _Kept) or not isinstance(state, tuple):
+            raise ValueError("a state that no array has")
+        self.state = state
+
+
+class _Name(_Kept):
+    """numpy.ndarray, which is named but never called."""
+
+
+class _Array(_Kept):
+    """numpy's _reconstruct, whose state is (version, shape, dtype, by columns, bytes)."""
+
+
+class _Buffer(_Kept):
+    """numpy's _frombuffer of protocol 5, whose arguments are (bytes, dtype, shape, "C" or "F")."""
+
+
+class _Dtype(_Kept):
+    """numpy.dtype: its first argument is "f8"; the second item of its state is the byte order."""
+
+
+class _Scalar(_Kept):
+    """numpy's scalar: dtype and bytes."""
+
+
+class _Bytes(_Kept):
+    """codecs.encode: bytes that protocol 2 writes as text of latin-1."""
+
+
+_MADE = {
+    ("numpy", "ndarray"): _Name,
+    ("numpy", "dtype"): _Dtype,
+    ("numpy.core.multiarray", "_reconstruct"): _Array,
+    ("numpy._core.multiarray", "_reconstruct"): _Array,
+    ("numpy.core.multiarray", "scalar"): _Scalar,
+    ("numpy._core.multiarray", "scalar"): _Scalar,
+    ("numpy.core.numeric", "_frombuffer"): _Buffer,
+    ("numpy._core.numeric", "_frombuffer"): _Buffer,
+    ("_codecs", "encode"): _Bytes,
+}
+
+
+class _Unpickler(pickle.Unpickler):
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _MADE:
+            raise pickle.UnpicklingError(f"{module[:80]}.{name[:80]} is refused: it is no part of an array")
+        return _MADE[module, name]
+
+
+def _array(item: Any) -> np.ndarray:
+    """The array of an item: an array's state, a scalar, a number, or numbers in lists."""
+    if isinstance(item, _Array):
+        _, shape, dtype, by_columns, data = item.state
+        return _from_bytes(dtype, shape, bool(by_columns), data)
+    if isinstance(item, _Buffer):
+        data, dtype, shape, order = item.arguments
+        return _from_bytes(dtype, shape, order == "F", data)
+    if isinstance(item, _Scalar):
+        dtype, data = item.arguments
+        return _from_bytes(dtype, (), False, data)
+    if isinstance(item, (list, tuple)):
+        return _from_list(item)
+    raise ValueError(f"{type(item).__name__} is no array")
+
+
+def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
+    """Numbers in a list, or in lists in it; no deeper, as lists may hold themselves."""
+    for item in rows:
+        for value in item if isinstance(item, (list, tuple)) else [item]:
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ValueError(f"{type(value).__name__} is no number")
+    return np.array(rows, np.float64)
+
+
+def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarray:
+    if isinstance(data, _Bytes):
+        data = data.arguments[0]
+    content = data.encode("latin-1") if isinstance(data, str) else data
+    if (
+        not isinstance(content, (bytes, bytearray))
+        or not isinstance(shape, tuple)
+        or not all(type(side) is int for side in shape)
+    ):
+        raise ValueError("an array without bytes or shape")
+    kind = _number_type(dtype)
+    if any(side < 0 for side in shape) or math.prod(shape) * kind.itemsize != len(content):
+        raise ValueError(f"{len(content)} bytes for an array of another size")
+    return np.frombuffer(content, kind).reshape(shape, order="F" if by_columns else "C").astype(np.float64)
+
+
+def _number_type(dtype: Any) -> np.dtype:
+    """The type that a pickled dtype names, which must be one of numbers."""
+    if not isinstance(dtype, _Dtype) or not dtype.arguments or not isinstance(dtype.arguments[0], str):
+        raise ValueError("an array without a type")
+    code = dtype.arguments[0]
+    if code not in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"):
+        raise ValueError(f"an array of {code[:20]!r}, expected numbers")
+    order = dtype.state[1] if len(dtype.state) > 1 else "<"
+    return np.dtype(code).newbyteorder(">" if order == ">" else "<")

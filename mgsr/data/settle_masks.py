@@ -1,0 +1,181 @@
+"""Views with silhouettes of the object, or without, and without what is to be ignored: what masks come to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.config import Masks
+from mgsr.data.images import composite_on_white
+from mgsr.data.known import whole_part
+from mgsr.data.loading import LoadedView
+from mgsr.data.mask_use import MaskUse, find_mask_use
+from mgsr.data.scene import View
+from mgsr.errors import SceneError
+
+
+@dataclass(frozen=True)
+class SettledViews:
+    """Views of which all training views have a silhouette as alpha, or no view has; notes for the person on what is
+    left out."""
+
+    train: list[View]
+    test: list[View]
+    notes: tuple[str, ...] = ()
+
+
+def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
+    """Return the views as `masks` has it.
+
+    Masks beside photographs are silhouettes or say what is to be ignored (`find_mask_use`, unless `masks` says it).
+    What is to be ignored is unknown in its view. Silhouettes are used if every training view has one, else none is.
+    Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are put on white. Views
+    whose silhouette is empty, or that are ignored whole, are left out.
+
+    Raises SceneError where masks are asked for and missing, for masks that are white around the object or of which it
+    is not clear what they mean, and where they show nothing in most training views.
+    """
+    if masks is Masks.OFF:
+        return SettledViews([_bare(item.view, item) for item in train], [_bare(item.view, item) for item in test])
+    ignoring = _use(train, masks) is MaskUse.IGNORE
+    train, notes = _not_ignored_whole(train, ignoring)
+    views, tests = ([_settled(item, ignoring) for item in items] for items in (train, test))
+    tests_shown = [_shows(view) for view in tests]
+    test, tests = list(compress(test, tests_shown)), list(compress(tests, tests_shown))
+    if ignoring:
+        notes = (*_note_of_ignored(views), *notes)
+    if _tell_nothing(views, masks):
+        unused = _unused_masks(views, any(item.mask is not None for item in train) and not ignoring)
+        views, tests = (list(map(_bare, seen, items)) for seen, items in ((views, train), (tests, test)))
+        return SettledViews(views, tests, (*notes, *unused))
+    views, empty = _with_an_object(views)
+    return SettledViews(views, [view for view in tests if not _empty(view)], (*notes, *empty))
+
+
+def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
+    """What the masks beside the photographs mean; None without any."""
+    with_masks = [item for item in train if item.mask is not None]
+    if masks is Masks.IGNORE and not with_masks and not any(item.ignored is not None for item in train):
+        raise SceneError("masks=ignore: no photograph has a mask; put them into masks/ under the photographs' names")
+    if masks in (Masks.OBJECT, Masks.IGNORE):
+        return MaskUse(masks.value)
+    if not with_masks:
+        return None
+    shown = [whole_part(replace(item.view, alpha=item.mask)) for item in with_masks]
+    return find_mask_use([_alpha(view) for view in shown], [view.camera for view in shown])
+
+
+def _alpha(view: View) -> np.ndarray:
+    assert view.alpha is not None, "called for views with masks"
+    return view.alpha
+
+
+def _settled(item: LoadedView, ignoring: bool) -> View:
+    """The view with its silhouette as alpha and all that is known of it."""
+    view, mask = item.view, item.mask
+    if item.ignored is not None:
+        view = _without(view, item.ignored >= 128)
+    if mask is None:
+        return view
+    if ignoring:
+        return _without(view, mask < 128)
+    return replace(view, alpha=mask if view.alpha is None else np.minimum(view.alpha, mask))
+
+
+def _without(view: View, ignored: np.ndarray) -> View:
+    """The view without pixels [H,W] bool and those beside them, which hold something of them."""
+    if not ignored.any():
+        return view
+    known = ~ndimage.binary_dilation(ignored, np.ones((3, 3), bool))
+    return replace(view, known=known if view.known is None else known & view.known)
+
+
+def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[LoadedView], tuple[str, ...]]:
+    """The views of which something is known, and a note on the others."""
+    kept = [item for item in train if _shows(_settled(item, ignoring))]
+    if len(kept) == len(train):
+        return train, ()
+    first = next(item.view.name for item in train if not _shows(_settled(item, ignoring)))
+    count = f"the masks of {len(train) - len(kept)} of {len(train)} training views ignore all of the image"
+    if len(kept) < max(2, len(train) / 2):
+        raise SceneError(f"{count} ({first!r}); make them black on what to leave out alone, or run with masks=off")
+    return kept, (f"{count} ({first!r}): these views are left out",)
+
+
+def _shows(view: View) -> bool:
+    return view.known is None or bool(view.known.any())
+
+
+def _note_of_ignored(train: Sequence[View]) -> tuple[str, ...]:
+    share = np.mean([0.0 if view.known is None else 1 - view.known.mean() for view in train])
+    return (
+        f"the masks say what to ignore, {share:.1%} of the training photographs, which is left out; "
+        "masks=object takes their white for the object",
+    )
+
+
+def _tell_nothing(train: Sequence[View], masks: Masks) -> bool:
+    """Whether a training view has no silhouette, or none has anything off the object. Raises SceneError where `masks`
+    asks for silhouettes."""
+    bare = [view.name for view in train if view.alpha is None]
+    solid = all(_solid(view) for view in train)
+    if masks is Masks.OBJECT and (bare or solid):
+        missing = f"view {bare[0]!r} has none" if bare else "every mask is white all over"
+        raise SceneError(f"masks=object: {missing}; add alpha channels or a masks/ folder, or use masks=auto")
+    return bool(bare) or solid
+
+
+def _bare(view: View, item: LoadedView) -> View:
+    """The view without a silhouette; colours that came with alpha are put on white."""
+    if item.view.alpha is None or view.alpha is None:
+        return replace(view, alpha=None)
+    return replace(view, image=composite_on_white(view.image, view.alpha), alpha=None)
+
+
+def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
+    """What is said of silhouettes that some views have, or that tell nothing. beside: whether any lie beside the
+    photographs, and not in them."""
+    bare = [view.name for view in train if view.alpha is None]
+    if bare and len(bare) < len(train):
+        having = f"{len(train) - len(bare)} of {len(train)} training views have a mask"
+        return (f"{having}, but {bare[0]!r} has none: masks are not used",)
+    if not bare and beside and all(_solid(view) for view in train):
+        return ("every mask is white all over: masks are not used",)
+    return ()
+
+
+def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
+    """The views in whose masks there is something, and a note on the others."""
+    shown = [view for view in train if not _empty(view)]
+    if len(shown) == len(train):
+        return train, ()
+    first = next(view for view in train if _empty(view))
+    count = f"the masks of {len(train) - len(shown)} of {len(train)} training views are empty"
+    if len(shown) < max(2, len(train) / 2):
+        raise SceneError(
+            f"{count}: the largest value in that of {first.name!r} is {_brightest(first)} of 255, and 128 or more is "
+            "the object; make them white on the object, or run with masks=off"
+        )
+    return shown, (f"{count} ({first.name!r}): these views are left out",)
+
+
+def _empty(view: View) -> bool:
+    return view.alpha is not None and _brightest(view) < 128
+
+
+def _brightest(view: View) -> int:
+    """The largest value of the mask where the photograph shows something."""
+    alpha = _alpha(view)
+    return int((alpha if view.known is None else alpha[view.known]).max(initial=0))
+
+
+def _solid(view: View) -> bool:
+    """Whether nothing that the photograph shows lies off the object, as far as the view says."""
+    if view.alpha is None:
+        return True
+    shown = view.alpha if view.known is None else view.alpha[view.known]
+    return bool(shown.min(initial=255) == 255)

@@ -1,0 +1,79 @@
+"""Which photographs were taken by one camera with one lens, so that they can share what is found out about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+from mgsr.data.camera_tags import CameraTags
+
+# How many cameras are named in one line.
+_MOST_NAMED = 4
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A photograph. name: its path below the folder of photographs; size: width and height as it is stored."""
+
+    name: str
+    size: tuple[int, int]
+    tags: CameraTags
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Photographs that share a lens, at least one."""
+
+    shots: tuple[Shot, ...]
+
+    @property
+    def tags(self) -> CameraTags:
+        """What the photographs say about their camera."""
+        return self.shots[0].tags
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The photographs' width and height."""
+        return self.shots[0].size
+
+
+def share_lenses(shots: Sequence[Shot]) -> list[Lens]:
+    """Group photographs by camera, in the order in which the cameras first appear.
+
+    Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens; how
+    the camera was turned does not matter, as sizes are those of the stored pixels. Photographs without such EXIF
+    (frames of videos, pictures from messengers) share one where size and folder are equal: rigs have a folder for each
+    camera.
+    """
+    groups: dict[tuple[CameraTags, tuple[int, int], str], list[Shot]] = {}
+    for shot in shots:
+        folder = "" if shot.tags.known else str(PurePosixPath(shot.name).parent)
+        groups.setdefault((shot.tags, shot.size, folder), []).append(shot)
+    return [Lens(tuple(group)) for group in groups.values()]
+
+
+def describe_lenses(lenses: Sequence[Lens]) -> str:
+    """Return a line for people on how many cameras there are, and which."""
+    if len(lenses) == 1:
+        return f"one camera: {_label(lenses[0])}"
+    named = [f"{_detailed(lens)} ({_counted(len(lens.shots))})" for lens in lenses[:_MOST_NAMED]]
+    more = f"; and {len(lenses) - _MOST_NAMED} more" if len(lenses) > _MOST_NAMED else ""
+    return f"{len(lenses)} cameras: {'; '.join(named)}{more}"
+
+
+def _label(lens: Lens) -> str:
+    size = f"{lens.size[0]}x{lens.size[1]}"
+    return f"{lens.tags.camera}, {size}" if lens.tags.camera else size
+
+
+def _detailed(lens: Lens) -> str:
+    """The label with what tells cameras of one name from each other."""
+    folder = PurePosixPath(lens.shots[0].name).parent
+    if not lens.tags.known and folder.name:
+        return f"{folder}, {_label(lens)}"
+    return _label(lens) if lens.tags.focal is None else f"{_label(lens)} at {lens.tags.focal:.3g} mm"
+
+
+def _counted(count: int) -> str:
+    return "1 photograph" if count == 1 else f"{count} photographs"

@@ -1,0 +1,98 @@
+"""Photographs that are much less sharp than their neighbours: shaken, out of focus, or taken while the camera moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import compress
+
+import numpy as np
+from scipy.linalg import eigh
+
+from mgsr.config import Blurred
+from mgsr.data.images import composite_on_white
+from mgsr.data.loading import LoadedView
+from mgsr.data.scene import View
+from mgsr.parallel import map_ahead
+
+# Pixels of the larger side at which sharpness is measured: finer blur costs little accuracy.
+_SIDE = 800
+
+# Pixels of the Gaussian that the photograph is compared with itself after.
+_SIGMA = 1.5
+
+# Powers of two by which a photograph's fine detail may be weaker than its sharp neighbours'. On the shared scenes sharp
+# photographs lack at most 0.43; photographs moved by 5 pixels 0.5 to 1.2, by 9 pixels 0.9 to 1.6.
+_MUCH = 0.55
+
+# Neighbours: those taken from the nearest places, and those before and after by name, as in a video.
+_NEAREST = 6
+_BESIDE = 5
+
+_NAMED = 3  # photographs that a note names
+
+
+def without_blurred(
+    train: list[LoadedView], test: list[LoadedView], blurred: Blurred
+) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
+    """Return the training and test views, without the much less sharp ones under `Blurred.DROP`, and a note on
+    those."""
+    views = [item.view for item in (*train, *test)]
+    less = less_sharp(views)
+    if not less.any():
+        return (train, test), ()
+    names = sorted(view.name for view in compress(views, less))
+    shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
+    text = f"{len(names)} of {len(views)} photographs are much less sharp than their neighbours ({shown})"
+    if blurred is Blurred.KEEP:
+        return (train, test), (f"{text}, which blurs the surface; `--set blurred=drop` leaves them out",)
+    kept = list(compress(train, ~less[: len(train)])), list(compress(test, ~less[len(train) :]))
+    return kept, (f"{text}: they are left out",)
+
+
+def less_sharp(views: Sequence[View]) -> np.ndarray:
+    """Return which views are much less sharp than their neighbours, [V] bool; none of fewer than three."""
+    if len(views) < 3:
+        return np.zeros(len(views), dtype=bool)
+    sharpness = np.array(list(map_ahead(_sharpness, views, None)))
+    neighbours = _neighbours(views)
+    # The second sharpest: one neighbour may show another, more detailed part of the scene.
+    best = np.array([np.sort(sharpness[near])[-2] for near in neighbours])
+    return np.asarray(best - sharpness > _MUCH)
+
+
+def _sharpness(view: View) -> float:
+    """The logarithm to base 2 of the squared gradients' mean over that of the photograph smoothed, in the direction in
+    which it is least: it does not change with contrast, little with content, and motion blurs one direction alone."""
+    import cv2  # late: training needs no OpenCV
+
+    image = view.image if view.alpha is None else composite_on_white(view.image, view.alpha)
+    grey: np.ndarray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    shrink = _SIDE / max(grey.shape)
+    if shrink < 1:
+        grey = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)
+    fine, coarse = _gradients(grey), _gradients(cv2.GaussianBlur(grey, (0, 0), _SIGMA))
+    return float(np.log2(eigh(fine, coarse, eigvals_only=True)[0]))
+
+
+def _gradients(grey: np.ndarray) -> np.ndarray:
+    """The mean outer product [2,2] of the gradients of an image [H,W], with that of faint noise, so that it can be
+    inverted."""
+    down, right = np.gradient(grey)
+    cross = (right * down).mean()
+    return np.array([[(right * right).mean(), cross], [cross, (down * down).mean()]]) + 0.02 * np.eye(2)
+
+
+def _neighbours(views: Sequence[View]) -> list[np.ndarray]:
+    """For each view the numbers of those that show about the same."""
+    centers = np.array([view.camera.center for view in views])
+    axes = np.array([view.camera.cam_from_world[2, :3] for view in views])
+    spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0
+    order = np.argsort([view.name for view in views], kind="stable")
+    place = np.argsort(order)
+    found = []
+    for i in range(len(views)):
+        apart = np.linalg.norm(centers - centers[i], axis=1) / spread + np.linalg.norm(axes - axes[i], axis=1)
+        nearest = np.argsort(apart)[: _NEAREST + 1]
+        beside = order[max(place[i] - _BESIDE, 0) : place[i] + _BESIDE + 1]
+        found.append(np.setdiff1d(np.union1d(nearest, beside), [i]))
+    return found

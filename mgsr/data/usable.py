@@ -1,0 +1,103 @@
+"""Which of a capture's photographs can be used: those that are there, with a camera that a photograph can have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from mgsr.data.capture import Capture, Photo
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.poses import check_intrinsics, check_pose, cuts_out, split_pose
+from mgsr.errors import MissingPhotoError, SceneError, in_short
+
+
+def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], tuple[str, ...]]:
+    """Return the photographs with checked intrinsics and rigid poses, and notes on those that are left out and on what
+    was changed.
+
+    Raises SceneError where fewer than the capture's `least_kept` of its photographs are left, with the reason of the
+    first one, and where a mask that a file names is missing.
+    """
+    if not capture.photos and not capture.lost:
+        raise SceneError(f"{folder.root.name}: the scene has no views")
+    checked: list[_Checked] = []
+    lost = list(capture.lost)
+    for photo in capture.photos:
+        try:
+            checked.append(_check(photo))
+        except SceneError as error:
+            lost.append(error)
+    _require_enough(len(checked), lost, capture, folder)
+    photos = [item.photo for item in checked]
+    _require_masks(photos, folder)
+    return photos, (*_notes_of_lost(lost, len(checked), capture.file), *_notes_of_changes(checked))
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A photograph, and the scale that was divided out of its pose."""
+
+    photo: Photo
+    scale: float
+
+
+def _check(photo: Photo) -> _Checked:
+    K = check_intrinsics(photo.K, photo.size, photo.source)
+    scale = split_pose(photo.cam_from_world, photo.source)[2]
+    pose = check_pose(photo.cam_from_world, photo.source)
+    return _Checked(replace(photo, K=K, cam_from_world=pose), scale)
+
+
+def _require_enough(kept: int, lost: Sequence[SceneError], capture: Capture, folder: SceneFolder) -> None:
+    total = kept + len(lost)
+    if kept and kept >= capture.least_kept * total:
+        return
+    missing = capture.missing
+    if 2 * len(missing) >= len(lost):
+        raise SceneError(
+            f"only {total - len(missing)} of {total} photographs that {capture.file} names are there ({missing[0]}); "
+            f"put them into {folder.root.name}, under the names that {capture.file} has, in any folder of it"
+        )
+    reason = next(error for error in lost if not isinstance(error, MissingPhotoError))
+    raise SceneError(f"{len(lost)} of {total} photographs can't be used; the first: {reason}") from reason
+
+
+def _require_masks(photos: Sequence[Photo], folder: SceneFolder) -> None:
+    absent = [(photo.mask, photo.source) for photo in photos if photo.mask is not None and not photo.mask.is_file()]
+    if not absent:
+        return
+    (mask, source), *others = absent
+    more = f" and {len(others)} more" if others else ""
+    raise SceneError(
+        f"mask {folder.shown(mask)}{more} missing in {folder.root.name} (asked for by {source}); put it there or name "
+        "none"
+    )
+
+
+def _notes_of_lost(lost: Sequence[SceneError], kept: int, file: str) -> tuple[str, ...]:
+    total = kept + len(lost)
+    missing = [error for error in lost if isinstance(error, MissingPhotoError)]
+    broken = [error for error in lost if not isinstance(error, MissingPhotoError)]
+    notes = []
+    if missing:
+        notes.append(f"{_counted(len(missing), total)} of {file} left out: {in_short(missing[0])}")
+    if broken:
+        notes.append(f"{_counted(len(broken), total)} left out: {in_short(broken[0])}")
+    return tuple(notes)
+
+
+def _notes_of_changes(checked: Sequence[_Checked]) -> tuple[str, ...]:
+    notes = []
+    scaled = [item.scale for item in checked if item.scale != 1]
+    if scaled:
+        poses = f"{_counted(len(scaled), len(checked))} with a scale in the pose"
+        notes.append(f"{poses} ({1 / scaled[0]:.4g}): it is divided out, which keeps places and directions")
+    parts = [item.photo for item in checked if cuts_out(item.photo.K, item.photo.size)]
+    if parts:
+        counted = _counted(len(parts), len(checked))
+        notes.append(f"{counted} taken for parts cut out of larger ones: the principal point lies outside the image")
+    return tuple(notes)
+
+
+def _counted(some: int, total: int) -> str:
+    return f"{some} of {total} photographs"

@@ -1,0 +1,103 @@
+"""Positions far from their frame's origin.
+
+A float32 number has about seven digits. Frames of maps (UTM) and of the whole earth (geocentric) need most of them to
+say where the scene lies, and few are left for its shape. Files that have float32 positions are therefore written about
+an origin near the scene, which they name: the places of the frame are the positions in the file plus that origin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mgsr.data.scene import Similarity
+from mgsr.errors import SceneError
+
+# What float32 may lose of a position, as a share of the scene's size.
+_LOSS = 1e-5
+# Decimal digits that every float64 number keeps: such a text is read as the very number that was written.
+_DIGITS = 15
+
+
+def no_origin() -> np.ndarray:
+    """Return the origin [3] of files whose positions are those of the frame."""
+    return np.zeros(3)
+
+
+def float_is_too_coarse(low: np.ndarray, high: np.ndarray) -> bool:
+    """Tell whether float32 loses more than a 100,000th of the size of the box from `low` to `high`, [3] each."""
+    farthest, size = float(np.maximum(np.abs(low), np.abs(high)).max()), float((high - low).max())
+    return farthest * float(np.finfo(np.float32).eps) > _LOSS * size
+
+
+def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the largest coordinates, [3] each, of points [P,3]; zeros for no points."""
+    if len(points) == 0:
+        return np.zeros(3), np.zeros(3)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return an origin [3] for positions in the box from `low` to `high`: zeros where float32 holds them well enough,
+    and else a short number within half the box's size of its middle, rounded to a power of ten."""
+    size = float((high - low).max())
+    # A single place has no shape that could be lost.
+    if not (0 < size < math.inf and float_is_too_coarse(low, high)):
+        return no_origin()
+    decimals = -math.floor(math.log10(size))
+    return _short([round(float(value), decimals) for value in (low + high) / 2])
+
+
+def origin_of_frame(user_from_scene: Similarity, unit: float = 1.0) -> np.ndarray:
+    """Return the origin [3] of the files of a scene, whose object lies in its frame's unit ball, in the user's lengths
+    times `unit`; zeros where float32 holds the user's positions well enough."""
+    middle, radius = user_from_scene.offset * unit, user_from_scene.scale * unit
+    return origin_near(middle - radius, middle + radius)
+
+
+def about_origin(user_from_scene: Similarity, unit: float, origin: np.ndarray) -> Similarity:
+    """Return the way from the scene's frame to positions about `origin` [3], in the user's lengths times `unit`."""
+    return Similarity(user_from_scene.scale * unit, user_from_scene.offset * unit - origin)
+
+
+def scaled_origin(origin: np.ndarray, scale: float) -> np.ndarray:
+    """Return an origin [3] times `scale`, as a number that its text keeps."""
+    return _short(origin * scale)
+
+
+def origin_text(origin: np.ndarray) -> str:
+    """Return an origin [3] as the text in which files name it, such as "431000 5411000 200"."""
+    return " ".join(f"{value:.{_DIGITS}g}" for value in origin)
+
+
+def read_origin_text(words: Sequence[str], source: str) -> np.ndarray:
+    """Return the origin [3] that a file's words name. Raises SceneError, naming the source, for other than three finite
+    numbers."""
+    try:
+        origin = np.array([float(word) for word in words])
+    except ValueError:
+        origin = np.zeros(0)
+    if origin.shape != (3,) or not np.isfinite(origin).all():
+        raise SceneError(
+            f"{source}: its origin: expected three finite numbers, got {' '.join(words)[:80]!r}; write the file again"
+        )
+    return origin
+
+
+def origin_notes(user_from_scene: Similarity, unit: float = 1.0) -> list[str]:
+    """Return what a person should know of the origin of a scene's files, see `origin_of_frame`: a line, or nothing."""
+    origin = origin_of_frame(user_from_scene, unit)
+    if not origin.any():
+        return []
+    away = float(f"{np.linalg.norm(user_from_scene.offset * unit):.2g}")
+    return [
+        f"the frame's origin lies {away:,.{_DIGITS}g} units away: splat files are written about "
+        f"{origin_text(origin)}, which they name; add it to their positions"
+    ]
+
+
+def _short(values: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the values as their texts of 15 digits give them, without a negative zero."""
+    return np.array([float(f"{value:.{_DIGITS}g}") + 0.0 for value in values])

@@ -36,9 +36,11 @@ def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Arti
 
 
 def headline(out: Path) -> dict[str, Any]:
-    """The figures of report.json that a job's own document shows."""
+    """Return the figures of report.json that a job's own document shows, and its notes on the photographs."""
     report = json.loads((out / "report.json").read_text())
-    return {name: report[name] for name in _METRICS if report.get(name) is not None}
+    figures = {name: report[name] for name in _METRICS if report.get(name) is not None}
+    notes = report.get("input", {}).get("notes")
+    return figures | ({"notes": notes} if notes else {})
 
 
 def _sha256(path: Path) -> str:

@@ -103,6 +103,7 @@ def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
         | ({} if plain is None else {"backdrop": [round(value, 3) for value in plain]})
         | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
         | ({"notes": notes} if notes else {})
+        | ({} if scene.warning is None else {"warning": scene.warning})
     )
 
 

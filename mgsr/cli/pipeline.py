@@ -158,7 +158,8 @@ def result_line(report: ReportData) -> str:
         parts.append(f"mesh of {report.mesh.faces} faces")
     if report.psnr_test is not None:
         parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
-    return ", ".join(parts)
+    warning = report.other["input"].get("warning")
+    return ", ".join(parts) + (f"; {warning}" if warning else "")
 
 
 class _Training:

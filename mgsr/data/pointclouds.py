@@ -7,14 +7,28 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.data.images import to_uint8
+from mgsr.data.odd_files import require_content
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
 
+# What programs call the colours of vertices: most of them; MeshLab's older releases; splats, by their constant
+# spherical harmonic.
+_NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_SH_C0 = 0.28209479177387814
+_GREY = 128.0
+
 
 def read_points(path: Path) -> PointCloud:
-    """The finite vertices of a PLY and their colours, grey where it has none. Raises SceneError naming the file."""
+    """Read the finite vertices of a PLY, and their colours, grey where it has none.
+
+    Colours are bytes, 16-bit numbers, or floats from 0 to 1, 255 or 65535, told apart by the largest. Raises SceneError
+    naming the file.
+    """
     from plyfile import PlyData, PlyParseError  # late: training needs no PLY
 
+    require_content(path)
     try:
         vertex = PlyData.read(str(path))["vertex"]
         positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
@@ -28,6 +42,24 @@ def read_points(path: Path) -> PointCloud:
 
 
 def _colors(vertex: Any, count: int) -> np.ndarray:
-    if not {"red", "green", "blue"} <= {item.name for item in vertex.properties}:
-        return np.full((count, 3), 128, np.uint8)
-    return np.stack([np.asarray(vertex[name], np.uint8) for name in ("red", "green", "blue")], axis=1)
+    """Colours [count,3] uint8."""
+    there = {item.name for item in vertex.properties}
+    names = next((names for names in (*_NAMES, _HARMONIC) if set(names) <= there), None)
+    if names is None or count == 0:
+        return np.full((count, 3), _GREY).astype(np.uint8)
+    values = np.stack([np.asarray(vertex[name]) for name in names], axis=1)
+    if names == _HARMONIC:
+        values = np.clip(values * _SH_C0 + 0.5, 0, 1)
+    return _as_bytes(values)
+
+
+def _as_bytes(values: np.ndarray) -> np.ndarray:
+    if values.dtype == np.uint8:
+        return values
+    colors = values.astype(np.float64)
+    largest = np.nanmax(np.where(np.isfinite(colors), colors, np.nan), initial=0)
+    if largest > 255:
+        colors = colors / 257
+    elif largest <= 1 and values.dtype.kind == "f":
+        colors = colors * 255
+    return to_uint8(np.where(np.isfinite(colors), colors, _GREY))

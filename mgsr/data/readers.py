@@ -67,6 +67,7 @@ def load_scene(
         points=_points_to_scene(capture, frame),
         user_from_scene=frame,
         notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *((few,) if few else ())),
+        warning=few,
     )
 
 

@@ -44,7 +44,8 @@ def without_blurred(
     shown = ", ".join(names[:_NAMED]) + (", ..." if len(names) > _NAMED else "")
     text = f"{len(names)} of {len(views)} photographs are much less sharp than their neighbours ({shown})"
     if blurred is Blurred.KEEP:
-        return (train, test), (f"{text}, which blurs the surface; `--set blurred=drop` leaves them out",)
+        cure = f"`--set blurred=drop` leaves them out, if the other {len(views) - len(names)} show all of the object"
+        return (train, test), (f"{text}, which costs accuracy: take them again, or {cure}",)
     kept = list(compress(train, ~less[: len(train)])), list(compress(test, ~less[len(train) :]))
     return kept, (f"{text}: they are left out",)
 

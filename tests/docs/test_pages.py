@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mgsr.config import Config, DataConfig, field_types, make_config
-from mgsr.data import readers
+from mgsr.data import find_scene
 from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
 from scripts.options_page import settings_markdown
@@ -84,7 +84,7 @@ def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     names: dict[str, Any] = {}
     exec(program(CONTRIBUTING, "reader"), names)
     formats = [*all_formats(), names["FORMAT"]]
-    monkeypatch.setattr(readers, "all_formats", lambda: formats)
+    monkeypatch.setattr(find_scene, "all_formats", lambda: formats)
     read = load_scene(spheres, DataConfig(test_every=100))
     ours = {view.name.split("/")[-1]: view.camera for view in [*read.train, *read.test]}
     same = {view.name.split("/")[-1]: view.camera for view in known.train if view.name.split("/")[-1] in ours}

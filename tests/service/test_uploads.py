@@ -153,7 +153,7 @@ def test_what_is_malformed_is_refused(strict: Stack, kind: str, body: bytes, sta
         ({"max_sied": 5}, "data.max_side"),
         ({"data.max_side": "large"}, "integer"),
         ({"data.max_side": -1}, "at least 0"),
-        ({"data.masks": "maybe"}, "auto, off, require"),
+        ({"data.masks": "maybe"}, "auto, object, ignore, off"),
         ({"every": 3}, "ambiguous"),
         ({"train.tv": 1}, "true or false"),
     ],

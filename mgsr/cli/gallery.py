@@ -43,9 +43,9 @@ def draw_surface(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> 
     painter = MeshPainter(shown)
     to_user = scene.user_from_scene.camera_to_user
     views = [painter.shaded(to_user(view.camera)) for view in scene.test[:MOST_VIEWS]]
-    front = (scene.test or scene.train)[0].camera.center
+    front = to_user((scene.test or scene.train)[0].camera).center
     true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
-    return SurfaceDrawings(surface_pictures(shown, _up(scene), np.asarray(front), true_mesh), views)
+    return SurfaceDrawings(surface_pictures(shown, _up(scene), front, true_mesh), views)
 
 
 def report_pictures(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.channels import Channels, find_channels
+from mgsr.data.odd_files import what_instead
 from mgsr.errors import SceneError, in_short
 
 # No camera has more pixels in one picture; files that claim more would fill the memory.
@@ -255,6 +256,8 @@ def _open(path: Path, source: str) -> Any:
     handle = OpenImageIO.ImageInput.open(str(path), config)
     if handle is None:
         reason = _trouble(OpenImageIO.geterror) or "unknown type"
+        if odd := what_instead(path):
+            raise SceneError(f"{path.name} {odd} (asked for by {source})")
         cure = "reduce it" if "exceed" in reason else "copy it again"  # OpenImageIO's own limits come before ours
         raise SceneError(f"{path.name}: not an image that can be read: {reason} (asked for by {source}); {cure}")
     spec, window = handle.spec(), _shown_window(handle)

@@ -16,20 +16,25 @@ from mgsr.data.masks import inverted_masks, leave_borders_free, white_borders
 from mgsr.data.normalise import unmasked_ball
 from mgsr.errors import SceneError
 
-# Points along each side of the cube in which the black parts of the masks are compared.
+# Points along each side of the cube in which the black parts of the masks are compared, and half its side over the
+# radius of the ball that the images show whole: their corners show what lies around that.
 _SIDE = 20
+_REACH = 1.25
 
 # The median share of an image that is black below which masks are no silhouettes: those of an object that fills the
 # image tell nothing, and what is left out of them is hardly missed.
 _NEXT_TO_NOTHING = 0.01
 
 # Where what is black in one view is black in this share of the others, beyond what chance gives, it lies at one place
-# in space. On the shared scenes, whole or cut down to a third of the image, the masks of objects have 0.06 to 0.28;
-# black rectangles at random places have -0.02 to 0.02 with 24 views and up to 0.06 with 6.
+# in space. On the shared scenes, cut down to a half or a third of the image, the masks of objects have 0.09 to 0.23;
+# black rectangles at random places have at most 0.04, and with 6 views 0.08.
 _ELSEWHERE, _SAME_PLACE = 0.04, 0.06
 
-# The same for places in the image: a strip, the camera's own stand.
+# The same for places in the image. With borders at least as white as this, masks that are black at the same pixels in
+# all views hide a strip of the image or the camera's own stand; where they are black in the corners, they may also show
+# a round object that the images cut off.
 _SAME_PIXELS = 0.6
+_STRIP_BORDERS = 0.6
 
 # With borders as white as this and black at one place in space, masks show an object that fills nearly all images, or
 # a thing that stands still and is to be ignored.
@@ -65,10 +70,11 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
     black = np.array([(mask < 128).mean() for mask in masks])
     if np.median(black) < _NEXT_TO_NOTHING and black.mean() < 2 * _NEXT_TO_NOTHING:
         return MaskUse.IGNORE
-    agreement = _agreement_in_space(masks, cameras)
-    if agreement < _ELSEWHERE or _agreement_in_image(masks) > _SAME_PIXELS:
+    agreement, borders = _agreement_in_space(masks, cameras), white_borders(masks)
+    same_pixels = borders >= _STRIP_BORDERS and _agreement_in_image(masks) > _SAME_PIXELS
+    if agreement < _ELSEWHERE or (same_pixels and _black_corners(masks) <= 2):
         return MaskUse.IGNORE
-    if agreement > _SAME_PLACE and white_borders(masks) < _WHITE_BORDERS:
+    if agreement > _SAME_PLACE and borders < _WHITE_BORDERS and not same_pixels:
         return MaskUse.OBJECT
     raise SceneError(f"the masks may show an object or what is to be ignored ({1 - black.mean():.0%} white); {_CHOICE}")
 
@@ -78,7 +84,7 @@ def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) 
     center, radius = unmasked_ball(cameras, None)
     axis = np.linspace(-1, 1, _SIDE)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = center + radius * grid[np.linalg.norm(grid, axis=1) <= 1]
+    points = center + _REACH * radius * grid
     pairs = (_seen(points, mask, camera) for mask, camera in zip(masks, cameras, strict=True))
     seen, black = (np.array(part) for part in zip(*pairs, strict=True))
     return _agreement(seen, black)
@@ -90,6 +96,11 @@ def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
     rows = [mask[(axis * len(mask)).astype(int)][:, (axis * mask.shape[1]).astype(int)].ravel() for mask in masks]
     black = np.array(rows) < 128
     return _agreement(np.ones_like(black), black)
+
+
+def _black_corners(masks: Sequence[np.ndarray]) -> float:
+    """The median number of corners that a mask has black."""
+    return float(np.median([(mask[[0, 0, -1, -1], [0, -1, 0, -1]] < 128).sum() for mask in masks]))
 
 
 def _agreement(seen: np.ndarray, black: np.ndarray) -> float:

@@ -65,6 +65,8 @@ def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
         return MaskUse(masks.value)
     if not with_masks:
         return None
+    if all((item.mask == 255).all() for item in with_masks if item.mask is not None):
+        return None
     shown = [whole_part(replace(item.view, alpha=item.mask)) for item in with_masks]
     return find_mask_use([_alpha(view) for view in shown], [view.camera for view in shown])
 

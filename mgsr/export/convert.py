@@ -11,7 +11,7 @@ import numpy as np
 from mgsr.data.scene import Similarity
 from mgsr.errors import ConfigError, SceneError
 from mgsr.export.compressed_ply import is_compressed_ply, load_compressed_ply, write_compressed_ply
-from mgsr.export.far_origin import box, origin_near, origin_text, scaled_origin
+from mgsr.export.far_origin import origin_near, origin_text, scaled_origin
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.mesh_reading import load_mesh
@@ -19,6 +19,7 @@ from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.splats import Splats, load_splats, require_finite, write_splats
 from mgsr.export.spz import load_spz, read_spz_origin, write_spz
+from mgsr.geometry.precision import box
 
 COMPRESSED = ".compressed.ply"
 _MESHES = (".ply", ".glb", ".obj")

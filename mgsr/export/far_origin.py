@@ -14,9 +14,8 @@ import numpy as np
 
 from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError
+from mgsr.geometry.precision import float_is_too_coarse
 
-# What float32 may lose of a position, as a share of the scene's size.
-_LOSS = 1e-5
 # Decimal digits that every float64 number keeps: such a text is read as the very number that was written.
 _DIGITS = 15
 
@@ -24,19 +23,6 @@ _DIGITS = 15
 def no_origin() -> np.ndarray:
     """Return the origin [3] of files whose positions are those of the frame."""
     return np.zeros(3)
-
-
-def float_is_too_coarse(low: np.ndarray, high: np.ndarray) -> bool:
-    """Tell whether float32 loses more than a 100,000th of the size of the box from `low` to `high`, [3] each."""
-    farthest, size = float(np.maximum(np.abs(low), np.abs(high)).max()), float((high - low).max())
-    return farthest * float(np.finfo(np.float32).eps) > _LOSS * size
-
-
-def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least and the largest coordinates, [3] each, of points [P,3]; zeros for no points."""
-    if len(points) == 0:
-        return np.zeros(3), np.zeros(3)
-    return points.min(axis=0), points.max(axis=0)
 
 
 def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 
 from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
-from mgsr.export.far_origin import box, float_is_too_coarse
 from mgsr.export.gltf import Up, UpAxis, glb
 from mgsr.export.ply_notes import number_comments
+from mgsr.geometry.precision import box, float_is_too_coarse
 
 
 def check_mesh(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:

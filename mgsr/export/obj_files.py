@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.export.far_origin import box, float_is_too_coarse
 from mgsr.export.mesh_files import check_mesh
+from mgsr.geometry.precision import box, float_is_too_coarse
 
 
 def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:

@@ -21,8 +21,8 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError, in_short
-from mgsr.export.far_origin import box, float_is_too_coarse
 from mgsr.export.ply_notes import number_comments, origin_comments
+from mgsr.geometry.precision import box, float_is_too_coarse
 
 Splats = dict[str, np.ndarray]
 

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from mgsr.data.camera import Camera
 from mgsr.data.known import known_at
+from mgsr.geometry.precision import middle_for_float
 from mgsr.open3d_library import load_open3d
 
 NO_FACE = np.iinfo(np.uint32).max
@@ -47,19 +48,24 @@ class PixelHits:
 
 
 class RayCaster:
-    """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting."""
+    """A mesh, vertices [V,3] and faces [F,3], prepared for ray casting.
+
+    Embree has float32 positions. Where those are too coarse for the vertices, far from their frame's origin, rays are
+    cast about the vertices' middle; what comes and goes is in the vertices' frame.
+    """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         core = load_open3d().core
+        self._middle = middle_for_float(vertices)
         self._scene = load_open3d().t.geometry.RaycastingScene()
         self._scene.add_triangles(
-            core.Tensor(np.ascontiguousarray(vertices, np.float32)), core.Tensor(np.ascontiguousarray(faces, np.uint32))
+            core.Tensor(self._single(vertices)), core.Tensor(np.ascontiguousarray(faces, np.uint32))
         )
 
     def cast(self, camera: Camera) -> RayHits:
         """What `camera` sees, one ray through each pixel's centre."""
         directions = pixel_rays(camera)
-        origins = np.broadcast_to(camera.center.astype(np.float32), directions.shape)
+        origins = np.broadcast_to(self._single(camera.center), directions.shape)
         rays = np.concatenate([origins, directions], axis=-1)
         hits = self._scene.cast_rays(load_open3d().core.Tensor(rays))
         depth, normal, face = (hits[key].numpy() for key in ("t_hit", "primitive_normals", "primitive_ids"))
@@ -77,14 +83,14 @@ class RayCaster:
 
     def cast_rays(self, origins: np.ndarray, directions: np.ndarray) -> PixelHits:
         """What rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their lengths."""
-        hits = self._scene.cast_rays(_rays(origins, directions))
+        hits = self._scene.cast_rays(_rays(self._single(origins), directions))
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         return PixelHits(np.where(face != NO_FACE, depth, 0), face, _shares(uv))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32, the
         shares of its corners."""
-        found = self._scene.compute_closest_points(load_open3d().core.Tensor(np.ascontiguousarray(points, np.float32)))
+        found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
@@ -104,8 +110,12 @@ class RayCaster:
         """Which of the points [P,3] have nothing between them and a place [3], but for the last `gap`; [P] bool."""
         offsets = points - place
         lengths = np.linalg.norm(offsets, axis=1)
-        first = self._scene.cast_rays(_rays(place, offsets / lengths[:, None]))["t_hit"].numpy()
+        first = self._scene.cast_rays(_rays(self._single(place), offsets / lengths[:, None]))["t_hit"].numpy()
         return np.asarray(first >= lengths - gap)
+
+    def _single(self, positions: np.ndarray) -> np.ndarray:
+        """Positions [...,3] of the vertices' frame as float32, in the frame in which rays are cast."""
+        return np.ascontiguousarray(positions if self._middle is None else positions - self._middle, np.float32)
 
 
 def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:

@@ -10,14 +10,18 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from plyfile import PlyData
+from plyfile import PlyData, PlyElement
 from typer.testing import CliRunner
 
+from mgsr.cli.evaluation import find_truth, surface_scores
+from mgsr.cli.gallery import draw_surface
 from mgsr.cli.main import app
 from mgsr.cli.models import Models
 from mgsr.cli.outputs import as_lit, read_models, write_lighting, write_models
 from mgsr.cli.pipeline import _draw
-from mgsr.config import OutputConfig
+from mgsr.config import DataConfig, OutputConfig
+from mgsr.data.camera import Camera
+from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.mesh.surface import SurfaceMesh
@@ -35,14 +39,26 @@ NOTE = f"the frame's origin lies 4,500,000 units away: splat files are written a
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", size=48, train=10, test=1)
     (folder / "mesh_gt.ply").unlink()
+    move_cameras(folder, AWAY)
+    return folder
+
+
+def move_cameras(folder: Path, away: np.ndarray) -> None:
     for path in folder.glob("transforms_*.json"):
         content = json.loads(path.read_text())
         for frame in content["frames"]:
             pose = np.array(frame["transform_matrix"])
-            pose[:3, 3] += AWAY
+            pose[:3, 3] += away
             frame["transform_matrix"] = pose.tolist()
         path.write_text(json.dumps(content))
-    return folder
+
+
+def write_truth(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """A PLY with double positions, written by plyfile."""
+    vertex = np.rec.fromarrays(vertices.T, dtype=[(axis, "f8") for axis in "xyz"])
+    face = np.empty(len(faces), [("vertex_indices", "i4", (3,))])
+    face["vertex_indices"] = faces
+    PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")]).write(str(path))
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +138,45 @@ def test_the_reports_pictures_are_those_of_the_same_scene_at_the_origin() -> Non
     for near, far in zip(*pictures, strict=True):
         assert (near[..., 3] == 255).sum() > 10000
         assert np.abs(near.astype(int) - far).mean() < 0.5
+
+
+def test_scores_against_a_truth_are_those_of_the_same_scene_at_the_origin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("surface.POINTS", "surface.DENSE", "truth.POINTS"):
+        monkeypatch.setattr(f"mgsr.metrics.{name}", 30_000)
+    scores, counts = [], []
+    for name, away in (("near", np.zeros(3)), ("far", AWAY)):
+        folder = write_spheres(tmp_path / name, size=64, train=8, test=2)
+        move_cameras(folder, away)
+        spheres = trimesh.load_mesh(folder / "mesh_gt.ply", process=False)
+        write_truth(folder / "mesh_gt.ply", spheres.vertices + away, spheres.faces)
+        colors = np.full(spheres.vertices.shape, 0.5)
+        larger = SurfaceMesh(1.02 * spheres.vertices + away, spheres.faces, spheres.vertex_normals, colors)
+        scene = load_scene(folder, DataConfig())
+        truth = find_truth(scene)
+        assert truth is not None
+        scores.append(surface_scores(larger, truth, scene)["gt"])
+        counts.append(truth.view_counts)
+    assert scores[1] == pytest.approx(scores[0], rel=1e-3, abs=1e-3)
+    # Where two spheres meet, points lie as near to a surface as float32 can tell.
+    assert (counts[0] != counts[1]).mean() < 1e-3
+
+
+def test_the_pictures_do_not_depend_on_the_frame_in_which_a_scene_is_trained() -> None:
+    """The same mesh and camera of the user's frame, with and without another frame for the scene: a user's position
+    is scale * position + offset."""
+    scale, offset, place = 0.4, np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
+    box = trimesh.creation.box((1.0, 0.5, 0.3))
+    corners = np.asarray(box.vertices)
+    mesh = SurfaceMesh(scale * corners + offset, box.faces, box.vertex_normals, np.full(corners.shape, 0.5))
+    camera = looking_at_origin(place)
+    rotation, pose = camera.cam_from_world[:3, :3], np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ (scale * place + offset)
+    of_user = Camera(camera.K, pose, camera.width, camera.height)
+    drawn = []
+    for view, frame in ((camera, Similarity(scale, offset)), (of_user, Similarity(1.0, np.zeros(3)))):
+        scene = Scene("box", Path(), "plain", [View("a", view, np.zeros((2, 2, 3), np.uint8))], [], None, frame)
+        drawn.append([side.pixels.astype(int) for side in draw_surface(mesh, None, scene).sides.shaded])
+    for moved, plain in zip(*drawn, strict=True):
+        assert np.abs(moved - plain).mean() < 0.05

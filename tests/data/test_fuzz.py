@@ -27,6 +27,17 @@ from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
 from tests.data.test_app_formats import metashape, opensfm, polycam, realitycapture
 from tests.data.test_archive import tarred, zipped
+from tests.data.test_dataset_formats import gaussians, llff, mvsnet, nero, nsvf, record3d, scannet, tanks
+from tests.data.test_photogrammetry_formats import (
+    blocksexchange,
+    bundler,
+    kapture,
+    meshroom,
+    nvm,
+    openmvg,
+    pix4d,
+    realitycapture_xmp,
+)
 from tests.data.test_research_formats import middlebury, neus
 from tests.fuzzing import LONG, QUICK, Change, byte_changes, fuzz, value_changes
 
@@ -77,6 +88,30 @@ TARGETS = {
     "opensfm": Target(opensfm, "reconstruction.json"),
     "metashape": Target(metashape, "cameras.xml"),
     "realitycapture": Target(lambda root: realitycapture(root, ROW, first="#cameras 1"), "export.csv"),
+    "bundler": Target(bundler, "bundle.out"),
+    "bundler_list": Target(bundler, "list.txt"),
+    "nvm": Target(nvm, "scene.nvm"),
+    "openmvg": Target(openmvg, "sfm_data.json"),
+    "meshroom": Target(meshroom, "cameras.sfm"),
+    "blocksexchange": Target(blocksexchange, "block.xml"),
+    "realitycapture_xmp": Target(realitycapture_xmp, "000.xmp"),
+    "pix4d": Target(pix4d, "site_calibrated_camera_parameters.txt"),
+    "record3d": Target(record3d, "metadata.json"),
+    "mvsnet": Target(mvsnet, "cams/00000001_cam.txt"),
+    "llff": Target(llff, "poses_bounds.npy"),
+    "gaussians": Target(gaussians, "cameras.json"),
+    "nero": Target(nero, "1-camera.pkl"),
+    "nsvf": Target(nsvf, "pose/0_0000.txt"),
+    "nsvf_intrinsics": Target(nsvf, "intrinsics.txt"),
+    "scannet": Target(scannet, "pose/1.txt"),
+    "scannet_intrinsics": Target(scannet, "intrinsic/intrinsic_color.txt"),
+    "tanks": Target(tanks, "Ball_COLMAP_SfM.log"),
+    "tanks_intrinsics": Target(tanks, "intrinsics.txt"),
+    **{
+        f"kapture_{stem}": Target(kapture, f"sensors/{stem}.txt")
+        for stem in ("sensors", "records_camera", "trajectories", "rigs")
+    },
+    "kapture_points": Target(kapture, "reconstruction/points3d.txt"),
     **{
         f"colmap_{stem}_{suffix}": Target(
             lambda root, text=suffix == "txt": colmap(root, text), f"sparse/0/{stem}.{suffix}"
@@ -85,7 +120,7 @@ TARGETS = {
         for suffix in ("bin", "txt")
     },
 }
-JSON_TARGETS = [name for name, target in TARGETS.items() if target.file.endswith(".json")]
+JSON_TARGETS = [name for name, target in TARGETS.items() if target.file.endswith((".json", ".sfm"))]
 
 
 def read(root: Path) -> None:

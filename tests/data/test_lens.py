@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mgsr.data.formats.colmap import _MODELS, _Camera, _to_pinhole
+from mgsr.data.formats.colmap import _MODELS, checked_camera, to_pinhole
 from mgsr.data.lens import DivisionLens, Lens
 from mgsr.data.pixels import PixelStore
 from mgsr.data.undistortion import HALF_ANGLE, Undistorter, resample, undistortion
@@ -35,7 +35,7 @@ def test_every_camera_model_agrees_with_colmap(number):
     camera = pycolmap.Camera.create_from_model_name(1, name, 60.0, 96, 64)
     assert int(camera.model) == number and len(camera.params) == count
     camera.params = parameters(camera)
-    matrix, lens = _to_pinhole(_Camera(name, 96, 64, tuple(camera.params)), "test")
+    matrix, lens = to_pinhole(checked_camera(name, 96, 64, tuple(camera.params)), "test")
     x, y = RAYS[:, 0], RAYS[:, 1]
     if lens is not None:
         x, y = lens.distort(x, y)

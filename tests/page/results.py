@@ -20,8 +20,10 @@ METRICS = {
     "gaussians": {"volumes": 400},
     "seconds": {"total": 75.0},
 }
-# Far from the origin, as maps have it: the viewer must bring mesh and splats together there.
+# Off the origin: the viewer must bring mesh and splats together there.
 MIDDLE = np.array([5.0, -3.0, 2.0])
+# As far as maps have it, with splats about an origin beside the middle.
+FAR_MIDDLE, FAR_ORIGIN = np.array([512345.25, 4501234.5, 431.25]), np.array([512344.0, 4501236.0, 433.0])
 RED, SIZE = (0.85, 0.1, 0.1), 48
 TRANSMITTED, REFLECTED, WEIGHT, EVEN = 0.5, 0.4, 0.5, 0.8
 REPORT = (
@@ -30,13 +32,14 @@ REPORT = (
 )
 
 
-def make_results(folder: Path) -> dict[str, bytes]:
-    """Every result file by its name."""
+def make_results(folder: Path, middle: np.ndarray = MIDDLE, origin: np.ndarray | None = None) -> dict[str, bytes]:
+    """Every result file by its name; the splats about an origin [3] that their file names, if there is one."""
     box = trimesh.creation.box((2.0, 1.0, 1.0))
-    arrays = (box.vertices + MIDDLE, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
+    arrays = (box.vertices + middle, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
     write_ply(folder / "mesh.ply", *arrays)
     write_glb(folder / "mesh.glb", *arrays, up=UpAxis.Z)
-    write_splats(folder / "splats_3d.ply", _splats())
+    about = middle if origin is None else middle - origin
+    write_splats(folder / "splats_3d.ply", _splats(about), origin=origin)
     write_view(folder / "renders" / "test", "r_0", _view())
     (folder / "report.html").write_text(REPORT)
     (folder / "report.json").write_text(json.dumps(METRICS))
@@ -44,14 +47,14 @@ def make_results(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def _splats() -> dict[str, np.ndarray]:
-    """Opaque red blobs inside of the box."""
+def _splats(middle: np.ndarray) -> dict[str, np.ndarray]:
+    """Opaque red blobs inside of the box around a place [3]."""
     random = np.random.default_rng(0)
     count = 400
     sh = np.zeros((count, 4, 3))
     sh[:, 0] = (np.array(RED) - 0.5) / 0.28209479177387814  # the constant basis function
     return {
-        "means": MIDDLE + random.uniform(-1, 1, (count, 3)) * (0.9, 0.4, 0.4),
+        "means": middle + random.uniform(-1, 1, (count, 3)) * (0.9, 0.4, 0.4),
         "quats": np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
         "log_scales": np.full((count, 3), np.log(0.08)),
         "opacity_logits": np.full(count, 6.0),

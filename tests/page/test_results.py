@@ -13,7 +13,18 @@ from playwright.sync_api import Locator, Page, expect
 from tests.page.browser import until
 from tests.page.conftest import Opener
 from tests.page.puppet import Puppet
-from tests.page.results import EVEN, METRICS, RED, REFLECTED, SIZE, TRANSMITTED, WEIGHT
+from tests.page.results import (
+    EVEN,
+    FAR_MIDDLE,
+    FAR_ORIGIN,
+    METRICS,
+    RED,
+    REFLECTED,
+    SIZE,
+    TRANSMITTED,
+    WEIGHT,
+    make_results,
+)
 from tests.service.stack import Stack
 from tests.worker.archives import zip_of
 
@@ -35,6 +46,16 @@ RED_AND_ALPHA = """canvas => {
 def done(service: Stack, results: dict[str, bytes]) -> str:
     """The address of a job that succeeded."""
     job = service.submitted(zip_of(("image.png", b"x")), {"name": "red box"})
+    Puppet(service, job).succeed(results, METRICS)
+    return f"/#/jobs/{job}"
+
+
+@pytest.fixture(scope="module")
+def far(service: Stack, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The address of such a job whose frame's origin lies far away."""
+    job = service.submitted(zip_of(("image.png", b"x")), {"name": "far red box"})
+    results = make_results(tmp_path_factory.mktemp("far"), FAR_MIDDLE, FAR_ORIGIN)
+    assert b"comment mgsr origin 512344 4501236 433\n" in results["splats_3d.ply"]
     Puppet(service, job).succeed(results, METRICS)
     return f"/#/jobs/{job}"
 
@@ -89,9 +110,10 @@ def test_the_viewer_is_loaded_only_when_asked_for(visit: Opener, done: str) -> N
         assert len(page.evaluate(loaded)) == 1
 
 
-def test_mesh_and_splats_lie_at_the_same_place(visit: Opener, done: str) -> None:
-    """The box is red and far from the origin, the splats inside of it are red too."""
-    with visit(done) as page:
+@pytest.mark.parametrize("job", ["done", "far"])
+def test_mesh_and_splats_lie_at_the_same_place(visit: Opener, job: str, request: pytest.FixtureRequest) -> None:
+    """The box is red and off the origin, the splats inside of it are red too."""
+    with visit(request.getfixturevalue(job)) as page:
         open_viewer(page)
         mesh = red(stage(page))
         assert 0.05 < mesh.mean() < 0.8

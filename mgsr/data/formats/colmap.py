@@ -40,7 +40,7 @@ _PLACES = {
 # Fewer registered photographs than this share mean that COLMAP lost the scene.
 _LEAST_REGISTERED = 0.25
 
-# Model number in binary files, name, count of parameters; what they mean stands in _to_pinhole.
+# Model number in binary files, name, count of parameters; what they mean stands in to_pinhole.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
@@ -75,7 +75,7 @@ _ONE_FOCAL = {
 
 
 @dataclass(frozen=True)
-class _Camera:
+class ColmapCamera:
     model: str
     width: int
     height: int
@@ -147,7 +147,7 @@ def _read_images(root: Path, marker: Path) -> _Model:
     return _Model(marker, where, _parsed(_IMAGES, marker, where))
 
 
-def _read_scene(model: _Model) -> tuple[dict[int, _Camera], PointCloud | None]:
+def _read_scene(model: _Model) -> tuple[dict[int, ColmapCamera], PointCloud | None]:
     """The cameras and points of a model."""
     cameras, points = model.marker.with_stem("cameras"), model.marker.with_stem("points3D")
     return (
@@ -182,17 +182,17 @@ def _left_out(found: FoundPhotos, model: _Model) -> tuple[str, ...]:
     return check_share(registered, total, _LEAST_REGISTERED, f"are registered in {model.where}", cure)
 
 
-def _photo(path: Path, image: _Image, cameras: dict[int, _Camera], file: str) -> Photo:
+def _photo(path: Path, image: _Image, cameras: dict[int, ColmapCamera], file: str) -> Photo:
     source = f"{file}, image {image.name}"
     if image.camera not in cameras:
         raise SceneError(f"{source}: camera {image.camera} is not in the cameras file")
     camera = cameras[image.camera]
-    K, lens = _to_pinhole(camera, source)
+    K, lens = to_pinhole(camera, source)
     size = (camera.width, camera.height)
     return Photo(image=path, K=K, size=size, cam_from_world=_pose(image, source), source=source, lens=lens)
 
 
-def _to_pinhole(camera: _Camera, source: str) -> tuple[np.ndarray, AnyLens | None]:
+def to_pinhole(camera: ColmapCamera, source: str) -> tuple[np.ndarray, AnyLens | None]:
     """The intrinsics, and the lens that the photographs must be rid of (COLMAP's sensor/models.h has the formulas)."""
     if camera.model.lower() in PANORAMAS:
         raise SceneError(f"{source}: camera model {camera.model} is not supported: {PANORAMA_CURE}")
@@ -264,9 +264,11 @@ def _text_lines(path: Path) -> list[str]:
     return [line.strip() for line in lines if not line.startswith("#")]
 
 
-def _text_cameras(path: Path) -> dict[int, _Camera]:
+def _text_cameras(path: Path) -> dict[int, ColmapCamera]:
     rows = [line.split() for line in _text_lines(path) if line]
-    return {int(row[0]): _checked(row[1], int(row[2]), int(row[3]), tuple(map(text_number, row[4:]))) for row in rows}
+    return {
+        int(row[0]): checked_camera(row[1], int(row[2]), int(row[3]), tuple(map(text_number, row[4:]))) for row in rows
+    }
 
 
 def _text_images(path: Path) -> list[_Image]:
@@ -323,12 +325,12 @@ class _Bytes:
         yield from range(self.take("Q")[0])
 
 
-def _binary_cameras(path: Path) -> dict[int, _Camera]:
+def _binary_cameras(path: Path) -> dict[int, ColmapCamera]:
     data, cameras = _Bytes(path), {}
     for _ in data.records():
         number, kind, width, height = data.take("IiQQ")
         model, count = _MODELS[kind]
-        cameras[number] = _checked(model, width, height, data.take(f"{count}d"))
+        cameras[number] = checked_camera(model, width, height, data.take(f"{count}d"))
     return cameras
 
 
@@ -353,12 +355,12 @@ def _binary_points(path: Path) -> PointCloud:
     return PointCloud(places[finite], np.array(colors, np.uint8).reshape(-1, 3)[finite])
 
 
-def _checked(model: str, width: int, height: int, params: tuple[float, ...]) -> _Camera:
+def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ColmapCamera:
     """The camera, if it has as many parameters as its model asks for (models that aren't known are refused later)."""
     count = dict(_MODELS.values()).get(model)
     if count is not None and len(params) != count:
         raise ValueError(f"camera model {model} has {count} parameters, got {len(params)}")
-    return _Camera(model, width, height, params)
+    return ColmapCamera(model, width, height, params)
 
 
 _CAMERAS = {".bin": _binary_cameras, ".txt": _text_cameras}

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
-from mgsr.data.formats import colmap
+from mgsr.data.formats.colmap import checked_camera, to_pinhole
 from mgsr.data.lens import AnyLens
 from mgsr.data.number_lists import grey, numbers, point_cloud, rotation_of
 from mgsr.data.odd_files import require_content
@@ -111,10 +111,10 @@ def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndar
         )
     model, values = sensor[2], numbers(sensor[3:], len(sensor[3:]), f"parameters of {device[:80]}", source)
     try:
-        camera = colmap._checked(model, int(values[0]), int(values[1]), tuple(values[2:].tolist()))
+        camera = checked_camera(model, int(values[0]), int(values[1]), tuple(values[2:].tolist()))
     except ValueError as error:
         raise SceneError(f"{source}: {_SENSORS}: {in_short(error)}; mend the file") from error
-    K, lens = colmap._to_pinhole(camera, source)
+    K, lens = to_pinhole(camera, source)
     return K, lens, (camera.width, camera.height)
 
 

@@ -1,0 +1,185 @@
+"""Where a scene lies in what people give, and what is said where there is none."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mgsr.config import DataConfig
+from mgsr.data.photo_files import SceneFolder
+from mgsr.data.readers import load_scene
+from mgsr.errors import MissingPhotoError, SceneError
+from tests.data.captures import BallCapture, edit_json, save
+
+LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 123\n"
+GREY = np.full((8, 8, 3), 128, np.uint8)
+
+
+@pytest.fixture
+def root(tmp_path) -> Path:
+    return BallCapture().write_plain(tmp_path / "vase")
+
+
+def views(path: Path) -> int:
+    scene = load_scene(path, DataConfig())
+    return len(scene.train) + len(scene.test)
+
+
+def refuses(path: Path, match: str) -> None:
+    with pytest.raises(SceneError, match=match):
+        load_scene(path, DataConfig())
+
+
+@pytest.mark.parametrize("place", ["a", "a/b", "a/b/c"])
+def test_a_scene_some_folders_deeper(tmp_path, root, place):
+    deeper = tmp_path / "given" / place / "vase"
+    deeper.parent.mkdir(parents=True)
+    root.rename(deeper)
+    scene = load_scene(tmp_path / "given", DataConfig())
+    assert scene.name == "vase" and scene.root == deeper
+
+
+def test_photographs_beside_the_folder_of_the_cameras(tmp_path):
+    """As dense/0/sparse and images/ lie in one capture; masks are found there too."""
+    root = BallCapture().write_plain(tmp_path / "vase", mode="RGB")
+    BallCapture().write_masks(root)
+    (root / "export/0").mkdir(parents=True)
+    (root / "cameras.json").rename(root / "export/0/cameras.json")
+    scene = load_scene(root, DataConfig())
+    assert scene.name == "export" and len(scene.train) + len(scene.test) == 12
+    assert scene.masked and scene.notes == ()
+
+
+def test_a_scene_given_by_its_photographs(root):
+    scene = load_scene(root / "photos", DataConfig())
+    assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, which is read"
+    save(root / "others/a.png", GREY, "RGB")
+    refuses(root / "others", "1 images, but no cameras; find the cameras with `mgsr poses")
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("moved", [False, True])
+def test_absolute_paths(root, monkeypatch, relative, moved):
+    """The answer is the same whether the folder is given absolutely or relatively, and after it was moved."""
+
+    def absolute(content):
+        for view in content["views"]:
+            view["image"] = str(root / view["image"])
+
+    edit_json(root / "cameras.json", absolute)
+    folder = root.rename(root.with_name("moved")) if moved else root
+    monkeypatch.chdir(folder.parent)
+    scene = load_scene(Path(folder.name) if relative else folder, DataConfig())
+    assert len(scene.train) + len(scene.test) == 12
+    assert [note for note in scene.notes if "lie elsewhere" in note] == (
+        [note for note in scene.notes if note.startswith("12 of 12 photographs lie elsewhere")] if moved else []
+    )
+    assert bool(scene.notes) == moved
+
+
+def test_absolute_paths_outside_are_never_read(root, tmp_path):
+    save(tmp_path / "secret/000.png", GREY, "RGB")
+    edit_json(root / "cameras.json", lambda content: content["views"][0].update(image=str(tmp_path / "secret/1.png")))
+    scene = load_scene(root, DataConfig())
+    assert any("secret/1.png is missing" in note for note in scene.notes)
+
+
+def test_windows_paths(root):
+    def windows(content):
+        for view in content["views"]:
+            view["image"] = "D:\\captures\\vase\\" + view["image"].replace("/", "\\")
+
+    edit_json(root / "cameras.json", windows)
+    assert views(root) == 12
+
+
+def test_reduced_copies(root):
+    """The largest copies are taken where the photographs themselves are gone."""
+    for factor in (8, 2, 4):
+        shutil.copytree(root / "photos", root / f"photos_{factor}")
+    shutil.rmtree(root / "photos")
+    scene = load_scene(root, DataConfig())
+    assert "the photographs are read from photos_2; the cameras are scaled to their size" in scene.notes
+
+
+def test_photographs_that_may_be_several(tmp_path):
+    for folder in ("left", "right"):
+        save(tmp_path / folder / "0.png", GREY, "RGB")
+        save(tmp_path / folder / "1.png", GREY, "RGB")
+    folder = SceneFolder.at(tmp_path)
+    found = folder.find_photos("poses.txt", ["a/left/0.png", "right/1.png", "2.png"])
+    assert found.paths[:2] == [tmp_path / "left/0.png", tmp_path / "right/1.png"]
+    assert isinstance(found.paths[2], MissingPhotoError)
+    both = folder.find_photos("poses.txt", ["0.png"]).paths[0]
+    assert re.match(r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; name it", str(both))
+
+
+def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path):
+    for folder in ("depth", "rgb"):
+        save(tmp_path / folder / "0.png", GREY, "RGB")
+    assert SceneFolder.at(tmp_path).find_photos("poses.txt", ["0"], labels=True).paths == [tmp_path / "rgb/0.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("walk.mp4", "x", r"walk\.mp4: a video; take frames from it.*ffmpeg.*mgsr poses"),
+        ("a.png", "x", r"a\.png: a single photograph; give the folder"),
+        ("scene.zip", LFS, r"scene\.zip is a pointer of Git LFS and not the file itself; .*`git lfs pull`"),
+        ("scene.zip", "<!DOCTYPE html><html>", r"scene\.zip is a web page and not the file itself; download it again"),
+        ("scene.zip", "", r"scene\.zip is an empty file"),
+        ("transforms.json", "{}", r"transforms\.json: a file of a scene; give the folder that holds it"),
+    ],
+)
+def test_files_that_are_no_scene(tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    refuses(tmp_path / name, message)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("walk.MOV", r"a video \(walk\.MOV\) but no photographs; take frames"),
+        ("IMG.dng", r"raw photographs \(IMG\.dng\), which are not read; develop them"),
+        ("scene.zip", r"no known scene in it, but another archive, scene\.zip"),
+    ],
+)
+def test_folders_of_other_things(tmp_path, name, message):
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / name).write_text("x")
+    refuses(tmp_path, message)
+
+
+def test_git_lfs_pointers_in_place_of_files(root):
+    (root / "photos/003.png").write_text(LFS)
+    scene = load_scene(root, DataConfig())
+    assert len(scene.train) + len(scene.test) == 11
+    assert any(re.search(r"003\.png is a pointer of Git LFS .*git lfs pull", note) for note in scene.notes)
+    for path in (root / "photos").iterdir():
+        path.write_text(LFS)
+    refuses(root, r"12 of 12 photographs can't be used; the first: .*is a pointer of Git LFS")
+    (root / "cameras.json").write_text(LFS)
+    refuses(root, r"cameras\.json is a pointer of Git LFS")
+
+
+def test_an_archive_whose_scene_lies_deeper(root, tmp_path):
+    with zipfile.ZipFile(tmp_path / "vase.zip", "w") as archive:
+        for path in sorted(root.rglob("*")):
+            archive.write(path, Path("upload/today") / path.relative_to(root))
+    assert views(tmp_path / "vase.zip") == 12
+
+
+def test_nan_as_windows_writes_it(root):
+    """Of one view, in JSON that Python writes otherwise."""
+    text = (root / "cameras.json").read_text()
+    text = re.sub(r'(?<="cam_from_world": \[\[)[-\d.e]+', "-nan(ind)", text, count=1)
+    (root / "cameras.json").write_text(text)
+    scene = load_scene(root, DataConfig())
+    assert scene.notes[0].startswith(
+        "1 of 12 photographs left out: cameras.json, view 0 (photos/000.png): the pose has"
+    )

@@ -1,0 +1,139 @@
+"""Masks that are silhouettes, and masks that say what to ignore, drawn where their kind has them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.config import DataConfig, Masks
+from mgsr.data.camera import Camera
+from mgsr.data.mask_use import MaskUse, find_mask_use
+from mgsr.data.readers import load_scene
+from mgsr.errors import SceneError
+from tests.data.captures import SIDE, BallCapture, save
+
+BALL = BallCapture(views=24)
+# The same cameras with a lens so long that the ball fills most of the image, and is cut off at its sides.
+CLOSE = BallCapture(views=24, K=np.array([[125.0, 0, 30], [0, 125, 35], [0, 0, 1]]))
+
+
+def cameras(ball: BallCapture) -> list[Camera]:
+    return [Camera(ball.K, pose, SIDE, SIDE) for pose in ball.poses()]
+
+
+def silhouettes(ball: BallCapture) -> list[np.ndarray]:
+    return [ball.rgba(pose)[..., 3] for pose in ball.poses()]
+
+
+def passers_by(share: float, empty: float = 0.4) -> list[np.ndarray]:
+    """Black rectangles of a share of the image at random places, in most views."""
+    rng = np.random.default_rng(5)
+    masks = []
+    for _ in range(BALL.views):
+        mask = np.full((SIDE, SIDE), 255, np.uint8)
+        side = int(SIDE * share**0.5)
+        if rng.random() > empty:
+            row, column = rng.integers(0, SIDE - side // 2, 2)
+            mask[row : row + side, column : column + side] = 0
+        masks.append(mask)
+    return masks
+
+
+def strip() -> list[np.ndarray]:
+    """The camera's own stand, at the bottom of every image."""
+    mask = np.full((SIDE, SIDE), 255, np.uint8)
+    mask[-12:] = 0
+    return [mask] * BALL.views
+
+
+def standing_still() -> list[np.ndarray]:
+    """A thing at one place in space, beside what the cameras look at."""
+    masks = []
+    for camera in cameras(BALL):
+        pixels, depth = camera.project(np.array([[0.7, 0.2, -0.4]]))
+        y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+        hidden = np.hypot(x - pixels[0, 0], y - pixels[0, 1]) < 0.4 * camera.K[0, 0] / depth[0]
+        masks.append(np.where(hidden, 0, 255).astype(np.uint8))
+    return masks
+
+
+@pytest.mark.parametrize("ball", [BALL, CLOSE], ids=["whole", "cut off"])
+def test_silhouettes(ball):
+    assert find_mask_use(silhouettes(ball), cameras(ball)) is MaskUse.OBJECT
+
+
+@pytest.mark.parametrize("masks", [passers_by(0.05), passers_by(0.2), passers_by(0.4, empty=0), strip()])
+def test_what_is_to_be_ignored(masks):
+    assert find_mask_use(masks, cameras(BALL)) is MaskUse.IGNORE
+
+
+def test_a_thing_that_stands_still_may_be_either():
+    with pytest.raises(SceneError, match=r"may show an object or what is to be ignored .*masks=object .*masks=ignore"):
+        find_mask_use(standing_still(), cameras(BALL))
+
+
+def test_a_ball_that_all_images_cut_off_may_be_either():
+    """It leaves the corners black, and so does a round lens hood."""
+    close = BallCapture(views=24, K=np.array([[145.0, 0, 32], [0, 145, 32], [0, 0, 1]]))
+    with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+        find_mask_use(silhouettes(close), cameras(close))
+
+
+def test_inverted_silhouettes():
+    with pytest.raises(SceneError, match=r"the masks are inverted: .*masks=ignore"):
+        find_mask_use([255 - mask for mask in silhouettes(BALL)], cameras(BALL))
+
+
+def capture(root, masks, names="masks/{:03d}.png"):
+    BALL.write_plain(root, mode="RGB")
+    for i, mask in enumerate(masks):
+        if mask is not None:
+            save(root / names.format(i), mask, "L")
+    return root
+
+
+@pytest.mark.parametrize("names", ["masks/{:03d}.png", "masks/{:03d}.png.png"], ids=["plain", "as COLMAP"])
+def test_ignored_pixels_are_unknown(tmp_path, names):
+    masks = passers_by(0.1)
+    scene = load_scene(capture(tmp_path, masks, names), DataConfig())
+    assert not scene.masked
+    for view in scene.train + scene.test:
+        black = masks[int(view.name)] < 128
+        if not black.any():
+            assert view.known is None
+            continue
+        # The pixels beside the black ones hold something of them.
+        wide = np.pad(black, 1)
+        around = sum(wide[1 + i : 1 + i + SIDE, 1 + j : 1 + j + SIDE] for i in (-1, 0, 1) for j in (-1, 0, 1)) > 0
+        np.testing.assert_array_equal(view.known, ~around)
+
+
+def test_photographs_without_a_mask_are_used_whole(tmp_path):
+    masks = [mask if i % 3 else None for i, mask in enumerate(passers_by(0.1))]
+    scene = load_scene(capture(tmp_path, masks), DataConfig())
+    assert len(scene.train) + len(scene.test) == 24 and not scene.masked
+    assert scene.notes[0].startswith("the masks say what to ignore")
+
+
+def test_instant_ngps_dynamic_masks(tmp_path):
+    """White is ignored: dynamic_mask_NAME.png beside the photograph, as its colmap2nerf.py writes them."""
+    masks = [255 - mask for mask in passers_by(0.1)]
+    scene = load_scene(capture(tmp_path, masks, "photos/dynamic_mask_{:03d}.png"), DataConfig())
+    assert len(scene.train) + len(scene.test) == 24
+    for view in scene.train:
+        white = masks[int(view.name)] > 128
+        assert (view.known is None) == (not white.any())
+        assert view.known is None or not view.known[white].any()
+
+
+def test_the_meaning_that_is_given_counts(tmp_path):
+    root = capture(tmp_path, standing_still())
+    assert load_scene(root, DataConfig(masks=Masks.OBJECT)).masked
+    assert not load_scene(root, DataConfig(masks=Masks.IGNORE)).masked
+    off = load_scene(root, DataConfig(masks=Masks.OFF))
+    assert not off.masked and all(view.known is None for view in off.train)
+
+
+def test_ignore_without_masks_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="masks=ignore: no photograph has a mask; put them into masks/"):
+        load_scene(capture(tmp_path, []), DataConfig(masks=Masks.IGNORE))

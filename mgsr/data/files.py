@@ -84,26 +84,6 @@ def _finite(value: float) -> bool:
         return False
 
 
-def inside(root: Path, text: Any, source: str) -> Path:
-    """The path that a file of the scene names, which must lie in the scene's folder. `source` names that file.
-
-    An uploaded scene must not be able to make MGSR read the machine's other files.
-    """
-    if not isinstance(text, str) or not text.strip():
-        raise SceneError(f"{source}: expected the path of an image, got {text!r}")
-    text = text.replace("\\", "/")
-    if "\0" in text or len(text) > LONGEST_PATH or any(len(part.encode()) > LONGEST_NAME for part in text.split("/")):
-        raise SceneError(f"{source}: {text[:80]!r}...: too long, or with a zero byte, for a file's name; mend the file")
-    path = Path(os.path.normpath(root / text))
-    if path == Path(os.path.normpath(root)):
-        raise SceneError(
-            f"{source}: expected the path of a file, got the scene's folder itself, {text!r}; mend the file"
-        )
-    if not path.is_relative_to(os.path.normpath(root)):
-        raise SceneError(f"{source}: {text} lies outside the scene's folder; put it inside and use a relative path")
-    return path
-
-
 def in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
     """The first of the files of these names in a folder below the root, but for what `folded` leaves out."""
     place = root

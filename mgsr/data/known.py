@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 
 # The share of a reduced pixel's area that must be known for it to count as known.
@@ -65,17 +64,6 @@ def whole_part(view: View) -> View:
     camera = replace(view.camera, K=K, width=width, height=height)
     alpha = None if view.alpha is None else view.alpha[rows, columns]
     return View(view.name, camera, view.image[rows, columns], alpha)
-
-
-def shown_camera(view: View) -> Camera:
-    """Return the camera of the smallest rectangle of the image that holds all known pixels; the view's own where
-    nothing is known."""
-    if view.known is None or not view.known.any():
-        return view.camera
-    rows, columns = (np.flatnonzero(view.known.any(axis=axis)) for axis in (1, 0))
-    K = view.camera.K.copy()
-    K[:2, 2] -= columns[0], rows[0]
-    return replace(view.camera, K=K, width=int(np.ptp(columns)) + 1, height=int(np.ptp(rows)) + 1)
 
 
 def largest_rectangle(known: np.ndarray) -> tuple[slice, slice]:

@@ -40,6 +40,9 @@ _STRIP_BORDERS = 0.6
 # a thing that stands still and is to be ignored.
 _WHITE_BORDERS = 0.85
 
+# Radii of the ball that the images show whole. Objects that the images cut off reach beyond it, by less than this.
+_LARGEST_BALL = 4.0
+
 _CHOICE = (
     "say which with masks=object (white is the object to be reconstructed) or masks=ignore (black is what to leave "
     "out, such as passers-by or a tripod), or leave them out with masks=off"
@@ -62,11 +65,6 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
     """
     if leave_borders_free(masks):
         return MaskUse.OBJECT
-    if inverted_masks(masks):
-        raise SceneError(
-            "the masks are inverted: white around the object and black on it; make them white on the object, or "
-            + _CHOICE
-        )
     black = np.array([(mask < 128).mean() for mask in masks])
     if np.median(black) < _NEXT_TO_NOTHING and black.mean() < 2 * _NEXT_TO_NOTHING:
         return MaskUse.IGNORE
@@ -74,9 +72,27 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
     same_pixels = borders >= _STRIP_BORDERS and _agreement_in_image(masks) > _SAME_PIXELS
     if agreement < _ELSEWHERE or (same_pixels and _black_corners(masks) <= 2):
         return MaskUse.IGNORE
+    if inverted_masks(masks):
+        raise SceneError(
+            "the masks are inverted: white around the object and black on it; make them white on the object, or "
+            + _CHOICE
+        )
     if agreement > _SAME_PLACE and borders < _WHITE_BORDERS and not same_pixels:
         return MaskUse.OBJECT
-    raise SceneError(f"the masks may show an object or what is to be ignored ({1 - black.mean():.0%} white); {_CHOICE}")
+    raise doubt(masks)
+
+
+def doubt(masks: Sequence[np.ndarray]) -> SceneError:
+    """Return the error that names the two meanings of masks."""
+    white = float(np.mean([(mask >= 128).mean() for mask in masks]))
+    return SceneError(f"the masks may show an object or what is to be ignored ({white:.0%} white); {_CHOICE}")
+
+
+def require_plausible_ball(radius: float, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:
+    """Raise the doubt about masks taken for silhouettes where the object's ball would be many times larger than what
+    the images show: masks that leave out the sky or the corners have no object."""
+    if radius > _LARGEST_BALL * unmasked_ball(cameras, None)[1]:
+        raise doubt(masks)
 
 
 def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> float:

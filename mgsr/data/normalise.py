@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mgsr.data.camera import Camera
 from mgsr.data.hull import carve
-from mgsr.data.known import shown_camera
+from mgsr.data.known import whole_part
 from mgsr.data.scene import PointCloud, Similarity, View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import SceneError
@@ -39,7 +39,7 @@ def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Se
         raise SceneError("all cameras stand at the same place; a surface needs views from different places")
     if outlines:
         return Similarity(*_swapped(_masked_ball(views, outlines)))
-    return Similarity(*_swapped(unmasked_ball([shown_camera(view) for view in views], points)))
+    return Similarity(*_swapped(unmasked_ball([whole_part(view).camera for view in views], points)))
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:

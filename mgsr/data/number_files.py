@@ -93,6 +93,7 @@ def _size(rows: list[list[float]]) -> tuple[int, int] | None:
     return (int(sizes[-1][1]), int(sizes[-1][0])) if sizes else None
 
 
+@np.errstate(over="ignore")  # what overflows is no factor
 def calibrated_size(K: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
     """Return the size of the image that K [3,3] is for, where its file does not say it: that of the photograph, or this
     times a power of two, where the principal point lies in the middle of such an image.

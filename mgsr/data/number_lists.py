@@ -48,7 +48,8 @@ def _counted(count: int) -> str:
 
 def rotation_of(quaternion: np.ndarray, source: str) -> np.ndarray:
     """Return the rotation [3,3] of a quaternion [4], wxyz, of any length but zero. Raises SceneError with `source`."""
-    norm = float(np.linalg.norm(quaternion))
+    with np.errstate(over="ignore"):  # what overflows is refused
+        norm = float(np.linalg.norm(quaternion))
     if not np.isfinite(norm) or norm < 1e-12:
         raise SceneError(
             f"{source}: the pose's quaternion is {quaternion.tolist()}; remove this photograph or mend its pose"
@@ -64,8 +65,10 @@ def rotation_of(quaternion: np.ndarray, source: str) -> np.ndarray:
 
 
 def from_center(rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's position [3] in the world."""
-    return rigid(rotation, -rotation @ center)
+    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's position [3] in the world; with infinite
+    numbers or NaN where the product overflows."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return rigid(rotation, -rotation @ center)
 
 
 def point_cloud(positions: Any, colors: Any) -> PointCloud | None:

@@ -16,10 +16,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from mgsr.data.files import IMAGE_SUFFIXES, LONGEST_NAME, LONGEST_PATH, folded, images_below, in_any_case
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES
 from mgsr.errors import MissingPhotoError, SceneError
 
 # Folders of maps that programs write beside photographs, under the photographs' names.
-_MAPS = re.compile(r"(depth|normal|confidence|semantic|segment|label|albedo|rough|metal|thumb|render)", re.IGNORECASE)
+_MAPS = re.compile("depth|normal|confidence|semantic|segment|mask|albedo|rough|metal|thumb|render", re.IGNORECASE)
 _REDUCED = re.compile(r"_(\d{1,2})$")
 
 
@@ -75,6 +76,23 @@ class SceneFolder:
         tops = (os.path.abspath(self.top), os.path.realpath(self.top))
         return next((self.top / absolute.relative_to(top) for top in tops if absolute.is_relative_to(top)), None)
 
+    def find_file(self, name: Any, what: str) -> Path | None:
+        """Find a file other than a photograph that a file of the scene names, `what` for messages: where it says,
+        below the root or the top, in any case, or else by the path's last folders, as after a move. None where it is
+        missing. Raises SceneError for what is no path."""
+        text = _path_text(name)
+        if isinstance(text, SceneError):
+            raise SceneError(f"{what}: {str(text).replace('an image', 'a file')}")
+        places = [self.inside(os.path.join(home, text)) for home in (self.root, self.top)]
+        parts = [part for part in PurePosixPath(text).parts if part not in ("..", "/")]
+        tails = [self.root / PurePosixPath(*parts[first:]) for first in range(len(parts))]
+        for path in [path for path in places if path is not None] + tails:
+            if path.is_file():
+                return path
+            if found := in_any_case(self.top, path.parent, [path.name]):
+                return found
+        return None
+
     def images_named(self, name: str) -> list[Path]:
         """Return the images below the root, or else below the top, whose folded name or stem is `name`."""
         below_root = self._below_root.get(name, [])
@@ -119,6 +137,25 @@ class _Candidate:
         return self.path.parents[self.agreeing]
 
 
+class _Taken:
+    """The files that were found where their names say."""
+
+    def __init__(self, paths: set[Path]) -> None:
+        self._paths = paths
+        self._folders = {path.parent for path in paths}
+        self._stems = {folded(path.stem) for path in paths}
+        self._twins: dict[Path, bool] = {}
+
+    def rules_out(self, offer: _Candidate) -> bool:
+        """Return whether a file can't be another photograph: it is taken, or lies among other images of taken ones, in
+        a folder that the photograph's name does not have."""
+        folder = offer.path.parent
+        if folder not in self._twins:
+            there = {folded(file.stem) for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES}
+            self._twins[folder] = folder not in self._folders and bool(there & self._stems)
+        return offer.path in self._paths or (offer.agreeing == 0 and self._twins[folder])
+
+
 class _Search:
     """One look-up of all names of a file, as the names tell about each other."""
 
@@ -131,18 +168,31 @@ class _Search:
 
     def result(self) -> FoundPhotos:
         stated = self._stated()
-        taken = set(stated)
+        taken = _Taken({path for path in stated if path is not None})
         offers = {
             number: self._offers(name, taken)
             for number, (name, path) in enumerate(zip(self._names, stated, strict=True))
             if path is None and isinstance(name, str)
         }
         bases = Counter(base for found in offers.values() for base in {offer.base for offer in found})
-        paths = [
-            self._chosen(number, path, offers.get(number, []), bases)
-            for number, (name, path) in enumerate(zip(self._names, stated, strict=True))
-        ]
+        chosen = [self._chosen(number, path, offers.get(number, []), bases) for number, path in enumerate(stated)]
+        paths = [item.path if isinstance(item, _Candidate) else item for item in self._one_each(chosen)]
         return FoundPhotos(self._file, paths, self._notes(stated, paths))
+
+    def _one_each(self, chosen: Sequence[_Candidate | Path | SceneError]) -> list[_Candidate | Path | SceneError]:
+        """The choices, where a file serves the name alone that agrees with it best."""
+        claims: dict[Path, list[_Candidate]] = {}
+        for item in chosen:
+            if isinstance(item, _Candidate):
+                claims.setdefault(item.path, []).append(item)
+        best = {path: max(item.rank for item in items) for path, items in claims.items()}
+        alone = {path: sum(item.rank == best[path] for item in items) == 1 for path, items in claims.items()}
+        return [
+            MissingPhotoError(f"{self._names[number]} is missing")
+            if isinstance(item, _Candidate) and not (alone[item.path] and item.rank == best[item.path])
+            else item
+            for number, item in enumerate(chosen)
+        ]
 
     def _stated(self) -> list[Path | None]:
         """The files that lie where the names say, in the place that has most of them, or else in another."""
@@ -154,17 +204,20 @@ class _Search:
         if isinstance(name, SceneError):
             return None
         path = self._folder.inside(os.path.join(self._folder.root, place, name))  # an absolute name stays as it is
-        if path is None or path == self._folder.top:
+        if path is None or path == self._folder.top or path.suffix.lower() in RAW_SUFFIXES:
             return None
         names = [path.name, *[path.name + suffix for suffix in IMAGE_SUFFIXES]]
         there = next((path.with_name(name) for name in names if path.with_name(name).is_file()), None)
         return there or in_any_case(self._folder.top, path.parent, names)
 
-    def _offers(self, name: str, taken: set[Path | None]) -> list[_Candidate]:
-        """The best files for a name, equally good, below the root or else the top."""
+    def _offers(self, name: str, taken: _Taken) -> list[_Candidate]:
+        """The best files for a name, equally good, below the root or else the top. Files that others have as stated are
+        none of them, nor are those of folders that hold other images of such photographs: depth maps, or reduced or
+        older copies."""
         parts = [folded(part) for part in PurePosixPath(name).parts if part not in ("..", "/")]
         files = self._folder.images_named(parts[-1]) or self._folder.images_named(PurePosixPath(parts[-1]).stem)
-        offers = [self._candidate(path, parts) for path in files if path not in taken]
+        offers = [self._candidate(path, parts) for path in files]
+        offers = [offer for offer in offers if not taken.rules_out(offer)]
         best = max((offer.rank for offer in offers), default=None)
         return [offer for offer in offers if offer.rank == best]
 
@@ -174,26 +227,28 @@ class _Search:
         agreeing = next((i for i, (mine, asked) in enumerate(pairs) if folded(mine) != asked), None)
         if agreeing is None:
             agreeing = min(len(folders), len(parts) - 1)
-        reduced = [int(match[1]) for folder in folders if (match := _REDUCED.search(folder))]
-        plain = not any(_MAPS.match(folder) for folder in folders)
+        reduced = [reduction(folder) for folder in folders]
+        plain = not any(_MAPS.search(folder) for folder in folders)
         same_name = parts[-1] in (folded(path.name), folded(path.stem))
         return _Candidate(path, agreeing, same_name, plain, max(reduced, default=1))
 
     def _chosen(
         self, number: int, stated: Path | None, offers: Sequence[_Candidate], bases: Counter[Path]
-    ) -> Path | SceneError:
+    ) -> _Candidate | Path | SceneError:
         name = self._names[number]
         if isinstance(name, SceneError):
             return SceneError(f"{self._file}, photograph {number + 1}: {name}")
         if stated is not None:
             return stated
+        if not offers and PurePosixPath(name).suffix.lower() in RAW_SUFFIXES:
+            return SceneError(f"{name}: raw photographs are not read; {RAW_CURE}")
         if not offers:
             return MissingPhotoError(f"{name} is missing")
         most = max(bases[offer.base] for offer in offers)
-        best = sorted(offer.path for offer in offers if bases[offer.base] == most)
+        best = sorted((offer for offer in offers if bases[offer.base] == most), key=lambda offer: offer.path)
         if len(best) == 1:
             return best[0]
-        both = " or ".join(self._folder.shown(path) for path in best[:2])
+        both = " or ".join(self._folder.shown(offer.path) for offer in best[:2])
         return SceneError(
             f"{self._file}: the photograph {name!r} may be {both}; name it with its folder, or give the photographs "
             "different names"
@@ -230,6 +285,12 @@ class _Search:
         name, path = other[0]
         count = f"{len(other)} of {len(self._names)} photographs have another extension than {self._file} says"
         return (f"{count} ({self._folder.shown(path)} is read for {name})",)
+
+
+def reduction(folder: str) -> int:
+    """Return how many times smaller the photographs in a folder of that name are: 4 in images_4, else 1."""
+    match = _REDUCED.search(folder)
+    return int(match[1]) or 1 if match else 1
 
 
 def _note_of_reduction(moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:

@@ -18,6 +18,8 @@ _NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_bl
 _HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SH_C0 = 0.28209479177387814
 _GREY = 128.0
+# Floats up to this are light from 0 to 1, of which some is over-exposed.
+_BRIGHTEST = 2.0
 
 
 def read_points(path: Path) -> PointCloud:
@@ -60,6 +62,6 @@ def _as_bytes(values: np.ndarray) -> np.ndarray:
     largest = np.nanmax(np.where(np.isfinite(colors), colors, np.nan), initial=0)
     if largest > 255:
         colors = colors / 257
-    elif largest <= 1 and values.dtype.kind == "f":
+    elif largest <= _BRIGHTEST and values.dtype.kind == "f":
         colors = colors * 255
     return to_uint8(np.where(np.isfinite(colors), colors, _GREY))

@@ -60,7 +60,11 @@ def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray,
     Raises SceneError for a matrix with NaN, with shear, with unequal scales of its axes, or that mirrors space.
     """
     if not np.isfinite(matrix).all():
-        raise SceneError(f"{source}: the pose has NaN or infinite numbers; remove this view or mend its pose")
+        raise SceneError(f"{source}: the pose has NaN or infinite numbers; mend it, or export the poses again")
+    if not matrix[3].any():
+        matrix = np.vstack([matrix[:3], [0.0, 0, 0, 1]])
+    if np.abs(matrix[3, :3]).max() > 0 and not matrix[:3, 3].any():
+        raise SceneError(f"{source}: the pose's translation stands in its last row; transpose the matrix")
     with np.errstate(all="ignore"):  # what overflows is refused
         matrix = matrix / matrix[3, 3] if matrix[3, 3] else matrix
         linear = matrix[:3, :3]
@@ -99,16 +103,21 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     outside the image, as in a part that is cut out of a larger one. Raises SceneError if no pinhole camera has
     them."""
     if not np.isfinite(K).all():
-        raise SceneError(f"{source}: the intrinsics have NaN or infinite numbers; remove this view or mend them")
+        raise SceneError(
+            f"{source}: the intrinsics have NaN or infinite numbers; mend them, or export the cameras again"
+        )
     if not all(1 <= side <= LARGEST_SIDE for side in size):
         raise SceneError(
             f"{source}: an image of {size[0]:g}x{size[1]:g} pixels; expected sides from 1 to {LARGEST_SIDE}"
         )
     if K[0, 0] == 0 or K[1, 1] == 0:
         raise SceneError(f"{source}: the focal length is zero; expected fx and fy in pixels")
-    if abs(np.linalg.det(K)) < 1e-9 * abs(K[0, 0] * K[1, 1]):
+    with np.errstate(all="ignore"):  # what overflows is refused
+        determinant, product = abs(np.linalg.det(K)), abs(K[0, 0] * K[1, 1])
+    if determinant < 1e-9 * product:
         raise SceneError(f"{source}: the intrinsics are singular: {K.tolist()}; expected [[fx,0,cx],[0,fy,cy],[0,0,1]]")
-    K = K / K[2, 2] if K[2, 2] else K
+    with np.errstate(over="ignore"):
+        K = K / K[2, 2] if K[2, 2] else K
     if np.abs(K[2] - [0, 0, 1]).max() > 1e-9 or abs(K[1, 0]) > SKEW_TOLERANCE * abs(K[1, 1]):
         raise SceneError(f"{source}: expected intrinsics [[fx,0,cx],[0,fy,cy],[0,0,1]], got {K.tolist()}")
     if abs(K[0, 1]) > SKEW_TOLERANCE * abs(K[0, 0]):

@@ -15,6 +15,7 @@ from mgsr.data.files import IMAGE_SUFFIXES, view_names
 from mgsr.data.find_scene import find_scene
 from mgsr.data.loading import LoadedView, LoadProgress, load_views
 from mgsr.data.mask_files import MaskIndex
+from mgsr.data.mask_use import MaskUse, require_plausible_ball
 from mgsr.data.normalise import OUTLINE_SIDE, normalisation
 from mgsr.data.odd_files import VIDEO_CURE, is_video, what_instead
 from mgsr.data.odd_masks import agreeing_masks
@@ -56,7 +57,12 @@ def load_scene(
     outlines = silhouettes(views.train, OUTLINE_SIDE)
     agreeing, odd = agreeing_masks(views.train, outlines)
     train_views = list(compress(views.train, agreeing))
-    frame = normalisation(train_views, capture.points, list(compress(outlines, agreeing)))
+    # What is ignored is in view all the same.
+    in_view = [replace(view, known=None) for view in train_views] if views.ignoring and not outlines else train_views
+    frame = normalisation(in_view, capture.points, list(compress(outlines, agreeing)))
+    if outlines and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
+        masks = [view.alpha for view in train_views if view.alpha is not None]
+        require_plausible_ball(frame.scale, masks, [view.camera for view in train_views])
     few = note_of_few_views(train_views, frame.offset, masked=bool(outlines))
     return Scene(
         name=archive_stem(path) if path.is_file() else found.name,
@@ -68,6 +74,7 @@ def load_scene(
         user_from_scene=frame,
         notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *((few,) if few else ())),
         warning=few,
+        ignoring=views.ignoring,
     )
 
 

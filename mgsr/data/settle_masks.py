@@ -20,12 +20,17 @@ from mgsr.errors import SceneError
 
 @dataclass(frozen=True)
 class SettledViews:
-    """Views of which all training views have a silhouette as alpha, or no view has; notes for the person on what is
-    left out."""
+    """Views of which all training views have a silhouette as alpha, or no view has.
+
+    notes: for the person, on what is left out. use: what masks beside the photographs mean, None without any. ignoring:
+    whether masks make pixels unknown.
+    """
 
     train: list[View]
     test: list[View]
     notes: tuple[str, ...] = ()
+    use: MaskUse | None = None
+    ignoring: bool = False
 
 
 def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
@@ -41,19 +46,21 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
     """
     if masks is Masks.OFF:
         return SettledViews([_bare(item.view, item) for item in train], [_bare(item.view, item) for item in test])
-    ignoring = _use(train, masks) is MaskUse.IGNORE
+    use = _use(train, masks)
+    ignoring = use is MaskUse.IGNORE
+    unknown = ignoring or any(item.ignored is not None for item in train)
     train, notes = _not_ignored_whole(train, ignoring)
     views, tests = ([_settled(item, ignoring) for item in items] for items in (train, test))
     tests_shown = [_shows(view) for view in tests]
     test, tests = list(compress(test, tests_shown)), list(compress(tests, tests_shown))
-    if ignoring:
+    if unknown:
         notes = (*_note_of_ignored(views), *notes)
     if _tell_nothing(views, masks):
         unused = _unused_masks(views, any(item.mask is not None for item in train) and not ignoring)
         views, tests = (list(map(_bare, seen, items)) for seen, items in ((views, train), (tests, test)))
-        return SettledViews(views, tests, (*notes, *unused))
+        return SettledViews(views, tests, (*notes, *unused), use, unknown)
     views, empty = _with_an_object(views)
-    return SettledViews(views, [view for view in tests if not _empty(view)], (*notes, *empty))
+    return SettledViews(views, [view for view in tests if not _empty(view)], (*notes, *empty), use, unknown)
 
 
 def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:

@@ -17,6 +17,9 @@ from mgsr.parallel import map_ahead
 # Pixels of the larger side at which sharpness is measured: finer blur costs little accuracy.
 _SIDE = 800
 
+# Pixels of the smaller side below which images are too small to tell.
+_SMALLEST = 48
+
 # Pixels of the Gaussian that the photograph is compared with itself after.
 _SIGMA = 1.5
 
@@ -51,8 +54,9 @@ def without_blurred(
 
 
 def less_sharp(views: Sequence[View]) -> np.ndarray:
-    """Return which views are much less sharp than their neighbours, [V] bool; none of fewer than three."""
-    if len(views) < 3:
+    """Return which views are much less sharp than their neighbours, [V] bool; none of fewer than three, nor of
+    thumbnails."""
+    if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < _SMALLEST:
         return np.zeros(len(views), dtype=bool)
     sharpness = np.array(list(map_ahead(_sharpness, views, None)))
     neighbours = _neighbours(views)

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from mgsr.data.capture import Capture, Photo, Split
-from mgsr.data.files import inside, number, read_json
+from mgsr.data.files import number, read_json
 from mgsr.data.images import image_size
 from mgsr.data.lens import PANORAMA_CURE, PANORAMAS, Lens
-from mgsr.data.photo_files import SceneFolder
+from mgsr.data.photo_files import SceneFolder, reduction
 from mgsr.data.poses import from_opengl, intrinsics, pose_from
 from mgsr.errors import SceneError
 
@@ -28,9 +28,10 @@ def read_content(path: Path) -> dict[str, Any]:
     """The whole file. Raises SceneError where it has no list of frames."""
     content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
-    if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
+    if not isinstance(frames, list):
         raise SceneError(f"{path.name}: expected an object with a list 'frames'; export it again")
-    return dict(content)
+    # What is no frame names no photograph, and loses that alone.
+    return {**content, "frames": [frame if isinstance(frame, dict) else {} for frame in frames]}
 
 
 def merged_frames(content: dict[str, Any], name: str) -> list[tuple[str, dict[str, Any]]]:
@@ -79,16 +80,30 @@ def _read_frame(folder: SceneFolder, image: Path, frame: Frame) -> Photo:
         size=size,
         cam_from_world=from_opengl(pose_from(values.get("transform_matrix"), "transform_matrix", source), source),
         source=source,
-        mask=inside(folder.root, values["mask_path"], source) if values.get("mask_path") else None,
+        mask=_mask(folder, values, source),
         split=frame.split,
         lens=_lens(values, source),
     )
 
 
+def _mask(folder: SceneFolder, frame: dict[str, Any], source: str) -> Path | None:
+    name = frame.get("mask_path")
+    if not name:
+        return None
+    if (mask := folder.find_file(name, f"{source}, mask_path")) is None:
+        raise SceneError(f"{source}: its mask {str(name)[:200]} is missing; put it there, or name none")
+    return mask
+
+
 def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
+    """The size of the image that was calibrated: the photograph's, times the reduction of the folder that it is found
+    in, where the file names another folder."""
     if "w" in frame and "h" in frame:
         return int(number(frame, "w", source)), int(number(frame, "h", source))
-    return image_size(image, source)
+    width, height = image_size(image, source)
+    named = PurePosixPath(str(frame.get("file_path", "")).replace("\\", "/")).parent.name
+    factor = reduction(image.parent.name) if image.parent.name != named else 1
+    return width * factor, height * factor
 
 
 def _intrinsics(frame: dict[str, Any], size: tuple[int, int], source: str) -> np.ndarray:

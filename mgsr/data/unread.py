@@ -18,6 +18,7 @@ _HEAD = 1 << 20
 
 _PLAIN = "write its cameras as transforms.json or in MGSR's plain form (docs/inputs.md)"
 _EXPORT_XML = "open it in Metashape and use File, Export, Export Cameras (Agisoft XML), beside the photographs"
+_CONVERT_IN_MESHROOM = "convert it with Meshroom's node ConvertSfMFormat, with sfm as the format"
 _EXPORT_NERFSTUDIO = "convert it with `ns-process-data {} --data CAPTURE --output-dir SCENE` (nerfstudio)"
 
 
@@ -81,6 +82,13 @@ _TABLE = (
         "Pix4D", ("*.p4d",), "put the ..._calibrated_camera_parameters.txt of its params folder to the photographs"
     ),
     _Unread("PhotoModeler", ("*.pmr*",), _PLAIN),
+    _Unread(
+        "OpenMVG",
+        ("sfm_data.bin",),
+        "convert it with `openMVG_main_ConvertSfM_DataFormat -i sfm_data.bin -o sfm_data.json`",
+    ),
+    _Unread("Meshroom", ("sfm.abc",), _CONVERT_IN_MESHROOM),
+    _Unread("Meshroom", ("*.abc",), _CONVERT_IN_MESHROOM, b"mvg_intrinsicType"),
     _Unread("OpenMVS", ("*.mvs",), "convert it with `InterfaceCOLMAP -i SCENE.mvs -o FOLDER` (OpenMVS)"),
     _Unread("MVE", ("views/*.mve",), "give the structure-from-motion that it was made from, or " + _PLAIN),
     _Unread("MVE", ("*.mve/meta.ini",), "give the structure-from-motion that it was made from, or " + _PLAIN),

@@ -16,7 +16,7 @@ def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], t
     was changed.
 
     Raises SceneError where fewer than the capture's `least_kept` of its photographs are left, with the reason of the
-    first one, and where a mask that a file names is missing.
+    first one.
     """
     if not capture.photos and not capture.lost:
         raise SceneError(f"{folder.root.name}: the scene has no views")
@@ -29,7 +29,6 @@ def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], t
             lost.append(error)
     _require_enough(len(checked), lost, capture, folder)
     photos = [item.photo for item in checked]
-    _require_masks(photos, folder)
     return photos, (*_notes_of_lost(lost, len(checked), capture.file), *_notes_of_changes(checked))
 
 
@@ -60,18 +59,6 @@ def _require_enough(kept: int, lost: Sequence[SceneError], capture: Capture, fol
         )
     reason = next(error for error in lost if not isinstance(error, MissingPhotoError))
     raise SceneError(f"{len(lost)} of {total} photographs can't be used; the first: {reason}") from reason
-
-
-def _require_masks(photos: Sequence[Photo], folder: SceneFolder) -> None:
-    absent = [(photo.mask, photo.source) for photo in photos if photo.mask is not None and not photo.mask.is_file()]
-    if not absent:
-        return
-    (mask, source), *others = absent
-    more = f" and {len(others)} more" if others else ""
-    raise SceneError(
-        f"mask {folder.shown(mask)}{more} missing in {folder.root.name} (asked for by {source}); put it there or name "
-        "none"
-    )
 
 
 def _notes_of_lost(lost: Sequence[SceneError], kept: int, file: str) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,12 @@ def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
     images/ holds the photographs as MGSR uses them (pinhole, reduced), named after their split where there is one;
     masks/ the same names, white on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points;
     transforms.json the same cameras with OpenGL's axes, as nerfstudio reads them, with the split; sparse_pc.ply the
-    points for it. Of photographs that don't show all of their pixels, a rectangle is written that they do show: the
-    formats can't tell unknown pixels from those off the object.
+    points for it. Of photographs that don't show all of their pixels, because a lens was undone, a rectangle is written
+    that they do show. Where masks say what to ignore, they are written again, black on it.
 
     Raises MgsrError where an image can't be written.
     """
-    views = [*map(whole_part, scene.train), *map(whole_part, scene.test)]
+    views = [_with_ignoring_mask(view) if scene.ignoring else whole_part(view) for view in (*scene.train, *scene.test)]
     names = _file_names(scene)
     cameras = [_scaled(scene.user_from_scene.camera_to_user(view.camera), scale) for view in views]
     for name, view in zip(names, views, strict=True):
@@ -43,7 +44,8 @@ def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
         points, colors = scene.user_from_scene.to_user(scene.points.positions) * scale, scene.points.colors
         _write_points(folder / _POINTS, points, colors)
     _write_colmap(folder / "sparse/0", names, cameras, points, colors)
-    frames = [_frame(name, camera, scene.masked) for name, camera in zip(names, cameras, strict=True)]
+    masked = scene.masked or scene.ignoring
+    frames = [_frame(name, camera, masked) for name, camera in zip(names, cameras, strict=True)]
     document = {"camera_model": "PINHOLE", "frames": frames}
     if scene.test:
         document |= _split([f"images/{name}" for name in names], len(scene.train))
@@ -66,6 +68,13 @@ def _file_names(scene: Scene) -> list[str]:
         names.append(next(text for text in tries if text.lower() not in taken))
         taken.add(names[-1].lower())
     return [f"{name}.png" for name in names]
+
+
+def _with_ignoring_mask(view: View) -> View:
+    """The view with a mask that is black on its unknown pixels, and off the object where it has a silhouette."""
+    known = np.ones(view.image.shape[:2], bool) if view.known is None else view.known
+    mask = known * np.uint8(255)
+    return replace(view, alpha=mask if view.alpha is None else np.minimum(view.alpha, mask))
 
 
 def _split(files: Sequence[str], train: int) -> dict[str, list[str]]:

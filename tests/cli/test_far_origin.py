@@ -163,9 +163,10 @@ def test_scores_against_a_truth_are_those_of_the_same_scene_at_the_origin(
     assert (counts[0] != counts[1]).mean() < 1e-3
 
 
-def test_the_pictures_do_not_depend_on_the_frame_in_which_a_scene_is_trained() -> None:
+def test_the_pictures_do_not_depend_on_the_frame_in_which_a_scene_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same mesh and camera of the user's frame, with and without another frame for the scene: a user's position
     is scale * position + offset."""
+    monkeypatch.setattr("mgsr.report.shading.OCCLUSION_RAYS", 8)
     scale, offset, place = 0.4, np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
     box = trimesh.creation.box((1.0, 0.5, 0.3))
     corners = np.asarray(box.vertices)

@@ -335,6 +335,17 @@ def test_gaussian_splatting_principal_point_of_its_forks(tmp_path):
     assert_sees(read_capture(tmp_path, "gaussians"), intrinsics(85, 85, 30, 35))
 
 
+def test_gaussian_splatting_numbers_without_bounds_lose_one_camera(tmp_path):
+    """JSON's whole numbers may be too large for any float."""
+    path = gaussians(tmp_path) / "cameras.json"
+    cameras = json.loads(path.read_text())
+    cameras[1]["rotation"][0][0] = 10**400
+    path.write_text(json.dumps(cameras))
+    capture = read_capture(tmp_path, "gaussians")
+    assert len(capture.photos) == 3
+    assert "cameras.json, camera 1: rotation: expected 3 numbers" in str(capture.lost[0])
+
+
 def test_gaussian_splatting_renders_are_no_photographs(tmp_path):
     """Renders and their references are numbered, in another order than the cameras; the source is only named."""
     gaussians(tmp_path, "{:05d}", "train/ours_30000/gt/{:05d}.png")
@@ -678,6 +689,8 @@ UNREAD = {
     "Metashape": ["project.psx", "project.files/project.zip"],
     "RealityCapture": ["project.rcproj", "photographs/1.jpg"],
     "Pix4D": ["project.p4d", "photographs/1.jpg"],
+    "OpenMVG": ["sfm_data.bin", "images/1.jpg"],
+    "Meshroom": ["sfm.abc", "images/1.jpg"],
     "OpenMVS": ["scene.mvs"],
     "MVE": ["views/view_0000.mve/meta.ini", "synth_0.out"],
     "COLMAP, still without poses": ["database.db", "images/1.jpg"],
@@ -713,6 +726,23 @@ def test_cameras_that_are_not_read_are_named(tmp_path, program):
     assert "), which MGSR does not read; " in said and len(said) < 400
     named = said.split("(", 1)[1].split(")")[0]
     assert (tmp_path / named).exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "parts"),
+    [
+        ("sfm_data.bin", "x", ("OpenMVG", "`openMVG_main_ConvertSfM_DataFormat -i sfm_data.bin -o sfm_data.json`")),
+        ("sfm.abc", "x", ("Meshroom", "ConvertSfMFormat, with sfm as the format")),
+        ("aligned.abc", "mvg_intrinsicType", ("Meshroom", "ConvertSfMFormat, with sfm as the format")),
+        ("scan.abc", "camera", ("an Alembic file", "export them from its program")),
+    ],
+)
+def test_how_to_convert_cameras_is_said(tmp_path, name, content, parts):
+    write(tmp_path / "inner" / name, content)
+    said = unread_cameras(tmp_path)
+    assert said is not None and f"(inner/{name})" in said
+    for part in parts:
+        assert part in said
 
 
 @pytest.mark.parametrize(

@@ -183,3 +183,55 @@ def test_nan_as_windows_writes_it(root):
     assert scene.notes[0].startswith(
         "1 of 12 photographs left out: cameras.json, view 0 (photos/000.png): the pose has"
     )
+
+
+@pytest.mark.parametrize("folder", ["depth", "masks_4", "mono_normal", "old", "photos_2"])
+def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root, folder):
+    for path in (root / "photos").iterdir():
+        save(root / folder / path.name, GREY, "RGB")
+    (root / "photos/003.png").unlink()
+    scene = load_scene(root, DataConfig())
+    assert scene.notes[0] == "1 of 12 photographs of cameras.json left out: photos/003.png is missing"
+    assert len(scene.train) + len(scene.test) == 11
+
+
+def test_a_file_serves_one_photograph(tmp_path):
+    """Of a rig's two photographs of one name, of which one is missing and the other was converted."""
+    for number in range(4):
+        save(tmp_path / f"cam0/{number}.png", GREY, "RGB")
+        save(tmp_path / f"cam1/{number}.png", GREY, "RGB")
+    (tmp_path / "cam0/3.png").unlink()
+    names = [f"cam{camera}/{number}.jpg" for camera in range(2) for number in range(4)]
+    found = SceneFolder.at(tmp_path).find_photos("poses.txt", names)
+    expected = [tmp_path / name.replace("jpg", "png") for name in names]
+    assert [path for path in found.paths if isinstance(path, Path)] == expected[:3] + expected[4:]
+    assert isinstance(found.paths[3], MissingPhotoError)
+
+
+def test_developed_photographs_beside_raw_ones(root):
+    for path in sorted((root / "photos").iterdir()):
+        path.with_suffix(".CR2").write_text("raw")
+
+    def raw(content):
+        for view in content["views"]:
+            view["image"] = view["image"].replace(".png", ".CR2")
+
+    edit_json(root / "cameras.json", raw)
+    assert views(root) == 12
+    shutil.rmtree(root / "photos")
+    refuses(
+        root, r"12 of 12 photographs can't be used; the first: photos/000\.CR2: raw photographs are not read; develop"
+    )
+
+
+@pytest.mark.parametrize("name", ["{}/masks/{:03d}.png", "elsewhere/masks/{:03d}.png", "C:\\moved\\Masks\\{:03d}.png"])
+def test_paths_of_masks_follow_those_of_photographs(tmp_path, name):
+    root = BallCapture().write_plain(tmp_path / "vase", mode="RGB")
+    BallCapture().write_masks(root)
+
+    def named(content):
+        for i, view in enumerate(content["views"]):
+            view["mask"] = name.format(root, i) if name.startswith("{}") else name.format(i)
+
+    edit_json(root / "cameras.json", named)
+    assert load_scene(root, DataConfig()).masked

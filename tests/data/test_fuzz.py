@@ -54,6 +54,15 @@ def nerfstudio(root: Path) -> Path:
     return root
 
 
+def points_with_colors(root: Path, kind: str, rows: tuple[str, ...]) -> Path:
+    """The same scene with points as text, whose colours are numbers of a kind that PLY names."""
+    axes = "".join(f"property double {name}\n" for name in "xyz")
+    colors = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
+    head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{axes}{colors}end_header\n"
+    (nerfstudio(root) / "p.ply").write_text(head + "".join(f"0.1 0.2 0.3 {row}\n" for row in rows))
+    return root
+
+
 def colmap(root: Path, text: bool) -> Path:
     pycolmap = pytest.importorskip("pycolmap")
     model = pycolmap.Reconstruction()
@@ -82,6 +91,12 @@ TARGETS = {
     "blender": Target(lambda root: BallCapture(views=4).write_blender(root), "transforms_train.json"),
     "nerfstudio": Target(nerfstudio, "transforms.json"),
     "nerfstudio_points": Target(nerfstudio, "p.ply"),
+    "nerfstudio_float_colors": Target(
+        lambda root: points_with_colors(root, "float", ("0 0.5 1", "1 0.25 0", "nan 0 0")), "p.ply"
+    ),
+    "nerfstudio_16_bit_colors": Target(
+        lambda root: points_with_colors(root, "ushort", ("0 256 65535", "9 9 9")), "p.ply"
+    ),
     "middlebury": Target(middlebury, "v_par.txt"),
     "neus": Target(neus, "cameras_sphere.npz"),
     "polycam": Target(polycam, "keyframes/cameras/101.json"),

@@ -10,6 +10,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.mask_use import MaskUse, find_mask_use
 from mgsr.data.readers import load_scene
 from mgsr.errors import SceneError
+from mgsr.export.scenes import write_scene
 from tests.data.captures import SIDE, BallCapture, save
 
 BALL = BallCapture(views=24)
@@ -124,6 +125,42 @@ def test_instant_ngps_dynamic_masks(tmp_path):
         white = masks[int(view.name)] > 128
         assert (view.known is None) == (not white.any())
         assert view.known is None or not view.known[white].any()
+
+
+@pytest.mark.parametrize("top", [0.15, 0.3])
+def test_skies_are_no_silhouettes(tmp_path, top):
+    """Black above, as sky lies behind every object: either they are ignored, or the two meanings are named."""
+    masks = [np.full((SIDE, SIDE), 255, np.uint8) for _ in range(BALL.views)]
+    for i, mask in enumerate(masks):
+        mask[: int(SIDE * top) + i % 5] = 0
+    try:
+        assert not load_scene(capture(tmp_path, masks), DataConfig()).masked
+    except SceneError as error:
+        assert "may show an object or what is to be ignored" in str(error)
+
+
+def test_a_lens_hood_is_no_silhouette(tmp_path):
+    y, x = np.mgrid[:SIDE, :SIDE] + 0.5
+    hood = np.where(np.hypot(x - 32, y - 32) < 34, 255, 0).astype(np.uint8)
+    with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+        load_scene(capture(tmp_path, [hood] * BALL.views), DataConfig())
+
+
+def test_what_is_ignored_does_not_shrink_the_ball(tmp_path):
+    masks = [mask.copy() for mask in strip()]
+    root = capture(tmp_path, masks)
+    scale = load_scene(root, DataConfig()).user_from_scene.scale
+    assert scale == load_scene(root, DataConfig(masks=Masks.OFF)).user_from_scene.scale
+
+
+def test_a_scene_for_other_programs_keeps_what_is_ignored(tmp_path):
+    scene = load_scene(capture(tmp_path / "scene", passers_by(0.1)), DataConfig())
+    write_scene(tmp_path, scene)
+    again = load_scene(tmp_path, DataConfig())
+    assert not again.masked and len(again.train) == len(scene.train)
+    for view, other in zip(again.train, scene.train, strict=True):
+        assert view.image.shape == other.image.shape
+        assert (view.known is None) == (other.known is None)
 
 
 def test_the_meaning_that_is_given_counts(tmp_path):

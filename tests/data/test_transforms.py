@@ -183,7 +183,7 @@ def test_instant_ngp_leaves_out_extensions_and_photographs(root):
             {"train_filenames": ["a.png", "./b.png"], "val_filenames": ["b.png"]},
             r"b\.png is in train_filenames and in val_filenames; remove it from one",
         ),
-        ({"ply_file_path": "../secret.ply"}, "lies outside the scene's folder"),
+        ({"ply_file_path": 3}, "ply_file_path: expected the path of a file, got '3'"),
     ],
 )
 def test_refusals(root, values, message):

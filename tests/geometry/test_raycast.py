@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import open3d
 import pytest
 
 from mgsr.data.camera import Camera
 from mgsr.geometry.precision import middle_for_float
 from mgsr.geometry.raycast import RayCaster, interpolation, pixel_rays
+from mgsr.open3d_library import load_open3d
 from tests.mesh.shapes import ball, looking_at_origin
 
 AWAYS = [np.array([512345.67, 4501234.4, 431.2]), np.array([4308323.455338789, -628516.4200458565, 4645883.308119935])]
@@ -29,6 +29,7 @@ def near_and_far(away: np.ndarray) -> tuple[RayCaster, RayCaster]:
 @pytest.mark.parametrize("away", [np.zeros(3), np.array([20.0, -30.0, 5.0])], ids=["at the origin", "beside it"])
 def test_near_the_origin_the_hits_are_open3ds_to_the_bit(away: np.ndarray) -> None:
     camera = moved(looking_at_origin(PLACE), away)
+    open3d = load_open3d()
     scene = open3d.t.geometry.RaycastingScene()
     vertices, faces = (BALL.vertices + away).astype(np.float32), BALL.faces.astype(np.uint32)
     scene.add_triangles(open3d.core.Tensor(vertices), open3d.core.Tensor(faces))

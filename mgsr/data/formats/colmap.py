@@ -76,6 +76,9 @@ _ONE_FOCAL = {
 
 @dataclass(frozen=True)
 class ColmapCamera:
+    """A camera as COLMAP has it. model: the name of its model; width and height: of its images, pixels; params: the
+    model's parameters, in COLMAP's order."""
+
     model: str
     width: int
     height: int
@@ -158,7 +161,8 @@ def _read_scene(model: _Model) -> tuple[dict[int, ColmapCamera], PointCloud | No
 
 def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where: str) -> _Content:
     """A model's file, binary or text. Raises SceneError where it is missing or damaged."""
-    require_content(path)
+    if parsers is not _POINTS:  # models of known poses have an empty file of points
+        require_content(path)
     try:
         return parsers[path.suffix](path)
     except FileNotFoundError as error:
@@ -193,7 +197,11 @@ def _photo(path: Path, image: _Image, cameras: dict[int, ColmapCamera], file: st
 
 
 def to_pinhole(camera: ColmapCamera, source: str) -> tuple[np.ndarray, AnyLens | None]:
-    """The intrinsics, and the lens that the photographs must be rid of (COLMAP's sensor/models.h has the formulas)."""
+    """Return the intrinsics [3,3], pixels, and the lens that the photographs must be rid of, None for a pinhole.
+
+    The formulas of the models are those of COLMAP's sensor/models.h. Raises SceneError with `source` for panoramas, for
+    other models that are not supported, and for parameters that are not finite.
+    """
     if camera.model.lower() in PANORAMAS:
         raise SceneError(f"{source}: camera model {camera.model} is not supported: {PANORAMA_CURE}")
     if camera.model not in dict(_MODELS.values()):
@@ -356,7 +364,8 @@ def _binary_points(path: Path) -> PointCloud:
 
 
 def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ColmapCamera:
-    """The camera, if it has as many parameters as its model asks for (models that aren't known are refused later)."""
+    """Return the camera of a model's name and parameters. Raises ValueError if a known model has another number of
+    parameters; `to_pinhole` refuses models that are not known."""
     count = dict(_MODELS.values()).get(model)
     if count is not None and len(params) != count:
         raise ValueError(f"camera model {model} has {count} parameters, got {len(params)}")

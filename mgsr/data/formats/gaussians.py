@@ -15,10 +15,10 @@ from typing import Any
 from mgsr.data.capture import Capture, Format, Photo
 from mgsr.data.files import number, read_json
 from mgsr.data.number_files import head_of
-from mgsr.data.number_lists import numbers
+from mgsr.data.number_lists import matrix, numbers
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.pointclouds import read_points
-from mgsr.data.poses import from_world_from_cam, intrinsics, matrix_from, rigid
+from mgsr.data.poses import from_world_from_cam, intrinsics, rigid
 from mgsr.data.scene import PointCloud
 from mgsr.errors import MissingPhotoError, SceneError
 
@@ -69,7 +69,7 @@ def _photo(folder: SceneFolder, image: Path, camera: dict[str, Any], name: str, 
         number(camera, "cx", source) if "cx" in camera else width / 2,
         number(camera, "cy", source) if "cy" in camera else height / 2,
     )
-    rotation = matrix_from(camera.get("rotation"), 3, 3, "rotation", source)
+    rotation = matrix(camera.get("rotation"), "rotation", source)
     position = numbers(camera.get("position"), 3, "position", source)
     pose = from_world_from_cam(rigid(rotation, position), source)
     return Photo(image, K, (round(width), round(height)), pose, source)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.files import inside, number
+from mgsr.data.files import number
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.pointclouds import read_points
 from mgsr.data.poses import matrix_from, rigid, split_pose
@@ -37,18 +37,18 @@ def read(folder: SceneFolder) -> Capture:
     capture = read_frames(folder, _FILE, frames)
     refuse_doubles(capture.photos)
     undo = _Applied(content)
-    points, notes = _points(folder.root, content)
+    points, notes = _points(folder, content)
     photos = [undo.photo(photo) for photo in capture.photos]
     return replace(capture, photos=photos, points=undo.points(points), notes=(*capture.notes, *notes))
 
 
-def _points(root: Path, content: dict[str, Any]) -> tuple[PointCloud | None, tuple[str, ...]]:
+def _points(folder: SceneFolder, content: dict[str, Any]) -> tuple[PointCloud | None, tuple[str, ...]]:
     """The points that the file names, or a note that they are missing."""
     name = content.get("ply_file_path")
     if not name:
         return None, ()
-    path = inside(root, name, f"{_FILE}, ply_file_path")
-    if path.is_file():
+    path = folder.find_file(name, f"{_FILE}, ply_file_path")
+    if path is not None:
         return read_points(path), ()
     return None, (f"the points {str(name)[:80]} that {_FILE} names are missing: the run starts without them",)
 

@@ -86,7 +86,8 @@ def _photo(image: Path, mask: Path | None, matrix: np.ndarray, source: str) -> P
 
 def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray]:
     """K and cam_from_world of a projection matrix [3,4], known up to a factor (Hartley and Zisserman, 6.2.4)."""
-    determinant = np.linalg.det(projection[:, :3])
+    with np.errstate(all="ignore"):  # damaged numbers, which are refused
+        determinant = np.linalg.det(projection[:, :3])
     if not np.isfinite(projection).all() or determinant == 0:
         raise SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
     projection = projection * np.sign(determinant)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.data.capture import Capture, Format, Photo, Split
-from mgsr.data.files import inside, read_json
+from mgsr.data.files import read_json
 from mgsr.data.images import image_size
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.poses import matrix_from, pose_from
@@ -47,9 +47,17 @@ def _photo(folder: SceneFolder, image: Path, view: dict[str, Any], index: int, s
         size=image_size(image, source),
         cam_from_world=pose_from(view.get("cam_from_world"), "cam_from_world", source),
         source=source,
-        mask=inside(folder.root, view["mask"], source) if view.get("mask") is not None else None,
+        mask=_mask(folder, view, source),
         split=split,
     )
+
+
+def _mask(folder: SceneFolder, view: dict[str, Any], source: str) -> Path | None:
+    if view.get("mask") is None:
+        return None
+    if (mask := folder.find_file(view["mask"], f"{source}, mask")) is None:
+        raise SceneError(f"{source}: its mask {str(view['mask'])[:200]} is missing; put it there, or name none")
+    return mask
 
 
 def _split(view: dict[str, Any], index: int) -> Split | None:

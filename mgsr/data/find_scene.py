@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -12,14 +13,21 @@ from mgsr.data.archive import ARCHIVE_SUFFIXES
 from mgsr.data.capture import Format, Photo
 from mgsr.data.files import MASK_FOLDERS, images_below
 from mgsr.data.formats import all_formats
-from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video
+from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES, VIDEO_CURE, is_video, what_instead
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.unread import unread_cameras
 from mgsr.errors import SceneError
 
 # How many folders deep a scene is looked for, and in how many folders at most.
-_DEEPEST = 5
+_DEEPEST = 8
 _MOST_FOLDERS = 2000
+
+# How many folders around a part of a scene are looked at, and how deep.
+_FARTHEST_AROUND = 3
+_DEEPEST_AROUND = 4
+
+# Files that may hold cameras.
+_CAMERA_SUFFIXES = (".csv", ".xml", ".json", ".sfm", ".txt", ".nvm", ".out", ".npz", ".npy")
 
 # Folders that programs make for their files: a scene has the name of the folder that holds them.
 _PROGRAMS_FOLDER = re.compile(r"\d+$|sparse|dense|colmap|sfm|.*_calibration|.*distorted|output$|images$|keyframes$")
@@ -50,7 +58,7 @@ def find_scene(folder: Path, given: Path) -> FoundScene:
             raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
         if scenes:
             return _found(SceneFolder(scenes[0], folder), formats)
-    if given.is_dir() and (around := _around(folder, formats)):
+    if given.is_dir() and (around := scene_around(folder)):
         return around
     raise _unknown(folder, given, formats)
 
@@ -101,17 +109,32 @@ def _name(folder: SceneFolder) -> str:
     return path.name or path.resolve().name
 
 
-def _around(folder: Path, formats: Sequence[Format]) -> FoundScene | None:
-    """The scene in the folder around a folder of photographs, if most of its photographs lie in that."""
-    parent = folder.resolve().parent
-    if not images_below(folder) or not _recognised(parent, formats):
-        return None
-    found = _found(SceneFolder.at(parent), formats)
-    photos = _photos(found)
-    if 2 * sum(photo.image.is_relative_to(folder.resolve()) for photo in photos) <= len(photos):
-        return None
-    note = f"{folder.name} is a part of the scene {parent.name}, which is read"
-    return FoundScene(found.folder, found.kind, found.name, (note, *found.notes))
+def scene_around(folder: Path) -> FoundScene | None:
+    """Return the scene that a folder of photographs, or of cameras alone, is a part of: the one in the nearest of the
+    folders around it that has photographs and cameras of which some lie in this folder, or None."""
+    inner, formats = folder.resolve(), all_formats()
+    for outer in inner.parents[:_FARTHEST_AROUND]:
+        found = _scene_with(outer, inner, formats)
+        if found is not None:
+            note = f"{inner.name} is a part of the scene {found.name}, which is read"
+            return FoundScene(found.folder, found.kind, found.name, (note, *found.notes))
+    return None
+
+
+def _scene_with(outer: Path, inner: Path, formats: Sequence[Format]) -> FoundScene | None:
+    """The scene in a folder, if its cameras or most of its photographs lie in the inner one."""
+    for level in itertools.islice(_levels(outer), _DEEPEST_AROUND):
+        scenes = [path for path in level if _recognised(path, formats)]
+        if len(scenes) > 1:
+            return None
+        if scenes:
+            found = _found(SceneFolder(scenes[0], outer), formats)
+            photos = _photos(found)
+            inside = sum(photo.image.is_relative_to(inner) for photo in photos)
+            _, file = _recognised(scenes[0], formats)[0]
+            is_part = 2 * inside > len(photos) or (scenes[0] / file).is_relative_to(inner)
+            return found if photos and is_part else None
+    return None
 
 
 def _photos(found: FoundScene) -> list[Photo]:
@@ -129,10 +152,13 @@ def _unknown(folder: Path, given: Path, formats: Sequence[Format]) -> SceneError
     videos = [path.name for path in files if is_video(path)]
     raw = [path.name for path in files if path.suffix.lower() in RAW_SUFFIXES]
     images = images_below(folder)
-    if archives:
-        return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
     if unread := unread_cameras(folder):
         return SceneError(f"{given}: {unread}")
+    for path in files:
+        if path.suffix.lower() in _CAMERA_SUFFIXES and (odd := what_instead(path)):
+            return SceneError(f"{given}: {path.name} {odd}")
+    if archives:
+        return SceneError(f"{given}: no known scene in it, but another archive, {archives[0]}: unpack that first")
     if images:
         return SceneError(
             f"{given}: {len(images)} images, but no cameras; find the cameras with `mgsr poses {given} -o SCENE`, "

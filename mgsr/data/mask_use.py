@@ -40,8 +40,9 @@ _STRIP_BORDERS = 0.6
 # a thing that stands still and is to be ignored.
 _WHITE_BORDERS = 0.85
 
-# Radii of the ball that the images show whole. Objects that the images cut off reach beyond it, by less than this.
-_LARGEST_BALL = 4.0
+# Radii of the ball that the images show whole. Objects twice as large as the images reach 1.8 beyond it; the skies and
+# lens hoods that were tried make balls of 2.5 to 20.
+_LARGEST_BALL = 2.4
 
 _CHOICE = (
     "say which with masks=object (white is the object to be reconstructed) or masks=ignore (black is what to leave "

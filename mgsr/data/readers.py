@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import compress
@@ -12,7 +13,7 @@ from mgsr.data.archive import archive_stem, unpack
 from mgsr.data.capture import Capture, Photo, Split
 from mgsr.data.coverage import note_of_few_views
 from mgsr.data.files import IMAGE_SUFFIXES, view_names
-from mgsr.data.find_scene import find_scene
+from mgsr.data.find_scene import find_scene, scene_around
 from mgsr.data.loading import LoadedView, LoadProgress, load_views
 from mgsr.data.mask_files import MaskIndex
 from mgsr.data.mask_use import MaskUse, require_plausible_ball
@@ -48,6 +49,8 @@ def load_scene(
     path = Path(path)
     found = find_scene(_as_folder(path, unpack_to), path)
     capture = found.kind.read(found.folder)
+    if not capture.photos and path.is_dir() and (around := scene_around(path)):
+        found, capture = around, around.kind.read(around.folder)
     present, lost = usable_photos(capture, found.folder)
     photos, unused = _with_masks(present, found.folder, config.masks)
     train, test = split(photos, config.test_every)
@@ -126,6 +129,12 @@ def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple
         replace(photo, mask=photo.mask or index.find(photo.image), ignored=index.find_ignored(photo.image))
         for photo in photos
     ]
+    used = Counter(photo.mask for photo in photos if photo.mask is not None)
+    doubled = [mask for mask, count in used.items() if count > 1]
+    if doubled:
+        photos = [replace(photo, mask=None) if photo.mask in doubled else photo for photo in photos]
+        name = folder.shown(doubled[0])
+        return photos, (f"{name} may be the mask of several photographs: it is not used; put masks into their folders",)
     if not index.masks or any(photo.mask for photo in photos):
         return photos, ()
     mask, name = folder.shown(index.masks[0]), photos[0].image.stem

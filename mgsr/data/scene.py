@@ -103,10 +103,9 @@ class Scene:
 
     user_from_scene takes results back to the frame and scale of the input files.
     format names the reader; root is the folder that was read (also for an archive: its unpacked folder). notes tell
-    the person what the files have and the reader left out; warning, one of them, that the surface will be a guess. ignoring:
-    whether masks that say what to ignore make pixels unknown.
-    exposures: what was taken back from the
-    photographs where theirs differed, None where they are as they were (see `exposure.py`).
+    the person what the files have and the reader left out; warning is one of them, that the surface will be a guess.
+    exposures: what was taken back from the photographs where theirs differed, None where they are as they were (see
+    `exposure.py`). ignoring: whether masks that say what to ignore make pixels unknown.
     """
 
     name: str

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from mgsr.config import DataConfig
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.readers import load_scene
 from mgsr.errors import MissingPhotoError, SceneError
 from tests.data.captures import BallCapture, edit_json, save
+from tests.data.reading import read_capture
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 123\n"
 GREY = np.full((8, 8, 3), 128, np.uint8)
@@ -235,3 +237,42 @@ def test_paths_of_masks_follow_those_of_photographs(tmp_path, name):
 
     edit_json(root / "cameras.json", named)
     assert load_scene(root, DataConfig()).masked
+
+
+@pytest.mark.parametrize("part", ["images", "images/left", "output/sparse", "output/sparse/0", "output"])
+def test_a_scene_given_by_a_part_of_it(tmp_path, part):
+    pycolmap = pytest.importorskip("pycolmap")
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(pycolmap.Camera.create_from_model_name(1, "PINHOLE", 100.0, 64, 64))
+    ball = BallCapture(views=9)
+    for i, pose in enumerate(ball.poses(), start=1):
+        save(tmp_path / f"vase/images/left/{i}.png", ball.rgba(pose), "RGB")
+        image = pycolmap.Image(name=f"left/{i}.png", camera_id=1, image_id=i)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    (tmp_path / "vase/output/sparse/0").mkdir(parents=True)
+    model.write_binary(str(tmp_path / "vase/output/sparse/0"))
+    scene = load_scene(tmp_path / "vase" / part, DataConfig())
+    assert len(scene.train) + len(scene.test) == 9
+    assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, which is read"
+
+
+def test_one_mask_for_two_photographs_is_used_for_none(root):
+    for camera in ("left", "right"):
+        for number in range(6):
+            source = root / f"photos/{number + 6 * (camera == 'right'):03d}.png"
+            save(root / camera / f"{number}.png", np.asarray(Image.open(source).convert("RGB")), "RGB")
+            save(root / f"masks/{number}.png", GREY[..., 0] * 0, "L")
+
+    def rig(content):
+        for i, view in enumerate(content["views"]):
+            view["image"] = f"{'left' if i < 6 else 'right'}/{i % 6}.png"
+
+    edit_json(root / "cameras.json", rig)
+    scene = load_scene(root, DataConfig())
+    assert not scene.masked and scene.notes[0].startswith("masks/0.png may be the mask of several photographs: it is")
+
+
+def test_extensions_in_capitals(root):
+    (root / "cameras.json").unlink()
+    (root / "CAMS.CSV").write_text("#name,x,y,alt,heading,pitch,roll,f\n" + "photos/000.png,0,0,10,0,0,0,18\n" * 2)
+    assert len(read_capture(root, "realitycapture").photos) == 2

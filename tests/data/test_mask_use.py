@@ -133,10 +133,12 @@ def test_skies_are_no_silhouettes(tmp_path, top):
     masks = [np.full((SIDE, SIDE), 255, np.uint8) for _ in range(BALL.views)]
     for i, mask in enumerate(masks):
         mask[: int(SIDE * top) + i % 5] = 0
-    try:
-        assert not load_scene(capture(tmp_path, masks), DataConfig()).masked
-    except SceneError as error:
-        assert "may show an object or what is to be ignored" in str(error)
+    root = capture(tmp_path, masks)
+    if top < 0.2:  # nearly a strip
+        assert not load_scene(root, DataConfig()).masked
+    else:
+        with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
+            load_scene(root, DataConfig())
 
 
 def test_a_lens_hood_is_no_silhouette(tmp_path):

@@ -31,7 +31,7 @@ _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 def recognises(root: Path) -> str | None:
     """Return the first .xml of the folder that begins as Metashape's documents do and has cameras, else the first that
     begins so."""
-    paths = (path for path in sorted(root.glob("[!.]*.xml")) if path.is_file())
+    paths = (path for path in sorted(root.glob("[!.]*.[xX][mM][lL]")) if path.is_file())
     documents = [path for path in paths if _is_document(path)]
     best = min(documents, key=lambda path: not _has_cameras(path), default=None)
     return best.name if best else None

@@ -31,7 +31,7 @@ _FILM = 36.0  # millimetres: the focal length is that of 35 mm film, whose large
 def recognises(root: Path) -> str | None:
     """Return the first .csv of the folder whose header has the needed columns, else the first with one of
     RealityCapture's other headers."""
-    paths = (path for path in sorted(root.glob("[!.]*.csv")) if path.is_file())
+    paths = (path for path in sorted(root.glob("[!.]*.[cC][sS][vV]")) if path.is_file())
     found = [(path.name, header) for path in paths if (header := _header(path))]
     return min(found, key=lambda item: not item[1].fits)[0] if found else None
 

@@ -175,6 +175,17 @@ def test_senseless_values_for_long(tmp_path, name):
     fuzz_reader(tmp_path, name, value_changes(), LONG)
 
 
+# What the long run found
+
+
+def test_messages_do_not_repeat_a_long_name_of_a_camera_model(tmp_path):
+    sensors = kapture(tmp_path) / "sensors/sensors.txt"
+    sensors.write_text(sensors.read_text().replace("OPENCV", "A" * 5000))
+    with pytest.raises(SceneError, match=r"camera model A+ is not supported") as caught:
+        read(tmp_path)
+    assert len(str(caught.value)) < 1000
+
+
 # Archives and images
 
 ARCHIVES = ("a.zip", "a.tar", "a.tar.gz", "a.tar.zst")

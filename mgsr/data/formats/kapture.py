@@ -109,7 +109,7 @@ def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndar
             f"{source}: {_SENSORS} has no camera {device[:80]} with a model and its parameters; calibrate it (such as "
             "with COLMAP) and export the dataset again"
         )
-    model, values = sensor[2], numbers(sensor[3:], len(sensor[3:]), f"parameters of {device[:80]}", source)
+    model, values = sensor[2][:40], numbers(sensor[3:], len(sensor[3:]), f"parameters of {device[:80]}", source)
     try:
         camera = checked_camera(model, int(values[0]), int(values[1]), tuple(values[2:].tolist()))
     except ValueError as error:

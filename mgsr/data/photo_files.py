@@ -89,6 +89,8 @@ class SceneFolder:
         for path in [path for path in places if path is not None] + tails:
             if path.is_file():
                 return path
+            if path == self.top:
+                continue
             if found := in_any_case(self.top, path.parent, [path.name]):
                 return found
         return None

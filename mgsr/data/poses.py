@@ -24,7 +24,7 @@ def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.
     """A nested list as a float64 matrix of that size. Raises SceneError with `source` and `what`."""
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SceneError(f"{source}: {what}: expected a {rows}x{cols} matrix of numbers; mend the file") from error
     if matrix.shape != (rows, cols):
         raise SceneError(
@@ -40,7 +40,7 @@ def pose_from(value: Any, what: str, source: str) -> np.ndarray:
     """
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SceneError(f"{source}: {what}: expected a 4x4 or 3x4 matrix of numbers; mend the file") from error
     if matrix.shape in ((12,), (16,)):
         matrix = matrix.reshape(-1, 4)
@@ -88,7 +88,11 @@ def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
     """Return the rigid transform [4,4] of a cam_from_world pose, with rounding removed and a uniform scale divided out:
     the scaled pose projects every point to the same pixel. Raises SceneError as `split_pose`."""
     rotation, translation, scale = split_pose(matrix, source)
-    return rigid(rotation, translation / scale)
+    with np.errstate(over="ignore"):  # what overflows is refused
+        translation = translation / scale
+    if not np.isfinite(translation).all():
+        raise SceneError(f"{source}: the pose's translation is too large for its scale of {scale:.3g}; mend it")
+    return rigid(rotation, translation)
 
 
 def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:

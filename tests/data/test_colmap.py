@@ -277,6 +277,8 @@ def test_other_programs_images_txt_is_no_model(tmp_path):
 
 def test_a_model_alone_lacks_its_photographs(tmp_path):
     write(tmp_path, "PINHOLE")
+    for path in (tmp_path / "images").iterdir():
+        path.unlink()
     with pytest.raises(
         SceneError, match=r"only 0 of 10 photographs that 0/images\.bin names are there \(photo 01\.png is"
     ):

@@ -86,17 +86,21 @@ def _photo(image: Path, mask: Path | None, matrix: np.ndarray, source: str) -> P
 
 def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray]:
     """K and cam_from_world of a projection matrix [3,4], known up to a factor (Hartley and Zisserman, 6.2.4)."""
+    singular = SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
     with np.errstate(all="ignore"):  # damaged numbers, which are refused
         determinant = np.linalg.det(projection[:, :3])
-    if not np.isfinite(projection).all() or determinant == 0:
-        raise SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
-    projection = projection * np.sign(determinant)
-    K, rotation = rq(projection[:, :3])
-    turn = np.diag(np.sign(np.diag(K)))
-    K, rotation = K @ turn, turn @ rotation
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, np.linalg.solve(K, projection[:, 3])
-    K = K / K[2, 2]
+        if not np.isfinite(projection).all() or determinant == 0:
+            raise singular
+        projection = projection * np.sign(determinant)
+        K, rotation = rq(projection[:, :3])
+        turn = np.diag(np.sign(np.diag(K)))
+        K, rotation = K @ turn, turn @ rotation
+        pose = np.eye(4)
+        try:
+            pose[:3, :3], pose[:3, 3] = rotation, np.linalg.solve(K, projection[:, 3])
+        except np.linalg.LinAlgError as error:
+            raise singular from error
+        K = K / K[2, 2]
     if abs(K[0, 1]) < _ROUNDING * K[0, 0]:
         K[0, 1] = 0
     # These matrices count pixels from the middle of the first one.

@@ -49,6 +49,7 @@ class DataConfig:
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
     blurred: Blurred = Blurred.KEEP
+    confined: bool = False  # look for nothing outside the folder that is given; jobs of the service always do so
     test_every: int = 8  # every n-th view is held out, where the files name no split
     max_side: int = 1600  # pixels; larger photographs are reduced to this by area means, before the lens is undone
 

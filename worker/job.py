@@ -106,7 +106,8 @@ def _reconstruct(spec: JobSpec) -> None:
         check_images(spec.scene, spec.max_pixels)
         options = spec.options
         watch = ["watch.report_every=5", "watch.preview_every=200"]
-        always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}"]
+        # An upload must not make the job read what lies beside it, such as other jobs' photographs.
+        always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
         from mgsr.cli.console import RunDisplay

@@ -43,11 +43,12 @@ class FoundScene:
     notes: tuple[str, ...]
 
 
-def find_scene(folder: Path, given: Path) -> FoundScene:
+def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
     """Find the scene in a folder: the nearest of the folders below it that a format recognises, itself first.
 
     given: what the person gave, for messages: the folder or the archive that it was unpacked from. A folder of
-    photographs whose cameras lie beside it belongs to the scene around it, unless it comes from an archive.
+    photographs whose cameras lie beside it belongs to the scene around it, unless it comes from an archive. confined:
+    nothing outside the folder is looked at.
     Raises SceneError, with what lies there and what to do, where no scene or several are found.
     """
     formats = all_formats()
@@ -58,7 +59,7 @@ def find_scene(folder: Path, given: Path) -> FoundScene:
             raise SceneError(f"{given}: {len(scenes)} scenes in it ({names}); give one of them")
         if scenes:
             return _found(SceneFolder(scenes[0], folder), formats)
-    if given.is_dir() and (around := scene_around(folder)):
+    if given.is_dir() and not confined and (around := scene_around(folder)):
         return around
     raise _unknown(folder, given, formats)
 

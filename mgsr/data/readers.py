@@ -47,9 +47,9 @@ def load_scene(
     """
     _check_config(config)
     path = Path(path)
-    found = find_scene(_as_folder(path, unpack_to), path)
+    found = find_scene(_as_folder(path, unpack_to), path, config.confined)
     capture = found.kind.read(found.folder)
-    if not capture.photos and path.is_dir() and (around := scene_around(path)):
+    if not capture.photos and path.is_dir() and not config.confined and (around := scene_around(path)):
         found, capture = around, around.kind.read(around.folder)
     present, lost = usable_photos(capture, found.folder)
     photos, unused = _with_masks(present, found.folder, config.masks)

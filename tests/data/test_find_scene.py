@@ -276,3 +276,18 @@ def test_extensions_in_capitals(root):
     (root / "cameras.json").unlink()
     (root / "CAMS.CSV").write_text("#name,x,y,alt,heading,pitch,roll,f\n" + "photos/000.png,0,0,10,0,0,0,18\n" * 2)
     assert len(read_capture(root, "realitycapture").photos) == 2
+
+
+@pytest.mark.parametrize("cameras", [True, False], ids=["cameras alone", "photographs alone"])
+def test_a_confined_scene_takes_nothing_from_outside(tmp_path, root, cameras):
+    """What a job of the service is given must not lead to the files of another."""
+    inner = tmp_path / "vase/job"
+    inner.mkdir()
+    if cameras:
+        (root / "cameras.json").rename(inner / "cameras.json")
+    else:
+        (root / "photos").rename(inner / "photos")
+        edit_json(root / "cameras.json", lambda c: [v.update(image="job/" + v["image"]) for v in c["views"]])
+    assert views(inner) == 12
+    with pytest.raises(SceneError, match="only 0 of 12 photographs" if cameras else "12 images, but no cameras"):
+        load_scene(inner, DataConfig(confined=True))

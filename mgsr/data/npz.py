@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-_DAMAGE = (
+# What damaged arrays and archives of them make numpy and zipfile raise.
+DAMAGE = (
     ArithmeticError,
     EOFError,
     LookupError,
@@ -36,7 +37,7 @@ def read_arrays(path: Path, largest: int = 1 << 31) -> dict[str, np.ndarray]:
                     raise ValueError(f"{member.filename} takes {member.file_size} bytes, expected {largest} at most")
         with np.load(path, allow_pickle=False) as content:
             arrays = {name: np.asarray(content[name]) for name in content.files}
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise ValueError(textwrap.shorten(str(error), 100) or type(error).__name__) from error
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":

@@ -7,12 +7,12 @@ bounds of depth; the camera's axes are down, right, backwards. Its principal poi
 
 from __future__ import annotations
 
-import tokenize
 from pathlib import Path
 
 import numpy as np
 
 from mgsr.data.capture import Capture, Format, Photo
+from mgsr.data.npz import DAMAGE
 from mgsr.data.number_files import LARGEST_CAPTURE, folders_in, photographs_in, read_lines
 from mgsr.data.odd_files import is_video, require_content
 from mgsr.data.photo_files import SceneFolder
@@ -22,18 +22,6 @@ from mgsr.errors import SceneError, in_short
 _FILE = "poses_bounds.npy"
 _REGISTERED = "view_imgs.txt"
 _COLUMNS = 17
-_DAMAGE = (
-    ArithmeticError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    tokenize.TokenError,  # of a header
-)
 
 
 def recognises(root: Path) -> str | None:
@@ -53,7 +41,7 @@ def _rows(path: Path) -> np.ndarray:
     require_content(path)
     try:
         rows = _load(path)
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise SceneError(f"{_FILE}: damaged: {in_short(error)}; copy it again") from error
     if rows.ndim != 2 or rows.shape[1] != _COLUMNS or not len(rows):
         raise SceneError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 
 from mgsr.errors import TensorError
@@ -15,24 +17,36 @@ def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tens
 
     Raises TensorError that names the argument, what was expected and what came.
     """
-    bound = dict(sizes or {})
+    bound = dict(sizes) if sizes else {}
     device: torch.device | None = None
     for name, (tensor, shape) in specs.items():
         if not isinstance(tensor, torch.Tensor):
             raise TensorError(f"{name}: expected a tensor [{_expected(shape, bound)}], got {type(tensor).__name__}")
-        letters = shape.split()
-        matches = tensor.ndim == len(letters) and all(
-            size == (int(letter) if letter.isdigit() else bound.setdefault(letter, size))
-            for letter, size in zip(letters, tensor.shape, strict=True)
-        )
-        if not matches:
+        if not _matches(tensor.shape, _parts(shape), bound):
             raise TensorError(f"{name}: expected [{_expected(shape, bound)}], got {list(tensor.shape)}")
-        if tensor.dtype != torch.float32:
+        if tensor.dtype is not torch.float32:
             raise TensorError(f"{name}: expected float32, got {tensor.dtype}; call .float() first")
-        device = device or tensor.device
-        if tensor.device != device:
-            raise TensorError(f"{name}: expected device {device} like the arguments before it, got {tensor.device}")
+        own = tensor.device
+        if device is None:
+            device = own
+        elif own != device:
+            raise TensorError(f"{name}: expected device {device} like the arguments before it, got {own}")
     return bound
+
+
+@cache
+def _parts(shape: str) -> tuple[int | str, ...]:
+    return tuple(int(part) if part.isdigit() else part for part in shape.split())
+
+
+def _matches(sizes: torch.Size, parts: tuple[int | str, ...], bound: dict[str, int]) -> bool:
+    """Whether sizes are those of a shape; letters that are met first are bound."""
+    if len(sizes) != len(parts):
+        return False
+    for size, part in zip(sizes, parts, strict=True):
+        if size != (bound.setdefault(part, size) if isinstance(part, str) else part):
+            return False
+    return True
 
 
 def _expected(shape: str, bound: dict[str, int]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -22,11 +23,13 @@ class Camera:
     width: int
     height: int
 
-    @property
+    @cached_property
     def center(self) -> np.ndarray:
-        """The camera's position in the world, [3]."""
+        """The camera's position in the world, [3]; not to be written to."""
         rotation, translation = self.cam_from_world[:3, :3], self.cam_from_world[:3, 3]
-        return -rotation.T @ translation
+        center: np.ndarray = -rotation.T @ translation
+        center.setflags(write=False)
+        return center
 
     @property
     def world_from_cam(self) -> np.ndarray:

@@ -22,15 +22,24 @@ class DensifyState:
         """Nothing gathered yet about `count` splats, which are on `device`."""
         return DensifyState(torch.zeros(count, device=device), torch.zeros(count, device=device))
 
-    def gather(self, v_means2d: Tensor, radii: Tensor, width: int, height: int, weight: float = 1.0) -> None:
+    def gather(
+        self,
+        v_means2d: Tensor,
+        radii: Tensor,
+        width: int,
+        height: int,
+        weight: float = 1.0,
+        bad: Tensor | None = None,
+    ) -> None:
         """Add one image's gradients.
 
         v_means2d [N,2]: of the loss, per pixel of the projected centres; counted per half image side as 3DGS does,
         so that a threshold holds for images of any size. radii [N]: 0 where a splat was not seen. weight: the
         branch's weight in the loss, divided out so that the threshold means the same alone and in the mutual phase.
+        bad [] bool, on a card: whether the gradients count as zero.
         """
         scale = (0.5 * width / weight, 0.5 * height / weight)
-        gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale)
+        gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale, bad)
 
     def to(self, device: torch.device) -> DensifyState:
         """The same on a device."""

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mgsr.ops.activations import shares
+
 
 @dataclass
 class MirroredLight:
@@ -40,9 +42,13 @@ class MirroredLight:
         """Texels along a side of each map."""
         return round((len(self) / 2) ** 0.5)
 
+    def texels(self) -> Tensor:
+        """The light [2,S,S,3]."""
+        return shares(self.logits).view(2, self.side, self.side, 3)
+
     def maps(self) -> Tensor:
         """The light [2,3,S,S]."""
-        return self.logits.sigmoid().view(2, self.side, self.side, 3).permute(0, 3, 1, 2)
+        return self.texels().permute(0, 3, 1, 2)
 
     def parameters(self) -> dict[str, Tensor]:
         """Every stored tensor by name."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from mgsr.gaussians.scales import linear_scales
+from mgsr.ops.activations import activate, shares
 from mgsr.ops.harmonics import harmonics_to_rgb
 
 
@@ -39,11 +39,16 @@ class SurfelModel:
 
     def scales(self) -> Tensor:
         """Standard deviations along the tangents, [N,2], in the scene's unit."""
-        return linear_scales(self.log_scales)
+        return activate(self.log_scales)[0]
 
     def opacities(self) -> Tensor:
         """[N], in (0, 1)."""
-        return self.opacity_logits.sigmoid()
+        return shares(self.opacity_logits)
+
+    def activated(self) -> tuple[Tensor, Tensor]:
+        """Scales and opacities, in one pass."""
+        scales, opacities = activate(self.log_scales, self.opacity_logits)
+        return scales, opacities
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
         """Colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""

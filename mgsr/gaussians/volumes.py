@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 import torch
 from torch import Tensor
 
-from mgsr.gaussians.scales import linear_scales
+from mgsr.ops.activations import activate, shares
 from mgsr.ops.harmonics import harmonics_to_rgb
 
 
@@ -57,11 +57,20 @@ class VolumeModel:
 
     def scales(self) -> Tensor:
         """Standard deviations along the axes, [N,3], in the scene's unit."""
-        return linear_scales(self.log_scales)
+        return activate(self.log_scales)[0]
 
     def opacities(self) -> Tensor:
         """Of the transmitted half, [N], in (0, 1)."""
-        return self.opacity_logits.sigmoid()
+        return shares(self.opacity_logits)
+
+    def activated(self) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
+        """Scales and opacities, and of the reflected half opacities and weights (None without it), in one pass."""
+        if self.refl_opacity_logits is None or self.weight_logits is None:
+            scales, opacities = activate(self.log_scales, self.opacity_logits)
+            return scales, opacities, None, None
+        logits = self.opacity_logits, self.refl_opacity_logits, self.weight_logits
+        scales, opacities, refl_opacities, weights = activate(self.log_scales, *logits)
+        return scales, opacities, refl_opacities, weights
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
         """Transmitted colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
@@ -69,11 +78,11 @@ class VolumeModel:
 
     def refl_opacities(self) -> Tensor:
         """Of the reflected half, [N], in (0, 1)."""
-        return _stored(self.refl_opacity_logits).sigmoid()
+        return shares(_stored(self.refl_opacity_logits))
 
     def weights(self) -> Tensor:
         """Beta, [N], in (0, 1)."""
-        return _stored(self.weight_logits).sigmoid()
+        return shares(_stored(self.weight_logits))
 
     def refl_colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
         """Reflected colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from mgsr.config import AlphaLoss
+from mgsr.ops.pixels import silhouette_term
+from mgsr.ops.terms import Term
 
 
-def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Tensor:
-    """Mean difference of the rendered alpha [H,W] from the photograph's [H,W], both 0..1, a scalar; gradient to
-    alpha. where [H,W]: weights of the pixels, all 1 by default (the mean stays over all pixels)."""
-    if where is not None:
-        alpha, mask = alpha * where, mask * where
-    if kind is AlphaLoss.L1:
-        return torch.nn.functional.l1_loss(alpha, mask)
-    return torch.nn.functional.binary_cross_entropy(alpha.clamp(1e-4, 1 - 1e-4), mask)
+def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
+    """Mean difference of the rendered alpha [H,W] from the photograph's [H,W], both 0..1; gradient to alpha. where
+    [H,W]: weights of the pixels, all 1 by default (the mean stays over all pixels)."""
+    return silhouette_term(alpha, mask, where, entropy=kind is AlphaLoss.BCE)

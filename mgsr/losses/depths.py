@@ -5,17 +5,20 @@ from __future__ import annotations
 from torch import Tensor
 
 from mgsr.config import DepthUnit
+from mgsr.ops.pixels import squares_term
+from mgsr.ops.terms import Term
 
 LEAST_DISTANCE = 0.1  # scene units
 
 
-def depth_agreement(volume_depth: Tensor, surfel_depth: Tensor, covered: Tensor, unit: float | Tensor) -> Tensor:
-    """L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where covered, a scalar.
+def depth_agreement(
+    volume_depth: Tensor, surfel_depth: Tensor, covered: tuple[Tensor, Tensor], unit: float | Tensor
+) -> Term:
+    """L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
 
-    Depths [H,W] camera z; covered [H,W] 0 or 1. Gradients flow to both depths.
+    Depths [H,W] camera z; covered: two of [H,W], 0 or 1. Gradients flow to both depths.
     """
-    difference = ((volume_depth - surfel_depth) * covered).reshape(-1)
-    return (difference @ difference) / (difference.numel() * unit**2)
+    return squares_term(volume_depth, surfel_depth, covered, by=volume_depth.numel() * unit**2)
 
 
 def depth_unit(kind: DepthUnit, volume_depth: Tensor, distance: float) -> float | Tensor:

@@ -1,12 +1,13 @@
 """The branches' losses, put together from their terms (supplement, Algorithms 1 and 2).
 
-Each function returns its terms by name, already times their weights: their sum is the loss, and a term that goes
-wrong can be named. A term whose weight is zero is not computed.
+Each function returns its terms by name, already times their weights: `total` sums them up, and a term that goes wrong
+can be named. A term whose weight is zero is not computed.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,38 +15,66 @@ from torch import Tensor
 from mgsr.config import SurfaceDepth, Teaching, TrainConfig
 from mgsr.losses.alpha import silhouette
 from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.normals import normal_agreement
 from mgsr.losses.target import Target
-from mgsr.ops.image_loss import image_loss
-from mgsr.ops.tv import edge_aware_tv
+from mgsr.ops.depth_normals import normal_agreement_term
+from mgsr.ops.image_loss import image_loss_term
+from mgsr.ops.pixels import product_term
+from mgsr.ops.terms import Term, evaluate
+from mgsr.ops.tv import edge_aware_tv_term
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 
-Terms = dict[str, Tensor]
+Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a step makes smaller: value [], whose gradients flow on, and its terms [] by name."""
+
+    value: Tensor
+    terms: dict[str, Tensor]
+
+
+def total(terms: Mapping[str, Term | Tensor]) -> Loss:
+    """The sum of the terms."""
+    brought = {name: term for name, term in terms.items() if isinstance(term, Term)}
+    values = evaluate(list(brought.values()))
+    loss = values.sum()
+    others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
+    for term in others.values():
+        loss = loss + term
+    by_name = dict(zip(brought, values.detach().unbind(), strict=True))
+    return Loss(loss, by_name | {name: term.detach() for name, term in others.items()})
 
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
     """L_2D of the warm-up: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
-    terms = {"surfels.photo": _photo(outputs.color, target.color, target, config, target.off_edge)}
+    terms: Terms = {"surfels.photo": _photo(outputs.color, target.color, target, config, target.off_edge)}
     terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config, target.off_edge)
-    return terms | (surface_terms(outputs, target, config) if regularised else {})
+    if regularised:
+        terms |= surface_terms(outputs, target, target.color, target.covered(outputs.alpha), config)
+    return terms
 
 
-def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
-    """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness."""
+def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig, covered: Tensor | None = None) -> Terms:
+    """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness. covered: what `target.covered`
+    says of the alpha, where that is known already."""
     settings = config.volumes
-    # Photographs clip: where they are white, a render that is brighter is as right as one that is white.
-    terms = {"volumes.photo": _photo(outputs.color.clamp(max=1), target.color, target, config)}
+    terms: Terms = {"volumes.photo": _photo(outputs.color, target.color, target, config, clip=True)}
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
+    if config.tv and (settings.transmitted_tv_weight or settings.depth_tv_weight):
+        covered = target.covered(outputs.alpha) if covered is None else covered
     if config.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
         inside = None if target.unknown is None else target.known(torch.ones_like(outputs.alpha))
-        inside = inside if target.alpha is None else target.covered(outputs.alpha)
-        tv = edge_aware_tv(outputs.transmitted, target.color, mask=inside)
+        inside = inside if target.alpha is None else covered
+        tv = edge_aware_tv_term(outputs.transmitted, target.color, mask=inside)
         terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
-    if settings.reflected_cost and outputs.reflected is not outputs.mirrored:
-        terms["volumes.reflected_cost"] = settings.reflected_cost * _added_by_splats(outputs)
+    if settings.reflected_cost and outputs.own_reflected is not None and outputs.weight is not None:
+        # The light is never negative, so its mean is its L1 norm.
+        added = product_term(outputs.weight, outputs.own_reflected)
+        terms["volumes.reflected_cost"] = settings.reflected_cost * added
     if config.tv and settings.depth_tv_weight:
-        tv = edge_aware_tv(_rendered(outputs.depth), target.color, mask=target.covered(outputs.alpha))
+        tv = edge_aware_tv_term(_rendered(outputs.depth), target.color, mask=covered)
         terms["volumes.depth_tv"] = settings.depth_tv_weight * tv
     return terms
 
@@ -58,39 +87,37 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
     """
     settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
     transmitted = volumes.transmitted if both else volumes.transmitted.detach()
-    depth, where = surface_depth(surfels, config), target.off_edge
-    terms = {
+    where, on_surfels, on_volumes = target.off_edge, target.covered(surfels.alpha), target.covered(volumes.alpha)
+    of_surfels: Terms = {
         "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config, where),
         "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config, where),
     }
-    terms |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config, where)
-    terms |= surface_terms(surfels, replace(target, color=volumes.transmitted.detach()), config)
-    terms = {name: settings.surfel_weight * term for name, term in terms.items()}
-    for name, term in volume_terms(volumes, target, config).items():
+    of_surfels |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config, where)
+    of_surfels |= surface_terms(surfels, target, volumes.transmitted, on_surfels, config)
+    terms = {name: settings.surfel_weight * term for name, term in of_surfels.items()}
+    for name, term in volume_terms(volumes, target, config, on_volumes).items():
         terms[name] = settings.volume_weight * term
     if settings.depth_weight:
-        full_depth = _rendered(volumes.depth)
+        full_depth, depth = _rendered(volumes.depth), surface_depth(surfels, config)
         unit = depth_unit(settings.depth_unit, full_depth, target.distance)
-        covered = target.covered(surfels.alpha) * target.covered(volumes.alpha)
-        agreement = depth_agreement(full_depth, depth if both else depth.detach(), covered, unit)
+        agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_volumes), unit)
         terms["mutual.depth"] = settings.depth_weight * agreement
     return terms
 
 
-def surface_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig) -> Terms:
-    """What shapes the surface: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth), guided by the target's colour,
-    and 2DGS's distortion where it has a weight."""
-    settings = config.surfels
-    depth, covered = surface_depth(outputs, config), target.covered(outputs.alpha)
+def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered: Tensor, config: TrainConfig) -> Terms:
+    """What shapes the surface where it is covered [H,W]: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth), the
+    smoothness guided by an image [H,W,3], and 2DGS's distortion where it has a weight."""
+    settings, depth = config.surfels, surface_depth(outputs, config)
     terms: Terms = {}
     if settings.normal_weight:
-        agreement = normal_agreement(outputs.normal, depth, outputs.alpha, target.camera, covered)
+        agreement = normal_agreement_term(outputs.normal, depth, target.camera, outputs.alpha, covered)
         terms["surfels.normal"] = settings.normal_weight * agreement
     if config.tv and settings.normal_weight * settings.normal_tv_weight:
-        tv = edge_aware_tv(outputs.normal, target.color, mask=covered)
+        tv = edge_aware_tv_term(outputs.normal, guide, mask=covered)
         terms["surfels.normal_tv"] = settings.normal_weight * settings.normal_tv_weight * tv
     if config.tv and settings.depth_tv_weight:
-        terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv(depth, target.color, mask=covered)
+        terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv_term(depth, guide, mask=covered)
     if settings.distortion_weight and outputs.distortion is not None:
         terms["surfels.distortion"] = settings.distortion_weight * outputs.distortion.mean()
     return terms
@@ -101,17 +128,14 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 
-def _photo(image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None) -> Tensor:
+def _photo(
+    image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
+) -> Term:
+    if clip and target.unknown is not None:  # what is put in at unknown pixels must be clipped too
+        image = image.clamp(max=1)
     image, other = target.compared(image, other)
-    return image_loss(image, other, l1_weight=config.l1_weight, mask=where, region=target.region)
-
-
-def _added_by_splats(outputs: VolumeOutputs) -> Tensor:
-    """The mean of the reflected light that splats add of their own. It is never negative, so this is its L1 norm."""
-    added = (outputs.color - outputs.transmitted).mean()
-    if outputs.mirrored is None or outputs.weight is None:
-        return added
-    return added - (outputs.weight * outputs.mirrored.mean(dim=-1)).mean()
+    known_sum = target.off_edge_sum if where is target.off_edge else None
+    return image_loss_term(image, other, config.l1_weight, where, target.region, clip, known_sum)
 
 
 def _rendered(depth: Tensor | None) -> Tensor:

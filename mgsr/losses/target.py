@@ -8,6 +8,7 @@ import numpy as np
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.ops.pixels import covered
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Target:
     camera: Camera
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
+    off_edge_sum: float | None = None  # over all pixels, beside off_edge; None where nobody knows it
     unknown: Tensor | None = None
 
     def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
@@ -50,7 +52,4 @@ class Target:
     def covered(self, alpha: Tensor) -> Tensor:
         """Pixels [H,W] float32 0 or 1 that have a surface: known, over half covered by the rendering's alpha [H,W] and,
         with masks, by the photograph's. Depth and normals mean something only there."""
-        inside = self.known(alpha.detach() > 0.5)
-        if self.alpha is not None:
-            inside &= self.alpha > 0.5
-        return inside.to(alpha.dtype)
+        return self.known(covered(alpha, self.alpha))

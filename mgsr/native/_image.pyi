@@ -10,6 +10,7 @@ def image_loss(
     image: Tensor,
     target: Tensor,
     l1_weight: float,
+    clip: bool,
     mask: Tensor | None,
     region: tuple[int, int, int, int],
     v_image: Tensor | None,

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 
 from mgsr.errors import CheckpointError, TensorError
 from mgsr.native import _adam
-from mgsr.native.cuda.adam import AdamBatch
+from mgsr.native.cuda.adam import AdamBatch, judge
 from mgsr.native.cuda.launcher import launcher_for
+from mgsr.ops.arrays import plain
+
+
+def any_bad(loss: torch.Tensor, gradients: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Whether the loss [] or any number of the gradients is not finite, or is over 1e19, whose square float32 does not
+    hold: [] bool on their device, which is not waited for."""
+    launcher = launcher_for(loss)
+    if launcher is not None:
+        return judge(launcher, plain(loss), [plain(gradient) for gradient in gradients])
+    # A dot is one pass over the numbers, and one number that shows whether all are finite.
+    squares = [flat @ flat for flat in (gradient.reshape(-1) for gradient in gradients)]
+    return ~torch.isfinite(torch.stack([loss.detach().square(), *squares]).sum())
 
 
 class FusedAdam:
@@ -47,23 +59,24 @@ class FusedAdam:
         }
         self._first: dict[str, torch.Tensor] = {}
         self._second: dict[str, torch.Tensor] = {}
+        # Of each parameter the values and the two moments, seen as [rows, columns].
+        self._packed: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
         self._steps = dict.fromkeys(params, 0)
         for name, param in params.items():
             self._adopt(name, param, torch.zeros_like(param.detach()), torch.zeros_like(param.detach()))
 
-    def step(self) -> None:
-        """Update every parameter that has a gradient, in place."""
-        batch, held = self._batch(), []  # the batch keeps bare pointers until update, and these may be copies
+    def step(self, bad: torch.Tensor | None = None) -> None:
+        """Update every parameter that has a gradient, in place. bad [] bool, on a card: whether the gradients count as
+        zero (see `any_bad`)."""
+        batch, held = self._batch(bad), []  # the batch keeps bare pointers until update, and these may be copies
         for name, param in self.params.items():
             if param.grad is None or not param.numel():
                 continue
             self._steps[name] += 1
-            rows = (param.shape[0], -1)
-            values, gradients = param.detach().view(rows), param.grad.contiguous().view(rows)
+            values, first, second = self._packed[name]
+            gradients = param.grad.contiguous().view(values.shape)
             held.append(gradients)
-            first, second = self._first[name].view(rows), self._second[name].view(rows)
-            scales, rate, count = self._scales.get(name), self.lrs[name], self._steps[name]
-            batch.add(values, gradients, first, second, scales, rate, count)
+            batch.add(values, gradients, first, second, self._scales.get(name), self.lrs[name], self._steps[name])
         batch.update()
 
     def set_lr(self, name: str, lr: float) -> None:
@@ -123,12 +136,14 @@ class FusedAdam:
         self._first = {name: t.to(devices[name], copy=True) for name, t in state["first"].items()}
         self._second = {name: t.to(devices[name], copy=True) for name, t in state["second"].items()}
         self._steps, self.lrs = dict(state["steps"]), dict(state["lrs"])
+        for name in self.params:
+            self._pack(name)
 
-    def _batch(self) -> AdamBatch | _adam.AdamBatch:
+    def _batch(self, bad: torch.Tensor | None) -> AdamBatch | _adam.AdamBatch:
         launcher = launcher_for(next(iter(self.params.values())))
         if launcher is None:
             return _adam.AdamBatch(*self.betas, self.epsilon)
-        return AdamBatch(launcher, *self.betas, self.epsilon)
+        return AdamBatch(launcher, *self.betas, self.epsilon, bad)
 
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
@@ -139,3 +154,9 @@ class FusedAdam:
         if scale is not None and scale.numel() != leaf[:1].numel() and leaf.shape[0]:
             raise TensorError(f"lr_scales: expected {[*leaf.shape[1:]]} for {name}, got {scale.numel()} numbers")
         self.params[name], self._first[name], self._second[name] = leaf, first.contiguous(), second.contiguous()
+        self._pack(name)
+
+    def _pack(self, name: str) -> None:
+        tensors = (self.params[name].detach(), self._first[name], self._second[name])
+        values, first, second = (tensor.view(tensor.shape[0], -1) if tensor.numel() else tensor for tensor in tensors)
+        self._packed[name] = values, first, second

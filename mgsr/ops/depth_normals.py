@@ -13,7 +13,9 @@ from mgsr.errors import TensorError
 from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.terms import Sums
 from mgsr.ops.arrays import plain
+from mgsr.ops.terms import Slope, Term, Total, wanted
 
 
 def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
@@ -35,6 +37,36 @@ def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | 
         expected, came = f"[{camera.height}, {camera.width}]", f"[{sizes['H']}, {sizes['W']}]"
         raise TensorError(f"depth: expected the camera's {expected}, got {came}; use camera.resized(width, height)")
     return _DepthNormals.apply(depth, camera, alpha)
+
+
+def normal_agreement_term(
+    normals: torch.Tensor, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor, covered: torch.Tensor
+) -> Term:
+    """The mean over the covered pixels of 1 - n . n_depth, 0 where nothing is covered.
+
+    normals: [H, W, 3], world frame, as long as alpha; gradients flow. depth: [H, W], camera z; gradients flow. alpha:
+    [H, W], the length of the depth's normals (2DGS, Eq. 13); no gradient. covered: [H, W], 0 or 1.
+
+    Raises TensorError for wrong shapes or dtypes. Source: method, "Surface normal".
+    """
+    check_tensors(normals=(normals, "H W 3"), depth=(depth, "H W"), alpha=(alpha, "H W"), covered=(covered, "H W"))
+    of_normals, of_depth = wanted(normals, depth)
+    along, lengths, counted = plain(normals), plain(alpha), plain(covered)
+    from_depth = torch.empty_like(along)
+    v_depth = torch.empty_like(depth) if of_depth else None
+    launcher = launcher_for(depth)
+    sums: Total | Sums
+    if launcher is None:
+        lengths, count = lengths * counted, float(counted.sum())
+        _image.depth_normals(plain(depth), lengths, *_geometry(camera), from_depth)
+        sums = Total(count - float(along.reshape(-1) @ from_depth.reshape(-1)), count)
+        if v_depth is not None:
+            _image.depth_normals_vjp(plain(depth), lengths, *_geometry(camera), along, v_depth)
+    else:
+        kernels = ImageKernels(launcher)
+        sums = kernels.normal_agreement(plain(depth), lengths, counted, *_geometry(camera), along, from_depth, v_depth)
+    slopes = [(normals, from_depth)] * of_normals + [(depth, v_depth)] * of_depth
+    return Term(sums, tuple(Slope(each, v, factor=-1.0) for each, v in slopes if v is not None))
 
 
 def _geometry(camera: Camera) -> tuple[tuple[float, float, float, float], list[float]]:

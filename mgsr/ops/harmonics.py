@@ -21,7 +21,7 @@ def harmonics_to_rgb(
     """Colours [N, 3] = max(0, SH(direction) + 0.5), direction = from the camera to the splat, unit.
 
     coeffs: [N, K, 3], K = 1, 4, 9 or 16; gradients flow (zero for bands above ``degree``).
-    means: [N, 3], world; gradients flow. camera_center: [3], world; no gradient.
+    means: [N, 3], world; gradients flow. camera_center: [3], world, best on the processor; no gradient.
     degree: highest band used, 0..3, at most sqrt(K) - 1.
 
     A channel that was cut at 0 passes no gradient. A splat at the camera's centre has the zero direction. A NaN in a
@@ -30,7 +30,8 @@ def harmonics_to_rgb(
     Raises TensorError for wrong shapes, dtypes or a degree that K does not hold.
     Source: the basis of 3DGS files (real harmonics with the Condon-Shortley phase, in the order y, z, x).
     """
-    check_tensors(coeffs=(coeffs, "N K 3"), means=(means, "N 3"), camera_center=(camera_center, "3"))
+    check_tensors(coeffs=(coeffs, "N K 3"), means=(means, "N 3"))
+    check_tensors(camera_center=(camera_center, "3"))
     stored = coeffs.shape[1]
     if stored not in (1, 4, 9, 16):
         raise TensorError(f"coeffs: expected [N, K, 3] with K = 1, 4, 9 or 16, got K = {stored}")

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.errors import TensorError
 from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.ops.arrays import mean, plain
+from mgsr.native.cuda.terms import Sums
+from mgsr.ops.arrays import plain
+from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
 
 Region = tuple[int, int, int, int]
 
@@ -24,18 +23,34 @@ def image_loss(
     mask: torch.Tensor | None = None,
     region: Region | None = None,
 ) -> torch.Tensor:
-    """Scalar ``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, means over all pixels and channels.
+    """Scalar of `image_loss_term`, whose arguments these are."""
+    return scalar(image_loss_term(image, target, l1_weight, mask, region))
+
+
+def image_loss_term(
+    image: torch.Tensor,
+    target: torch.Tensor,
+    l1_weight: float = 0.8,
+    mask: torch.Tensor | None = None,
+    region: Region | None = None,
+    clip: bool = False,
+    mask_sum: float | None = None,
+) -> Term:
+    """``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, means over all pixels and channels.
 
     image, target: [H, W, 3], colours 0..1; gradients flow to each that requires them.
     l1_weight: 0..1.
     mask: [H, W] weights >= 0 or None; both terms become sum(mask * x) / sum(mask). SSIM windows still read the pixels
         that the mask leaves out. A mask of zeros gives a loss of zero.
+    clip: count what is over 1 in the image as 1, and pass it no gradient: photographs clip, so where one is white, a
+        brighter rendering is as right as a white one.
+    mask_sum: the mask's sum, where it is known: a card need not find it then.
     region: (y0, y1, x0, x1), ends excluded: a promise that image and target are equal outside. Costs only the region's
         pixels; the loss is that of the whole image, the gradient outside the region is zero.
 
     SSIM: window of 11 taps, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2 (Wang et al. 2004). At equal pixels L1
     passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The same bytes come
-    out for any thread count. Computed in the forward pass: backward only scales.
+    out for any thread count.
 
     Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
     Source: method, "Render loss".
@@ -49,39 +64,34 @@ def image_loss(
     y0, y1, x0, x1 = region or whole
     if not (0 <= y0 <= y1 <= sizes["H"] and 0 <= x0 <= x1 <= sizes["W"]):
         raise TensorError(f"region: expected (y0, y1, x0, x1) inside {sizes['H']} x {sizes['W']}, got {region}")
-    if not image.requires_grad and target.requires_grad:
+    if not image.requires_grad and target.requires_grad and not clip:
         image, target = target, image  # the loss is symmetric, and the kernel's first gradient is the image's
-    return _ImageLoss.apply(image, target, l1_weight, mask, (y0, y1, x0, x1), (y0, y1, x0, x1) == whole)
+    return _differentiated(image, target, l1_weight, clip, mask, mask_sum, (y0, y1, x0, x1), whole)
 
 
-class _ImageLoss(torch.autograd.Function):
-    @staticmethod
-    def forward(
-        ctx: Any,
-        image: torch.Tensor,
-        target: torch.Tensor,
-        l1_weight: float,
-        mask: torch.Tensor | None,
-        region: Region,
-        is_whole: bool,
-    ) -> torch.Tensor:
-        new = torch.empty if is_whole else torch.zeros
-        v_image, v_target = (
-            new(image.shape, device=image.device) if needed else None for needed in ctx.needs_input_grad[:2]
-        )
-        weights = None if mask is None else plain(mask)
-        arguments = (plain(image), plain(target), l1_weight, weights, region, v_image, v_target)
-        launcher = launcher_for(image)
-        if launcher is None:
-            loss, ctx.scale = mean(*_image.image_loss(*arguments))
-        else:
-            loss, ctx.scale = ImageKernels(launcher).image_loss(*arguments)
-        ctx.save_for_backward(v_image, v_target)
-        return loss
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_loss: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        scale = v_loss * ctx.scale
-        v_image, v_target = (None if v is None else v * scale for v in ctx.saved_tensors)
-        return v_image, v_target, None, None, None, None
+def _differentiated(
+    image: torch.Tensor,
+    target: torch.Tensor,
+    l1_weight: float,
+    clip: bool,
+    mask: torch.Tensor | None,
+    mask_sum: float | None,
+    region: Region,
+    whole: Region,
+) -> Term:
+    launcher = launcher_for(image)
+    of_image, of_target = wanted(image, target)
+    # On the processor slopes are whole images: zero where the kernel writes nothing.
+    new = torch.empty if launcher is not None or region == whole else torch.zeros
+    v_image = new(image.shape, device=image.device) if of_image or of_target else None
+    v_target = new(image.shape, device=image.device) if of_target else None
+    weights = None if mask is None else plain(mask)
+    arguments = (plain(image), plain(target), l1_weight, clip, weights, region, v_image, v_target)
+    sums: Total | Sums
+    if launcher is None:
+        sums = Total(*_image.image_loss(*arguments))
+    else:
+        sums = ImageKernels(launcher).image_loss(*arguments, mask_sum)
+    written = None if launcher is None or region == whole else region
+    slopes = [(image, v_image)] * of_image + [(target, v_target)] * of_target
+    return Term(sums, tuple(Slope(each, v, region=written) for each, v in slopes if v is not None))

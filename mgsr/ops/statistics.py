@@ -12,16 +12,22 @@ from mgsr.ops.arrays import plain
 
 
 def gather_gradients(
-    gradient_sum: Tensor, seen: Tensor, v_means2d: Tensor, radii: Tensor, scale: tuple[float, float]
+    gradient_sum: Tensor,
+    seen: Tensor,
+    v_means2d: Tensor,
+    radii: Tensor,
+    scale: tuple[float, float],
+    bad: Tensor | None = None,
 ) -> None:
     """In place: gradient_sum [N] += the lengths of v_means2d [N,2] times `scale`; seen [N] += 1 where radii [N] > 0.
+    bad [] bool, on a card: whether the gradients count as zero.
 
     Raises TensorError for wrong shapes or dtypes, or tensors on different devices. No gradients flow.
     """
     check_tensors(gradient_sum=(gradient_sum, "N"), seen=(seen, "N"), v_means2d=(v_means2d, "N 2"), radii=(radii, "N"))
     launcher = launcher_for(seen)
     if launcher is not None:
-        gather(launcher, gradient_sum, seen, plain(v_means2d), plain(radii), scale)
+        gather(launcher, gradient_sum, seen, plain(v_means2d), plain(radii), scale, bad)
         return
     gradient_sum += torch.linalg.vector_norm(v_means2d * v_means2d.new_tensor(scale), dim=1)
     seen += radii > 0

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.ops.arrays import mean, plain
+from mgsr.native.cuda.terms import Sums
+from mgsr.ops.arrays import plain
+from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
-    """Scalar: mean over all pairs of neighbours and channels of (difference)^2 * exp(-|difference of the guide|).
+    """Scalar of `edge_aware_tv_term`, whose arguments these are."""
+    return scalar(edge_aware_tv_term(values, guide, mask))
+
+
+def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> Term:
+    """Mean over all pairs of neighbours and channels of (difference)^2 * exp(-|difference of the guide|).
 
     The pairs of both axes form one mean; the guide's absolute difference is averaged over its channels.
 
@@ -33,25 +37,15 @@ def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor 
     sizes = check_tensors(values=(values, shape), guide=(guide, "H W 3"))
     if mask is not None:
         check_tensors(sizes, values=(values, shape), mask=(mask, "H W"))
-    return _EdgeAwareTv.apply(values.unsqueeze(-1) if values.ndim == 2 else values, guide, mask)
-
-
-class _EdgeAwareTv(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
-        v_values = torch.empty(values.shape, device=values.device) if ctx.needs_input_grad[0] else None
-        arguments = (plain(values), plain(guide), None if mask is None else plain(mask), v_values)
-        launcher = launcher_for(values)
-        if launcher is None:
-            total, pairs = _image.tv(*arguments)
-            result, ctx.scale = mean(total, pairs * values.shape[2])
-        else:
-            result, ctx.scale = ImageKernels(launcher).tv(*arguments)
-        ctx.save_for_backward(v_values)
-        return result
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, v_result: torch.Tensor) -> tuple[torch.Tensor, None, None]:
-        (v_values,) = ctx.saved_tensors
-        return v_values * (v_result * ctx.scale), None, None
+    launcher = launcher_for(values)
+    v_values = torch.empty(values.shape, device=values.device) if wanted(values)[0] else None
+    channels = plain(values).view(*values.shape[:2], -1)
+    slopes = None if v_values is None else v_values.view(channels.shape)
+    arguments = (channels, plain(guide), None if mask is None else plain(mask), slopes)
+    sums: Total | Sums
+    if launcher is None:
+        total, pairs = _image.tv(*arguments)
+        sums = Total(total, pairs * channels.shape[2])
+    else:
+        sums = ImageKernels(launcher).tv(*arguments)
+    return Term(sums, () if v_values is None else (Slope(values, v_values),))

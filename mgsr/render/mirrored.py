@@ -20,7 +20,7 @@ def mirrored_light(light: MirroredLight, normal: Tensor, camera: Camera, pixels:
     normal [H,W,3]: world frame, of any length; where it is zero, the result means nothing. pixels [P] int64: which to
     look at, row x W + column, each once; elsewhere the result is 0. Gradients flow to the light and to the normals.
     """
-    return look_up_mirrored(light.maps().permute(0, 2, 3, 1), normal, camera, pixels)
+    return look_up_mirrored(light.texels(), normal, camera, pixels)
 
 
 def octahedral(directions: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -36,10 +37,10 @@ class VolumeOutputs:
     """The 3D branch seen by one camera.
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
-    weight [H,W], None without a light split; mirrored [H,W,3]: the share of reflected that is the shared light's, None
-    without one; even [H,W,3]: transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z,
-    0 where nothing is, None if not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each
-    Gaussian (see mgsr/ops).
+    weight [H,W], None without a light split; own_reflected [H,W,3]: the share of reflected that the splats hold, None
+    without one; mirrored [H,W,3]: the share that is the shared light's, None without one; even [H,W,3]: transmitted as
+    it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if not asked for;
+    alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
     """
 
     color: Tensor
@@ -49,10 +50,11 @@ class VolumeOutputs:
     depth: Tensor | None
     alpha: Tensor
     stats: Any
+    own_reflected: Tensor | None = None
     mirrored: Tensor | None = None
     even: Tensor | None = None
 
 
-def camera_center(camera: Camera, device: torch.device) -> Tensor:
-    """[3] float32, world, on a device; the host does not wait for the copy."""
-    return torch.tensor(camera.center, dtype=torch.float32).to(device, non_blocking=True)
+def camera_center(camera: Camera) -> Tensor:
+    """[3] float32, world, on the processor, which hands it to the kernels."""
+    return torch.from_numpy(camera.center.astype(np.float32))

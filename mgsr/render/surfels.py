@@ -7,8 +7,8 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.ops.lights import light_up
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
-from mgsr.render.lit import light_up
 from mgsr.render.outputs import SurfelOutputs, camera_center
 
 
@@ -23,16 +23,17 @@ def render_surfels(
     """The surfels seen by any camera, at its size.
 
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
-    stored; lit [H,W]: what a flash makes of the colour (see `mgsr.render.lit`), which without it is that under even
+    stored; lit [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
     light. Gradients flow to the model's tensors where these ask for them.
     """
-    center = camera_center(camera, model.means.device)
+    center = camera_center(camera)
     behind = torch.zeros(3, device=model.means.device) if background is None else background
+    scales, opacities = model.activated()
     raster = rasterize_surfels(
         model.means,
         model.quats,
-        model.scales(),
-        model.opacities(),
+        scales,
+        opacities,
         model.colors(center, degree),
         camera,
         behind,

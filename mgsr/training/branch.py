@@ -59,10 +59,10 @@ class Branch(Trained[Splats]):
             epsilon=self.settings.eps,
         )
 
-    def gather(self, stats: Any, width: int, height: int, weight: float) -> None:
+    def gather(self, stats: Any, width: int, height: int, weight: float, bad: Tensor | None = None) -> None:
         """Note one image's screen-space gradients for densification (see `DensifyState.gather`)."""
         if stats.v_means2d is not None:
-            self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight)
+            self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight, bad)
 
     def adapt(self, grow: bool = True) -> None:
         """Clone, split and prune, and begin to gather anew. Raises TrainingError when no splat is left."""

@@ -49,7 +49,7 @@ def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) ->
     values = []
     for view in views:
         image = picture(view.camera, background, view.light()).clamp(0, 1)
-        target = view.target(background)
+        target = view.target(color_tensor(background, view.image.device))
         squares = (image - target.color).square()
         if target.unknown is not None:
             squares = squares[target.known(torch.ones_like(squares[..., 0])) > 0]

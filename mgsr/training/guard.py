@@ -10,6 +10,8 @@ import torch
 from torch import Tensor
 
 from mgsr.errors import TrainingError
+from mgsr.ops.adam import any_bad
+from mgsr.ops.arrays import on_card
 from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
 from mgsr.training.trained import Kind, Trained, copied
@@ -30,7 +32,7 @@ class Guard:
     A step is bad when its loss or a gradient is not finite or over 1e19 (whose square float32 does not hold, nor Adam's
     memory of it). It is not taken, and the next view comes. Every `every` steps the guard looks back: where a parameter
     is not finite, or the loss has blown up, the branches return to how they were at the last good look. On a card
-    nothing is read between two looks: there a bad step's gradients are set to zero.
+    nothing is read between two looks: there a bad step's gradients count as zero.
     """
 
     def __init__(self, stage: Stage, every: int, incidents: list[str]) -> None:
@@ -39,19 +41,21 @@ class Guard:
         self.incidents = incidents
         self._losses: list[Tensor] = []
         self._dropped: list[Tensor] = []
+        self.bad: Tensor | None = None  # [] bool, of a step on a card: whether its gradients count as zero
         self._bad_steps = self._returns = 0
         self._usual: float | None = None
         self._kept = self._copies()
 
-    def admits(self, step: Step, loss: Tensor, view: str) -> bool:
-        """Whether the step may be taken. Raises TrainingError where going back did not help."""
+    def admits(self, step: Step, view: str) -> bool:
+        """Whether the step may be taken; on a card yes, with `bad` telling those who take it. Raises TrainingError
+        where going back did not help."""
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
-        judged = _tensors(self.stage.trained, "grad", without=SH_NAMES)
-        size = torch.stack([loss.detach().square(), *_squares(judged)]).sum()
-        if size.device.type != "cpu":
-            self._drop_where_bad(step, ~torch.isfinite(size))
+        bad = any_bad(step.loss.detach(), _tensors(self.stage.trained, "grad", without=SH_NAMES))
+        if on_card(bad):
+            self._dropped.append(bad)
+            self.bad = bad
             return True
-        if bool(torch.isfinite(size)):
+        if not bool(bad):
             self._bad_steps = 0
             return True
         self._note(f"the step on view {view} was not taken: {', '.join(self._bad_names(step))} not finite")
@@ -98,7 +102,8 @@ class Guard:
         self._usual, self._kept = state["usual"], state["kept"]
 
     def _trouble(self, mean: float) -> str:
-        if not bool(torch.isfinite(torch.stack(_squares(_tensors(self.stage.trained, "values"))).sum())):
+        values = _tensors(self.stage.trained, "values")
+        if bool(any_bad(torch.zeros((), device=values[0].device), values)):
             return ", ".join(self._bad_names(None)) + " not finite"
         if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
             return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
@@ -118,14 +123,6 @@ class Guard:
             part.restore(copied(self._kept[part.name]))
             part.steps = steps
         self._losses, self._bad_steps = [], 0
-
-    def _drop_where_bad(self, step: Step, bad: Tensor) -> None:
-        for tensor in _tensors(self.stage.trained, "grad"):
-            tensor.masked_fill_(bad, 0.0)
-        for seen in step.seen:
-            if seen.stats.v_means2d is not None:
-                seen.stats.v_means2d.masked_fill_(bad, 0.0)
-        self._dropped.append(bad)
 
     def _report_dropped(self) -> None:
         count = int(torch.stack(self._dropped).sum()) if self._dropped else 0
@@ -147,11 +144,6 @@ class Guard:
 
     def _copies(self) -> dict[str, Any]:
         return {part.name: copied(part.state()) for part in self.stage.trained}
-
-
-def _squares(tensors: list[Tensor]) -> list[Tensor]:
-    """Each one's sum of squares: one pass over its numbers, and one number that shows whether all are finite."""
-    return [flat @ flat for flat in (tensor.reshape(-1) for tensor in tensors)]
 
 
 def _tensors(parts: Sequence[Trained], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:

@@ -58,8 +58,7 @@ def train_scout(
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         step = see(view, background, iteration)
-        cost = {"opacity": opacity_cost * branch.model.opacities().mean()} if opacity_cost else {}
-        return replace(step, terms=step.terms | cost)
+        return step.plus("opacity", opacity_cost * branch.model.opacities().mean()) if opacity_cost else step
 
     prepared = prepare_views(views, scene.masked)
     stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)

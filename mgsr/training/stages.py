@@ -13,8 +13,8 @@ from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.mirrored import light_terms
-from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, volume_terms
-from mgsr.render.mirrored import mirrored_light
+from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
+from mgsr.ops.mirrored import look_up_mirrored
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
@@ -41,10 +41,21 @@ class Seen:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration's loss terms, by name and times their weights, and what was seen on the way."""
+    """One iteration's loss [], its terms [] by name and times their weights, and what was seen on the way."""
 
-    terms: Terms
+    loss: Tensor
+    terms: dict[str, Tensor]
     seen: list[Seen]
+
+    @classmethod
+    def of(cls, terms: Terms, seen: list[Seen]) -> Step:
+        """The step whose loss is the sum of the terms."""
+        loss = total(terms)
+        return cls(loss.value, loss.terms, seen)
+
+    def plus(self, name: str, term: Tensor) -> Step:
+        """The step with one more term []."""
+        return Step(self.loss + term, self.terms | {name: term.detach()}, self.seen)
 
 
 @dataclass(frozen=True)
@@ -143,8 +154,8 @@ class WhatIsMirrored:
     surfels: SurfelBranch
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
-    def shown(self, view: TrainingView) -> Tensor:
-        """What each pixel of a view mirrors, [H,W,3]."""
+    def shown(self, view: TrainingView, texels: Tensor) -> Tensor:
+        """What each pixel of a view mirrors, [H,W,3], of the light's texels [2,S,S,3]."""
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:
@@ -152,7 +163,7 @@ class WhatIsMirrored:
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
                 self.kept[key] = normal
-        return mirrored_light(self.light.model, normal.float(), view.camera, view.covered)
+        return look_up_mirrored(texels, normal.float(), view.camera, view.covered)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
@@ -163,9 +174,10 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
         planned = config.warmup.surfel_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         regularised = not warming or iteration >= config.surfels.regularise_from * planned
-        outputs = _see_surfels(branch, view, background, degree, config)
-        terms = surfel_terms(outputs, view.target(background), config, regularised)
-        return Step(terms, [Seen(branch, outputs.stats, 1.0)])
+        behind = color_tensor(background, branch.device)
+        outputs = _see_surfels(branch, view, behind, degree, config)
+        terms = surfel_terms(outputs, view.target(behind), config, regularised)
+        return Step.of(terms, [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -181,12 +193,15 @@ def volumes_alone(
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
         needs_depth = config.tv and config.volumes.depth_tv_weight > 0
-        shown, held = None, {}
+        shown: Tensor | None = None
+        held: Terms = {}
         if mirrored is not None and mirrored.light.used:
-            shown, held = mirrored.shown(view), light_terms(mirrored.light.model, branch.model, config)
-        outputs = _see_volumes(branch, view, background, degree, refl_degree, needs_depth, shown)
-        terms = volume_terms(outputs, view.target(background), config) | held
-        return Step(terms, [Seen(branch, outputs.stats, 1.0)])
+            texels = mirrored.light.model.texels()
+            shown, held = mirrored.shown(view, texels), light_terms(texels, branch.model, config)
+        behind = color_tensor(background, branch.device)
+        outputs = _see_volumes(branch, view, behind, degree, refl_degree, needs_depth, shown)
+        terms = volume_terms(outputs, view.target(behind), config) | held
+        return Step.of(terms, [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -198,20 +213,22 @@ def both_teach(
     both = config.mutual.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
-        flat = _see_surfels(surfels, view, background, surfels.model.sh_degree, config)
-        shown, held = None, {}
+        behind = color_tensor(background, surfels.device)
+        flat = _see_surfels(surfels, view, behind, surfels.model.sh_degree, config)
+        shown: Tensor | None = None
+        held: Terms = {}
         if light is not None and light.used:
-            normal = flat.normal if both else flat.normal.detach()
-            shown = mirrored_light(light.model, normal, view.camera, view.covered)
-            held = light_terms(light.model, volumes.model, config)
+            normal, texels = flat.normal if both else flat.normal.detach(), light.model.texels()
+            shown = look_up_mirrored(texels, normal, view.camera, view.covered)
+            held = light_terms(texels, volumes.model, config)
         degrees = volumes.model.sh_degree, volumes.model.refl_sh_degree
-        full = _see_volumes(volumes, view, background, *degrees, True, shown)
-        terms = mutual_terms(flat, full, view.target(background), config) | held
+        full = _see_volumes(volumes, view, behind, *degrees, True, shown)
+        terms = mutual_terms(flat, full, view.target(behind), config) | held
         seen = [
             Seen(surfels, flat.stats, config.mutual.surfel_weight),
             Seen(volumes, full.stats, config.mutual.volume_weight),
         ]
-        return Step(terms, [item for item in seen if item.weight > 0])
+        return Step.of(terms, [item for item in seen if item.weight > 0])
 
     return compute
 
@@ -221,22 +238,20 @@ def _degree(iteration: int, planned: int, highest: int, config: TrainConfig, war
 
 
 def _see_surfels(
-    branch: SurfelBranch, view: TrainingView, background: Color, degree: int, config: TrainConfig
+    branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
     distortion = config.surfels.distortion_weight > 0
-    color = color_tensor(background, branch.device)
-    return render_surfels(branch.model, view.camera, color, degree, distortion, view.light())
+    return render_surfels(branch.model, view.camera, behind, degree, distortion, view.light())
 
 
 def _see_volumes(
     branch: VolumeBranch,
     view: TrainingView,
-    background: Color,
+    behind: Tensor,
     degree: int,
     refl_degree: int,
     depth: bool,
     mirrored: Tensor | None,
 ) -> VolumeOutputs:
-    color = color_tensor(background, branch.device)
     light = (mirrored, view.light())
-    return render_volumes(branch.model, view.camera, color, degree, refl_degree, depth, *light)
+    return render_volumes(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

@@ -40,12 +40,13 @@ class Trained(ABC, Generic[Model]):
         """Where the parameters are."""
         return next(iter(self.optimizer.params.values())).device
 
-    def step(self, progress: float) -> None:
-        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
+    def step(self, progress: float, bad: Tensor | None = None) -> None:
+        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run; bad []
+        bool, on a card: whether the gradients count as zero."""
         rates = self.rates(progress)
         for name in self.optimizer.params:
             self.optimizer.set_lr(name, rates[name])
-        self.optimizer.step()
+        self.optimizer.step(bad)
         self.skip_step()
 
     def skip_step(self) -> None:

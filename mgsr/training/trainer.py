@@ -8,11 +8,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import torch
+from torch import Tensor
 
 from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
-from mgsr.losses.objective import Terms
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.guard import Guard
@@ -179,35 +178,34 @@ class Trainer:
         kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
         return Cancelled(what + kept)
 
-    def _iterate(self, stage: Stage, guard: Guard) -> tuple[Terms, bool]:
+    def _iterate(self, stage: Stage, guard: Guard) -> tuple[dict[str, Tensor], bool]:
         """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
         view = stage.next_view()
         background = pick_background(self.plan.backdrop, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)
-        loss = torch.stack(list(step.terms.values())).sum()
-        loss.backward()
+        step.loss.backward()
         stage.iteration += 1
-        if not guard.admits(step, loss, view.name):
+        if not guard.admits(step, view.name):
             for part in stage.trained:
                 part.skip_step()
             return step.terms, False
         self._update(stage, step, view.camera.width, view.camera.height, guard)
-        guard.look_back(loss)
+        guard.look_back(step.loss)
         if stage.convergence is None:
             return step.terms, False
-        return step.terms, stage.convergence.converged(loss.detach(), stage.iteration, stage.cycle.at_epoch_end)
+        return step.terms, stage.convergence.converged(step.loss.detach(), stage.iteration, stage.cycle.at_epoch_end)
 
     def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
         for part in stage.trained:
-            part.step(stage.progress(part, stage.iteration))
+            part.step(stage.progress(part, stage.iteration), guard.bad)
         for branch in stage.branches:
             first, last = stage.window(branch.densify)
             if not stage.iteration <= last:
                 continue
             for seen in step.seen:
                 if seen.branch is branch:
-                    branch.gather(seen.stats, width, height, seen.weight)
+                    branch.gather(seen.stats, width, height, seen.weight, guard.bad)
             if stage.iteration % branch.densify.every == 0 and stage.iteration >= first:
                 branch.adapt()
             reset = branch.densify.reset_every
@@ -215,7 +213,7 @@ class Trainer:
                 branch.reset_opacities()
                 guard.expect_anew()
 
-    def _watch(self, stage: Stage, terms: Terms, last: bool) -> None:
+    def _watch(self, stage: Stage, terms: dict[str, Tensor], last: bool) -> None:
         """Note the curve, report and save, each where it is due."""
         watch, iteration = self.config.watch, stage.iteration
         if last or iteration % watch.curve_every == 0:
@@ -247,7 +245,7 @@ class Trainer:
             return None
         return mean_psnr(self.plan.parts.picture(branch), self.plan.curve_views, self.plan.backdrop.color)
 
-    def _report(self, stage: Stage, terms: Terms, last: bool) -> Progress:
+    def _report(self, stage: Stage, terms: dict[str, Tensor], last: bool) -> Progress:
         every = self.config.watch.preview_every
         due = every is not None and (last or stage.iteration % every == 0)
         return Progress(
@@ -256,7 +254,7 @@ class Trainer:
             total=stage.iterations,
             done=self._done(stage),
             seconds=self.seconds,
-            losses={name: float(term.detach()) for name, term in terms.items()},
+            losses={name: float(term) for name, term in terms.items()},
             counts=self._counts(),
             psnr=self.curve[-1].psnr if self.curve else None,
             previews=preview_pictures(self.plan) if due else {},

@@ -13,6 +13,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.scene import View
 from mgsr.data.stacking import averaged
 from mgsr.losses.target import Target
+from mgsr.ops.pixels import composite
 
 CPU = torch.device("cpu")
 
@@ -37,25 +38,18 @@ class TrainingView:
     covered: Tensor | None = None
     unknown: Tensor | None = None
     lit: Tensor | None = None
+    off_edge_sum: float | None = None  # pixels where off_edge is True
 
     def light(self) -> Tensor | None:
         """`lit` for `render_volumes`."""
         return None if self.lit is None else self.lit / 255
 
-    def target(self, background: Color) -> Target:
-        """The photograph on a background, for the losses."""
+    def target(self, behind: Tensor) -> Target:
+        """The photograph on a background [3], for the losses."""
         if self.mask is None:
             return Target(self.image / 255, None, self.camera, unknown=self.unknown)
-        height, width = self.mask.shape
-        plain = color_tensor(background, self.image.device)
-        # Whole rows at once, then only what the mask touches, takes less time than compositing every pixel.
-        color = plain.repeat(width).expand(height, -1).contiguous().view(height, width, 3)
-        alpha = self.mask / 255
-        y0, y1, x0, x1 = self.region or (0, height, 0, width)
-        drawn = (self.image[y0:y1, x0:x1] / 255).sub_(plain).mul_(alpha[y0:y1, x0:x1, None])
-        color[y0:y1, x0:x1] += drawn
-        off_edge = None if self.off_edge is None else self.off_edge.to(alpha.dtype)
-        return Target(color, alpha, self.camera, self.region, off_edge, self.unknown)
+        color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge, self.region)
+        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.unknown)
 
 
 def prepare_views(
@@ -82,18 +76,26 @@ def _prepared(
         view = replace(view, alpha=None)
     if reduce > 1:
         view = _reduced(view, reduce)
-    image = torch.from_numpy(view.image).to(device)
+    image = _moved(view.image, device)
     # Found on the host, so that a card is never waited for.
     unknown = None if view.known is None else torch.from_numpy(np.flatnonzero(~view.known)).to(device)
-    lit = None if view.lit is None else torch.from_numpy(view.lit).to(device)
+    lit = None if view.lit is None else _moved(view.lit, device)
     if view.alpha is None:
         return TrainingView(view.name, view.camera, image, None, unknown=unknown, lit=lit)
     alpha = view.alpha if view.known is None else np.where(view.known, view.alpha, np.uint8(0))
     mask, covered = torch.from_numpy(alpha), torch.from_numpy(np.flatnonzero(alpha))
     region = None if margin is None else bounding_region(alpha, margin)
-    off_edge = off_outline(mask, edge_band, view.known).to(device) if edge_band else None
-    outline = (mask.to(device), region, off_edge, covered.to(device))
-    return TrainingView(view.name, view.camera, image, *outline, unknown, lit)
+    off_edge = off_outline(mask, edge_band, view.known) if edge_band else None
+    off_edge_sum = None if off_edge is None else float(off_edge.sum())
+    outline = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
+    return TrainingView(view.name, view.camera, image, *outline, unknown, lit, off_edge_sum)
+
+
+def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
+    """Pixels on a device. Kernels of a card read them as they lie, so that they must lie without gaps there; on the
+    processor they stay the scene's own."""
+    moved = torch.from_numpy(pixels).to(device)
+    return moved if device == CPU else moved.contiguous()
 
 
 def _reduced(view: View, by: int) -> View:

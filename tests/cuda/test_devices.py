@@ -15,6 +15,7 @@ from mgsr.config import Config, make_config
 from mgsr.errors import TensorError
 from mgsr.native.cuda import tiles
 from mgsr.native.cuda.launcher import use_launcher
+from mgsr.ops.adam import any_bad
 from mgsr.ops.depth_normals import depth_to_normals
 from mgsr.ops.image_loss import image_loss
 from mgsr.ops.tv import edge_aware_tv
@@ -51,17 +52,18 @@ def iterate(stage: Stage) -> None:
     """As Trainer._iterate and _update do between two densifications."""
     view = stage.views[0]
     step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
-    loss = torch.stack(list(step.terms.values())).sum()
-    loss.backward()
+    step.loss.backward()
+    gradients = [tensor for part in stage.trained for tensor in part.tensors("grad").values()]
+    bad = any_bad(step.loss.detach(), gradients)
     for part in stage.trained:
-        part.step(0.5)
+        part.step(0.5, bad)
     for branch in stage.branches:
         for seen in step.seen:
             if seen.branch is branch:
-                branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight)
+                branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight, bad)
     if stage.convergence is not None:
-        stage.convergence.converged(loss.detach(), 1, False)
-    assert loss.device == META
+        stage.convergence.converged(step.loss.detach(), 1, False)
+    assert step.loss.device == META
 
 
 @pytest.mark.parametrize("masked", [True, False])

@@ -77,7 +77,7 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
 
 
 def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(branch: Branch, progress: float) -> None:
+    def full(branch: Branch, progress: float, bad: torch.Tensor | None = None) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
 
     monkeypatch.setattr(Branch, "step", full)

@@ -13,9 +13,10 @@ from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
 from mgsr.losses.alpha import silhouette
 from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.normals import normal_agreement
-from mgsr.losses.objective import mutual_terms, surfel_terms, volume_terms
+from mgsr.losses.objective import mutual_terms, surfel_terms, total, volume_terms
 from mgsr.losses.target import Target
+from mgsr.ops.depth_normals import normal_agreement_term
+from mgsr.ops.terms import scalar
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 
 SIZE = 16
@@ -47,8 +48,8 @@ def test_depths_agree() -> None:
     covered = torch.zeros(4, 4)
     covered[1, 2] = 1
     first, second = torch.full((4, 4), 3.0), torch.full((4, 4), 2.0)
-    assert float(depth_agreement(first, second, covered, 2.0)) == pytest.approx(0.25 / 16)
-    assert float(depth_agreement(first, first, covered, 2.0)) == 0.0
+    assert float(depth_agreement(first, second, (covered, torch.ones(4, 4)), 2.0)) == pytest.approx(0.25 / 16)
+    assert float(depth_agreement(first, first, (covered, covered), 2.0)) == 0.0
 
 
 def test_depth_units() -> None:
@@ -67,9 +68,9 @@ def test_normals_of_a_tilted_plane_agree_with_its_depth() -> None:
     alpha, covered = torch.ones(SIZE, SIZE), torch.zeros(SIZE, SIZE)
     covered[2:-2, 2:-2] = 1
     agreeing = normal.expand(SIZE, SIZE, 3)
-    assert float(normal_agreement(agreeing, depth, alpha, CAMERA, covered)) == pytest.approx(0, abs=1e-3)
-    assert float(normal_agreement(-agreeing, depth, alpha, CAMERA, covered)) == pytest.approx(2, abs=1e-3)
-    assert float(normal_agreement(agreeing, depth, alpha, CAMERA, 0 * covered)) == 0.0
+    assert float(normal_agreement_term(agreeing, depth, CAMERA, alpha, covered)) == pytest.approx(0, abs=1e-3)
+    assert float(normal_agreement_term(-agreeing, depth, CAMERA, alpha, covered)) == pytest.approx(2, abs=1e-3)
+    assert float(normal_agreement_term(agreeing, depth, CAMERA, alpha, 0 * covered)) == 0.0
 
 
 @pytest.mark.parametrize("kind", AlphaLoss)
@@ -95,10 +96,12 @@ def test_who_is_taught(teaching: str) -> None:
     config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
     flat, full = surfels(), volumes()
     terms = mutual_terms(flat, full, target(), config)
-    by_image = torch.autograd.grad(terms["surfels.transmitted"], full.transmitted, retain_graph=True, allow_unused=True)
-    by_depth = torch.autograd.grad(terms["mutual.depth"], flat.depth, retain_graph=True, allow_unused=True)
+    by_image = torch.autograd.grad(
+        scalar(terms["surfels.transmitted"]), full.transmitted, retain_graph=True, allow_unused=True
+    )
+    by_depth = torch.autograd.grad(scalar(terms["mutual.depth"]), flat.depth, retain_graph=True, allow_unused=True)
     assert (by_image[0] is not None) == (by_depth[0] is not None) == (teaching == "both_ways")
-    assert torch.autograd.grad(terms["mutual.depth"], full.depth)[0].abs().sum() > 0
+    assert torch.autograd.grad(scalar(terms["mutual.depth"]), full.depth)[0].abs().sum() > 0
 
 
 def test_the_total_is_the_weighted_sum() -> None:
@@ -107,7 +110,8 @@ def test_the_total_is_the_weighted_sum() -> None:
     base = make_config(overrides=["photo_weight=0.8"]).train
     terms = mutual_terms(flat, full, target(), base)
     alone = surfel_terms(flat, target(), base)
-    assert terms["surfels.photo"].item() == pytest.approx(0.5 * 0.8 * alone["surfels.photo"].item(), rel=1e-5)
+    assert float(terms["surfels.photo"]) == pytest.approx(0.5 * 0.8 * float(alone["surfels.photo"]), rel=1e-5)
+    assert float(total(terms).value) == pytest.approx(sum(float(term) for term in terms.values()), rel=1e-5)
     doubled = replace(base, mutual=replace(base.mutual, surfel_weight=1.0, depth_weight=0.02))
     again = mutual_terms(flat, full, target(), doubled)
     for name in ("surfels.photo", "surfels.transmitted", "surfels.normal", "surfels.depth_tv", "mutual.depth"):
@@ -149,7 +153,6 @@ def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
 def _gradients(photograph: Target, config: TrainConfig) -> tuple[list[float], list[torch.Tensor]]:
     """The terms, and what comes to both branches' colours and, with masks, their alphas."""
     flat, full = surfels(), volumes()
-    terms = mutual_terms(flat, full, photograph, config)
-    total = torch.stack(list(terms.values())).sum()
+    loss = total(mutual_terms(flat, full, photograph, config))
     wanted = [flat.color, full.color, *([] if photograph.alpha is None else [flat.alpha, full.alpha])]
-    return [float(term.detach()) for term in terms.values()], list(torch.autograd.grad(total, wanted))
+    return [float(term) for term in loss.terms.values()], list(torch.autograd.grad(loss.value, wanted))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from mgsr.render.lit import light_up
+from mgsr.ops.lights import light_up
 
 
 def to_srgb(light: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from mgsr.training.plan import make_plan
 from mgsr.training.run import Training
 from mgsr.training.stages import Stage, Step
 from mgsr.training.views import TrainingView
+from tests.cuda.machines import SHIM
 from tests.training.ball import ball_points, ball_scene
 from tests.training.test_train import assert_same, short, tensors
 
@@ -32,12 +33,11 @@ def first_stage(every: int = 3) -> tuple[Stage, Guard, list[str]]:
     return stage, Guard(stage, every, incidents), incidents
 
 
-def step_of(stage: Stage) -> tuple[Step, torch.Tensor]:
+def step_of(stage: Stage) -> Step:
     """Rendered and differentiated, not yet taken."""
     step = stage.compute(stage.views[0], (0.0, 0.0, 0.0), stage.iteration)
-    loss = torch.stack(list(step.terms.values())).sum()
-    loss.backward()
-    return step, loss
+    step.loss.backward()
+    return step
 
 
 def values(branch: Branch) -> dict[str, torch.Tensor]:
@@ -47,31 +47,54 @@ def values(branch: Branch) -> dict[str, torch.Tensor]:
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e25])
 def test_a_bad_gradient_is_not_stepped_along(bad: float) -> None:
     stage, guard, incidents = first_stage()
-    step, loss = step_of(stage)
+    step = step_of(stage)
     stage.branches[0].optimizer.params["means"].grad[3, 1] = bad
-    assert not guard.admits(step, loss, "r_0")
+    assert not guard.admits(step, "r_0")
     assert incidents == ["warmup_surfels, iteration 0: the step on view r_0 was not taken: surfels.means not finite"]
 
 
 def test_a_good_step_is() -> None:
     stage, guard, incidents = first_stage()
-    step, loss = step_of(stage)
-    assert guard.admits(step, loss, "r_0") and not incidents
+    step = step_of(stage)
+    assert guard.admits(step, "r_0") and not incidents
 
 
-def test_on_a_card_a_bad_steps_gradients_become_zero(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There nothing is read until the guard looks back."""
-    stage, guard, incidents = first_stage()
-    (branch,) = stage.branches
-    step, _ = step_of(stage)
-    branch.optimizer.params["sh"].grad[5] = float("nan")
-    step.seen[0].stats.v_means2d[0] = float("nan")
-    guard._drop_where_bad(step, torch.tensor(True))
-    assert all(not gradient.any() for gradient in branch.tensors("grad").values())
-    assert not step.seen[0].stats.v_means2d.any()
-    for _ in range(3):
-        guard.look_back(torch.tensor(0.1))
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e25])
+@pytest.mark.parametrize("name", ["means", "opacity_logits"])
+def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) -> None:
+    """There nothing is read until the guard looks back; momentum goes on as after a gradient of zero."""
+    with SHIM.running():
+        stage, guard, incidents = first_stage()
+        twin, _, _ = first_stage()
+        for each in (stage, twin):
+            step_of(each)
+            each.branches[0].step(0.5)
+        step = step_of(stage)
+        (branch,), (expected,) = stage.branches, twin.branches
+        branch.optimizer.params[name].grad.view(-1)[5] = bad
+        assert guard.admits(step, "r_0") and guard.bad is not None and bool(guard.bad)
+        branch.step(0.5, guard.bad)
+        branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
+        for tensor in expected.optimizer.params.values():
+            tensor.grad = torch.zeros_like(tensor)
+        expected.step(0.5)
+        for _ in range(3):
+            guard.look_back(torch.tensor(0.1))
+    assert all(torch.equal(values(branch)[each], tensor) for each, tensor in values(expected).items())
+    assert not branch.densify_state.gradient_sum.any() and branch.densify_state.seen.any()
     assert incidents == ["warmup_surfels, iteration 0: 1 of the last 3 steps were not taken: numbers were not finite"]
+
+
+def test_on_a_card_a_good_step_is_taken() -> None:
+    with SHIM.running():
+        stage, guard, _ = first_stage()
+        (branch,) = stage.branches
+        step, before = step_of(stage), values(branch)
+        assert guard.admits(step, "r_0") and not bool(guard.bad)
+        branch.step(0.5, guard.bad)
+        branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
+    assert all(not torch.equal(values(branch)[name], tensor) for name, tensor in before.items())
+    assert branch.densify_state.gradient_sum.any()
 
 
 @pytest.mark.parametrize("what", ["parameter", "loss"])
@@ -115,9 +138,9 @@ def test_trouble_that_stays_is_named() -> None:
     stage, guard, _ = first_stage()
     with pytest.raises(TrainingError, match=r"iteration 0: surfels\.quats not finite, also after going back"):
         for _ in range(9):
-            step, loss = step_of(stage)
+            step = step_of(stage)
             stage.branches[0].optimizer.params["quats"].grad[:] = float("nan")
-            guard.admits(step, loss, "r_0")
+            guard.admits(step, "r_0")
 
 
 def test_a_reset_may_raise_the_loss() -> None:
@@ -151,8 +174,8 @@ def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on a branch's thirty-first step throws every colour far off, once."""
     taken = Branch.step
 
-    def step(branch: Branch, progress: float) -> None:
-        taken(branch, progress)
+    def step(branch: Branch, progress: float, bad: torch.Tensor | None = None) -> None:
+        taken(branch, progress, bad)
         if branch.steps == 31:
             branch.optimizer.params["sh"].data.mul_(1e4)
 

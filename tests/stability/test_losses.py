@@ -13,11 +13,11 @@ from mgsr.config import DepthUnit, make_config
 from mgsr.data.camera import Camera
 from mgsr.gaussians.start import start_surfels, start_volumes
 from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.normals import normal_agreement
-from mgsr.losses.objective import mutual_terms, surfel_terms, volume_terms
+from mgsr.losses.objective import mutual_terms, surfel_terms, total, volume_terms
 from mgsr.losses.target import Target
-from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.ops.depth_normals import depth_to_normals, normal_agreement_term
 from mgsr.ops.image_loss import image_loss
+from mgsr.ops.terms import scalar
 from mgsr.ops.tv import edge_aware_tv
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
@@ -102,7 +102,7 @@ def test_nothing_covered_gives_no_normal_loss(machine: Machine) -> None:
     nothing = torch.zeros(SIDE, SIDE, device=machine.device)
 
     def loss(normal: Tensor) -> Tensor:
-        return normal_agreement(normal, nothing, nothing, facing_camera(SIDE, SIDE), nothing)
+        return scalar(normal_agreement_term(normal, nothing, facing_camera(SIDE, SIDE), nothing, nothing))
 
     value, gradient = differentiated(machine, loss, noise(4, SIDE, SIDE, 3))
     assert value == 0 and not gradient.any()
@@ -113,10 +113,12 @@ def test_depths_of_an_empty_view_are_not_divided_by_zero(kind: DepthUnit) -> Non
     """Nor those of a camera at the scene's very centre."""
     empty = torch.zeros(SIDE, SIDE, requires_grad=True)
     unit = depth_unit(kind, empty, distance=0.0)
-    loss = depth_agreement(empty, torch.zeros(SIDE, SIDE), torch.zeros(SIDE, SIDE), unit)
+    nothing = torch.zeros(SIDE, SIDE)
+    loss = scalar(depth_agreement(empty, nothing, (nothing, nothing), unit))
     loss.backward()
     assert float(loss.detach()) == 0 and empty.grad is not None and not empty.grad.any()
-    near = depth_agreement(torch.ones(2, 2), torch.zeros(2, 2), torch.ones(2, 2), depth_unit(kind, torch.ones(2, 2), 0))
+    ones = torch.ones(2, 2)
+    near = depth_agreement(ones, torch.zeros(2, 2), (ones, ones), depth_unit(kind, ones, 0))
     assert float(near) <= 100.0
 
 
@@ -140,9 +142,9 @@ def test_every_term_of_every_stage_is_finite(machine: Machine, looks: str, mask:
     with machine.running():
         surfels, volumes = render_surfels(flat, view), render_volumes(full, view)
         terms = [surfel_terms(surfels, target, config), volume_terms(volumes, target, config)]
-        terms.append(mutual_terms(surfels, volumes, target, config))
-        torch.stack([term for each in terms for term in each.values()]).sum().backward()
-    assert all(torch.isfinite(term) for each in terms for term in each.values())
+        losses = [total(each) for each in (*terms, mutual_terms(surfels, volumes, target, config))]
+        torch.stack([loss.value for loss in losses]).sum().backward()
+    assert all(torch.isfinite(term) for loss in losses for term in loss.terms.values())
     assert all(leaf.grad is not None and torch.isfinite(leaf.grad).all() for leaf in leaves)
     if looks == "away":
         assert not any(leaf.grad.any() for leaf in leaves)

@@ -53,7 +53,7 @@ def test_each_view_comes_once_an_epoch() -> None:
 def test_targets_are_composited(margin: int | None) -> None:
     view = ball_scene().train[0]
     (prepared,) = prepare_views([view], masked=True, margin=margin)
-    target = prepared.target((0.2, 0.4, 0.6))
+    target = prepared.target(torch.tensor([0.2, 0.4, 0.6]))
     alpha = view.alpha[..., None] / 255.0
     expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
     assert np.allclose(target.color.numpy(), expected, atol=1e-6)
@@ -71,7 +71,7 @@ def test_small_views_average_light_and_alpha() -> None:
     (small,) = prepare_views([view], masked=True, reduce=2)
     alpha = view.alpha[..., None] / 255.0
     blocks = np.concatenate([view.image / 255.0 * alpha, alpha], axis=-1).reshape(24, 2, 24, 2, 4).mean(axis=(1, 3))
-    target, half = small.target((0.0, 0.0, 0.0)), 0.51 / 255  # they are bytes again
+    target, half = small.target(torch.zeros(3)), 0.51 / 255  # they are bytes again
     assert np.allclose(target.color.numpy(), blocks[..., :3], atol=2 * half)
     assert np.allclose(target.alpha.numpy(), blocks[..., 3], atol=half)
     assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3] > 0.5 / 255))

@@ -33,8 +33,9 @@ void expect_same_size(const A& a, const B& b, const char* message) {
 }
 
 std::pair<double, double> image_loss(const Rgb<const float>& image, const Rgb<const float>& target, float l1_weight,
-                                     const Plane<const float>& mask, const std::tuple<int, int, int, int>& region,
-                                     const Rgb<float>& v_image, const Rgb<float>& v_target) {
+                                     bool clip, const Plane<const float>& mask,
+                                     const std::tuple<int, int, int, int>& region, const Rgb<float>& v_image,
+                                     const Rgb<float>& v_target) {
   expect_same_size(image, target, "target: expected the image's size");
   expect_same_size(image, mask, "mask: expected the image's size");
   expect_same_size(image, v_image, "v_image: expected the image's size");
@@ -42,7 +43,7 @@ std::pair<double, double> image_loss(const Rgb<const float>& image, const Rgb<co
   expect(v_image.is_valid() || !v_target.is_valid(), "v_target: expected only beside v_image");
   ImageLossParams p;
   p.height = int(image.shape(0)), p.width = int(image.shape(1));
-  p.image = image.data(), p.target = target.data(), p.mask = pointer_or_null(mask), p.l1_weight = l1_weight;
+  p.image = image.data(), p.target = target.data(), p.mask = pointer_or_null(mask), p.l1_weight = l1_weight, p.clip = clip;
   std::tie(p.region.y0, p.region.y1, p.region.x0, p.region.x1) = region;
   expect(p.region.y0 >= 0 && p.region.x0 >= 0 && p.region.y1 <= p.height && p.region.x1 <= p.width,
          "region: expected rows and columns inside the image");
@@ -140,8 +141,8 @@ void depth_normal_double(const ConstVector& depths, const ConstVector& ray, cons
 NB_MODULE(_image, m) {
   using namespace mgsr;
   bind_choices(m, choice());
-  m.def("image_loss", &image_loss, nb::arg("image"), nb::arg("target"), nb::arg("l1_weight"), nb::arg("mask").none(),
-        nb::arg("region"), nb::arg("v_image").none(), nb::arg("v_target").none());
+  m.def("image_loss", &image_loss, nb::arg("image"), nb::arg("target"), nb::arg("l1_weight"), nb::arg("clip"),
+        nb::arg("mask").none(), nb::arg("region"), nb::arg("v_image").none(), nb::arg("v_target").none());
   m.def("tv", &tv, nb::arg("values"), nb::arg("guide"), nb::arg("mask").none(), nb::arg("v_values").none());
   m.def("depth_normals", &depth_normals, nb::arg("depth"), nb::arg("alpha").none(), nb::arg("intrinsics"),
         nb::arg("world_from_cam"), nb::arg("normals"));

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from itertools import accumulate
 
 import torch
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, Pointer, pointer
+from mgsr.native.cuda.params import Float, Int, Long, Pointer, pointer, pointers
 
-MAX_GROUPS, THREADS, BLOCK_FLOATS = 16, 256, 1024
+MAX_GROUPS, MAX_JUDGED, THREADS, BLOCK_FLOATS = 16, 32, 256, 1024
 
 
 class Group(ctypes.Structure):
@@ -35,14 +36,46 @@ class Group(ctypes.Structure):
 class Params(ctypes.Structure):
     """AdamParams of kernels/adam/adam.cu."""
 
-    _fields_ = (("groups", Int), ("ends", Int * MAX_GROUPS), ("group", Group * MAX_GROUPS))
+    _fields_ = (("groups", Int), ("ends", Int * MAX_GROUPS), *pointers("bad"), ("group", Group * MAX_GROUPS))
+
+
+class JudgedArray(ctypes.Structure):
+    _fields_ = (("end", Int), ("count", Long), *pointers("values"))
+
+
+class SquaresParams(ctypes.Structure):
+    _fields_ = (("arrays", Int), ("array", JudgedArray * MAX_JUDGED), *pointers("sums"))
+
+
+class VerdictParams(ctypes.Structure):
+    _fields_ = (*pointers("sums"), ("blocks", Int), *pointers("loss", "bad"))
+
+
+def judge(launcher: Launcher, loss: torch.Tensor, tensors: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Whether the loss [] or a number in the tensors is not finite, or has a square that is not: [] bool, not read."""
+    assert len(tensors) <= MAX_JUDGED, f"expected at most {MAX_JUDGED} tensors, got {len(tensors)}"
+    params = SquaresParams(len(tensors))
+    end = 0
+    for index, tensor in enumerate(tensors):
+        end += -(-tensor.numel() // BLOCK_FLOATS)
+        params.array[index] = JudgedArray(end, tensor.numel(), pointer(tensor))
+    sums = loss.new_empty(end, 2, dtype=torch.float64)
+    params.sums = pointer(sums)
+    launcher.launch("adam", "adam_squares", end, THREADS, params)
+    bad = loss.new_empty((), dtype=torch.bool)
+    verdict = VerdictParams(pointer(sums), end, pointer(loss), pointer(bad))
+    launcher.launch("adam", "adam_verdict", 1, THREADS, verdict)
+    return bad
 
 
 class AdamBatch:
     """As `mgsr.native._adam.AdamBatch`: parameters gathered, then updated in one launch."""
 
-    def __init__(self, launcher: Launcher, beta1: float, beta2: float, epsilon: float) -> None:
-        self._launcher = launcher
+    def __init__(
+        self, launcher: Launcher, beta1: float, beta2: float, epsilon: float, bad: torch.Tensor | None = None
+    ) -> None:
+        """bad [] bool: whether all gradients count as zero."""
+        self._launcher, self._bad = launcher, bad
         self._betas, self._epsilon = (beta1, beta2), epsilon
         self._groups: list[Group] = []
 
@@ -74,6 +107,6 @@ class AdamBatch:
         for begin in range(0, len(self._groups), MAX_GROUPS):
             groups = self._groups[begin : begin + MAX_GROUPS]
             ends = list(accumulate(-(-group.rows * group.columns // BLOCK_FLOATS) for group in groups))
-            params = Params(len(groups), (Int * MAX_GROUPS)(*ends), (Group * MAX_GROUPS)(*groups))
+            params = Params(len(groups), (Int * MAX_GROUPS)(*ends), pointer(self._bad), (Group * MAX_GROUPS)(*groups))
             self._launcher.launch("adam", "adam_update", ends[-1], THREADS, params)
         self._groups = []

@@ -7,7 +7,7 @@ import ctypes
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Int, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
 
 THREADS = 64
 
@@ -19,7 +19,9 @@ class Params(ctypes.Structure):
         ("n", Long),
         ("k", Int),
         ("degree", Int),
-        *pointers("coeffs", "means", "center", "rgb", "v_rgb", "v_coeffs", "v_means"),
+        *pointers("coeffs", "means"),
+        ("center", Float * 3),
+        *pointers("rgb", "v_rgb", "v_coeffs", "v_means"),
     )
 
 
@@ -31,7 +33,7 @@ class HarmonicsKernels:
 
     def forward(self, coeffs: Tensor, means: Tensor, center: Tensor, degree: int, rgb: Tensor) -> None:
         """Write rgb [N,3]."""
-        self._run("forward", degree, coeffs, (coeffs, means, center, rgb, None, None, None))
+        self._run("forward", degree, coeffs, means, center, (rgb, None, None, None))
 
     def backward(
         self,
@@ -45,9 +47,18 @@ class HarmonicsKernels:
         v_means: Tensor | None,
     ) -> None:
         """Write v_coeffs [N,K,3] and, where asked for, v_means [N,3]."""
-        self._run("backward", degree, coeffs, (coeffs, means, center, rgb, v_rgb, v_coeffs, v_means))
+        self._run("backward", degree, coeffs, means, center, (rgb, v_rgb, v_coeffs, v_means))
 
-    def _run(self, direction: str, degree: int, coeffs: Tensor, arrays: tuple[Tensor | None, ...]) -> None:
+    def _run(
+        self,
+        direction: str,
+        degree: int,
+        coeffs: Tensor,
+        means: Tensor,
+        center: Tensor,
+        arrays: tuple[Tensor | None, ...],
+    ) -> None:
         n, k = coeffs.shape[:2]
-        params = Params(n, k, degree, *(pointer(t) for t in arrays))
+        inputs = (pointer(coeffs), pointer(means), (Float * 3)(*center.tolist()))
+        params = Params(n, k, degree, *inputs, *map(pointer, arrays))
         self._launcher.launch("harmonics", f"harmonics_{direction}_{degree}", -(-n // THREADS), THREADS, params)

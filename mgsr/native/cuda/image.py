@@ -1,29 +1,21 @@
-"""The CUDA half of the image family: as `mgsr.native._image`, but means stay on the card."""
+"""The CUDA half of the image family: as `mgsr.native._image`, but sums stay on the card."""
 
 from __future__ import annotations
 
 import ctypes
-from enum import IntEnum
 
 import torch
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Double, Float, Int, Pointer, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, pointer, pointers
+from mgsr.native.cuda.terms import Sums
 
-PIXEL_THREADS, MEAN_THREADS = 256, 256
+PIXEL_THREADS = 256
 LOSS_WIDTH, LOSS_HEIGHT, LOSS_THREADS = 32, 16, 512
 SSIM_RADIUS = 5
 
 RegionTuple = tuple[int, int, int, int]
-
-
-class WeightFrom(IntEnum):
-    """Of kernels/image/image.cu: by what, times a factor, a total is divided."""
-
-    FACTOR_ALONE = 0
-    SUMS = 1
-    POINTER = 2
 
 
 class Region(ctypes.Structure):
@@ -38,6 +30,7 @@ class LossParams(ctypes.Structure):
         ("width", Int),
         *pointers("image", "target", "mask"),
         ("l1_weight", Float),
+        ("clip", Int),
         ("region", Region),
         ("maps", Region),
         *pointers("derivatives"),
@@ -53,25 +46,19 @@ class TvParams(ctypes.Structure):
     )
 
 
-class MeanParams(ctypes.Structure):
-    _fields_ = (
-        ("sums", Pointer),
-        ("blocks", Int),
-        ("weight_from", Int),
-        ("factor", Double),
-        *pointers("weight", "mean"),
-    )
-
-
 class NormalsParams(ctypes.Structure):
     _fields_ = (
         ("height", Int),
         ("width", Int),
-        *pointers("depth", "alpha"),
+        *pointers("depth", "alpha", "covered"),
         *((name, Float) for name in ("fx", "fy", "cx", "cy")),
         ("world_from_cam", Float * 9),
         *pointers("normals", "v_normals", "v_depth"),
     )
+
+
+class AgreementParams(ctypes.Structure):
+    _fields_ = (("of_depth", NormalsParams), *pointers("normal", "sums"))
 
 
 class ImageKernels:
@@ -85,12 +72,14 @@ class ImageKernels:
         image: Tensor,
         target: Tensor,
         l1_weight: float,
+        clip: bool,
         mask: Tensor | None,
         region: RegionTuple,
         v_image: Tensor | None,
         v_target: Tensor | None,
-    ) -> tuple[Tensor, Tensor]:
-        """The mean loss and what the gradients written must be multiplied by, both scalars on the tensors' device."""
+        mask_sum: float | None,
+    ) -> Sums:
+        """The mean loss, and the gradients of its sum inside the region."""
         height, width = image.shape[:2]
         maps = _grown(region, height, width)
         count = 0 if v_image is None else 3 if v_target is None else 4
@@ -98,25 +87,51 @@ class ImageKernels:
         blocks = _loss_blocks(maps)
         sums = image.new_empty(blocks, 2, dtype=torch.float64)
         params = LossParams(
-            *(height, width, pointer(image), pointer(target), pointer(mask), l1_weight, Region(*region), Region(*maps)),
+            *(height, width, pointer(image), pointer(target), pointer(mask), l1_weight, clip),
+            *(Region(*region), Region(*maps)),
             *(pointer(derivatives), count, pointer(sums), pointer(v_image), pointer(v_target)),
         )
         self._launcher.launch("image", "image_loss", blocks, LOSS_THREADS, params)
         if v_image is not None:
             self._launcher.launch("image", "image_loss_gradient", _loss_blocks(region), LOSS_THREADS, params)
         if mask is None:
-            return self._mean(sums, WeightFrom.FACTOR_ALONE, 3.0 * height * width)
-        return self._mean(sums, WeightFrom.POINTER, 3.0, mask.sum(dtype=torch.float64))
+            return Sums(sums, 3.0 * height * width)
+        if mask_sum is not None:
+            return Sums(sums, 3.0 * mask_sum)
+        return Sums(sums, 3.0, divisor=mask.sum())
 
-    def tv(self, values: Tensor, guide: Tensor, mask: Tensor | None, v_values: Tensor | None) -> tuple[Tensor, Tensor]:
-        """As `image_loss`, for the mean over pairs and channels."""
+    def tv(self, values: Tensor, guide: Tensor, mask: Tensor | None, v_values: Tensor | None) -> Sums:
+        """The mean over pairs and channels, and the gradient of its sum."""
         height, width, channels = values.shape
         blocks = -(-height * width // PIXEL_THREADS)
         sums = values.new_empty(blocks, 2, dtype=torch.float64)
         arrays = (pointer(t) for t in (values, guide, mask, v_values, sums))
         params = TvParams(height, width, channels, *arrays)
         self._launcher.launch("image", "image_tv", blocks, PIXEL_THREADS, params)
-        return self._mean(sums, WeightFrom.SUMS, float(channels))
+        return Sums(sums, float(channels), counted=True)
+
+    def normal_agreement(
+        self,
+        depth: Tensor,
+        alpha: Tensor,
+        covered: Tensor,
+        intrinsics: tuple[float, float, float, float],
+        world_from_cam: list[float],
+        normals: Tensor,
+        from_depth: Tensor,
+        v_depth: Tensor | None,
+    ) -> Sums:
+        """The mean of 1 - n . n_depth. Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times -1, of
+        its sum."""
+        shape, blocks = depth.shape, -(-depth.numel() // PIXEL_THREADS)
+        sums = depth.new_empty(blocks, 2, dtype=torch.float64)
+        inputs = (*shape, *map(pointer, (depth, alpha, covered)), *intrinsics, (Float * 9)(*world_from_cam))
+        of_depth = NormalsParams(*inputs, pointer(from_depth), pointer(normals), pointer(v_depth))
+        params = AgreementParams(of_depth, pointer(normals), pointer(sums))
+        self._launcher.launch("image", "image_normal_agreement", blocks, PIXEL_THREADS, params)
+        if v_depth is not None:
+            self._launcher.launch("image", "image_depth_normals_vjp", blocks, PIXEL_THREADS, of_depth)
+        return Sums(sums, 1.0, counted=True)
 
     def depth_normals(
         self,
@@ -151,17 +166,9 @@ class ImageKernels:
         world_from_cam: list[float],
         arrays: tuple[Tensor | None, ...],
     ) -> None:
-        inputs = (*depth.shape, pointer(depth), pointer(alpha), *intrinsics, (Float * 9)(*world_from_cam))
+        inputs = (*depth.shape, pointer(depth), pointer(alpha), None, *intrinsics, (Float * 9)(*world_from_cam))
         params = NormalsParams(*inputs, *(pointer(t) for t in arrays))
         self._launcher.launch("image", kernel, -(-depth.numel() // PIXEL_THREADS), PIXEL_THREADS, params)
-
-    def _mean(
-        self, sums: Tensor, weight_from: WeightFrom, factor: float, weight: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        mean = sums.new_empty(2, dtype=torch.float32)
-        params = MeanParams(pointer(sums), len(sums), weight_from, factor, pointer(weight), pointer(mean))
-        self._launcher.launch("image", "image_mean", 1, MEAN_THREADS, params)
-        return mean[0], mean[1]
 
 
 def _grown(region: RegionTuple, height: int, width: int) -> RegionTuple:

@@ -20,7 +20,7 @@ class Params(ctypes.Structure):
         *pointers("v_means2d", "radii"),
         ("scale_x", Float),
         ("scale_y", Float),
-        *pointers("gradient_sum", "seen"),
+        *pointers("bad", "gradient_sum", "seen"),
     )
 
 
@@ -31,8 +31,9 @@ def gather(
     v_means2d: Tensor,
     radii: Tensor,
     scale: tuple[float, float],
+    bad: Tensor | None,
 ) -> None:
-    """gradient_sum [N] += |v_means2d [N,2] * scale|, seen [N] += 1 where radii [N] > 0; in place."""
-    arrays = (pointer(t) for t in (gradient_sum, seen))
+    """gradient_sum [N] += |v_means2d [N,2] * scale| unless bad [] bool, seen [N] += 1 where radii [N] > 0; in place."""
+    arrays = (pointer(t) for t in (bad, gradient_sum, seen))
     params = Params(len(seen), pointer(v_means2d), pointer(radii), *scale, *arrays)
     launcher.launch("statistics", "statistics_gather", -(-len(seen) // THREADS), THREADS, params)

@@ -1,21 +1,43 @@
-// Fused Adam. A block updates kAdamFloats neighbouring numbers of one group, a thread every kAdamThreads-th of them; all
+// Fused Adam, and the verdict on the gradients before it. A block updates kAdamFloats neighbouring numbers of one group, a thread every kAdamThreads-th of them; all
 // groups go in one launch. A number is read and written by one thread alone.
 #include "kernels/adam/group.h"
-#include "kernels/common/cuda.h"
+#include "kernels/common/sums_cuda.h"
 
 namespace mgsr {
 
-constexpr int kAdamGroups = 16, kAdamThreads = 256, kAdamFloats = 1024;
+constexpr int kAdamGroups = 16, kAdamThreads = 256, kAdamFloats = 1024, kJudgedArrays = 32;
 
 struct AdamParams {
   int groups;
   int ends[kAdamGroups];  // of each group's blocks: the first block behind it
+  const bool* bad;        // whether gradients count as zero; or null for no
   AdamGroup group[kAdamGroups];
 };
 
-__device__ inline void update_number(const AdamGroup& g, int64_t i, float rate) {
+// Arrays of which a block sums the squares of kAdamFloats neighbouring numbers.
+struct JudgedArray {
+  int end;  // the first block behind the array's
+  int64_t count;
+  const float* values;
+};
+
+struct SquaresParams {
+  int arrays;
+  JudgedArray array[kJudgedArrays];
+  PartialSums* sums;  // [blocks]
+};
+
+// bad: whether the sum of the squares, the loss's among them, is not finite, as a float.
+struct VerdictParams {
+  const PartialSums* sums;
+  int blocks;
+  const float* loss;
+  bool* bad;
+};
+
+__device__ inline void update_number(const AdamGroup& g, int64_t i, float rate, bool bad) {
   float first = g.first[i], second = g.second[i];
-  adam_moments(g.step, g.gradients[i], first, second);
+  adam_moments(g.step, bad ? 0.0f : g.gradients[i], first, second);
   g.first[i] = first, g.second[i] = second;
   g.values[i] -= adam_change(g.step, rate, first, sqrtf(second));
 }
@@ -34,6 +56,30 @@ MGSR_KERNEL(adam_update, mgsr::AdamParams, mgsr::kAdamThreads) {
   const int column = int(begin % g.columns);
   for (int i = threadIdx.x; i < count; i += kAdamThreads) {
     const float scale = g.column_scales ? g.column_scales[(column + i) % g.columns] : 1.0f;
-    update_number(g, begin + i, g.rate * scale);
+    update_number(g, begin + i, g.rate * scale, p.bad && *p.bad);
   }
+}
+
+MGSR_KERNEL(adam_squares, mgsr::SquaresParams, mgsr::kAdamThreads) {
+  using namespace mgsr;
+  const int block = blockIdx.x;
+  int index = 0;
+  while (index + 1 < p.arrays && block >= p.array[index].end) ++index;
+  const JudgedArray& array = p.array[index];
+  const int64_t begin = int64_t(block - (index > 0 ? p.array[index - 1].end : 0)) * kAdamFloats;
+  double total = 0.0;
+  for (int64_t i = begin + threadIdx.x; i < begin + kAdamFloats && i < array.count; i += kAdamThreads)
+    total += double(array.values[i] * array.values[i]);
+  write_block_sums(total, 0.0, &p.sums[blockIdx.x]);
+}
+
+MGSR_KERNEL(adam_verdict, mgsr::VerdictParams, mgsr::kAdamThreads) {
+  using namespace mgsr;
+  double total = 0.0;
+  for (int i = threadIdx.x; i < p.blocks; i += kAdamThreads) total += p.sums[i].total;
+  __shared__ PartialSums all;
+  write_block_sums(total, 0.0, &all);
+  if (threadIdx.x != 0) return;
+  const float size = float(all.total) + *p.loss * *p.loss;
+  *p.bad = !(size - size == 0.0f);
 }

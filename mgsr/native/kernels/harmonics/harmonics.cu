@@ -13,7 +13,7 @@ struct HarmonicsParams {
   int k, degree;        // coefficients stored per channel: 1, 4, 9 or 16; highest band in use
   const float* coeffs;  // [n, k, 3]
   const float* means;   // [n, 3]
-  const float* center;  // [3] of the camera
+  float center[3];      // of the camera
   float* rgb;           // [n, 3]: written by forward, read by backward
   const float* v_rgb;   // [n, 3]
   float* v_coeffs;      // [n, k, 3], overwritten

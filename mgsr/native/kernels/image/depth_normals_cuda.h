@@ -2,7 +2,7 @@
 // normals of its four neighbours say of it.
 #pragma once
 
-#include "kernels/common/cuda.h"
+#include "kernels/common/sums_cuda.h"
 #include "math/depth_normal.h"
 
 namespace mgsr {
@@ -11,11 +11,20 @@ struct DepthNormalsParams {
   int height, width;
   const float* depth;        // [height, width]
   const float* alpha;        // [height, width], or null for 1 everywhere
+  const float* covered;      // [height, width], multiplies alpha; or null for 1 everywhere
   float fx, fy, cx, cy;
   float world_from_cam[9];   // rotation, row-major
   float* normals;            // [height, width, 3], written by forward
   const float* v_normals;
   float* v_depth;            // [height, width], overwritten by backward
+};
+
+// The mean over the covered pixels of 1 - n . n_depth: the normals of the depth are written, each as long as alpha times
+// covered, and so are the sums.
+struct AgreementParams {
+  DepthNormalsParams of_depth;
+  const float* normal;  // [height, width, 3]
+  PartialSums* sums;    // [blocks]
 };
 
 // The depths around a pixel; false where one of them, or its own, is not a depth, and at the image's border.
@@ -30,6 +39,10 @@ __device__ inline PixelRay<float> pixel_ray(const DepthNormalsParams& p, int x, 
   return {p.fx, p.fy, (float(x) + 0.5f - p.cx) / p.fx, (float(y) + 0.5f - p.cy) / p.fy};
 }
 
+__device__ inline float normal_length(const DepthNormalsParams& p, int64_t i) {
+  return (p.alpha ? p.alpha[i] : 1.0f) * (p.covered ? p.covered[i] : 1.0f);
+}
+
 __device__ inline void write_normal(const DepthNormalsParams& p, int x, int y) {
   const int64_t i = int64_t(y) * p.width + x;
   const float* R = p.world_from_cam;
@@ -37,9 +50,23 @@ __device__ inline void write_normal(const DepthNormalsParams& p, int x, int y) {
   float n[3] = {}, scale = 0.0f;
   if (neighbours(p, x, y, d)) {
     depth_normal(d, pixel_ray(p, x, y), n);
-    scale = p.alpha ? p.alpha[i] : 1.0f;
+    scale = normal_length(p, i);
   }
   for (int k = 0; k < 3; ++k) p.normals[3 * i + k] = scale * (R[3 * k] * n[0] + R[3 * k + 1] * n[1] + R[3 * k + 2] * n[2]);
+}
+
+__device__ inline void normal_agreement(const AgreementParams& p) {
+  const int64_t i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x;
+  const DepthNormalsParams& d = p.of_depth;
+  double total = 0.0, count = 0.0;
+  if (i < int64_t(d.height) * d.width) {
+    write_normal(d, int(i % d.width), int(i / d.width));
+    float agreement = 0.0f;
+    for (int k = 0; k < 3; ++k) agreement += p.normal[3 * i + k] * d.normals[3 * i + k];
+    count = d.covered ? d.covered[i] : 1.0f;
+    total = count - double(agreement);
+  }
+  write_block_sums(total, count, &p.sums[blockIdx.x]);
 }
 
 // What the normal at a pixel says of its neighbours' depths; zero where it has none.
@@ -47,7 +74,7 @@ __device__ inline DepthNeighbours<float> neighbour_gradients(const DepthNormalsP
   DepthNeighbours<float> d;
   if (!neighbours(p, x, y, d)) return {0.0f, 0.0f, 0.0f, 0.0f};
   const int64_t i = int64_t(y) * p.width + x;
-  const float *R = p.world_from_cam, *g = p.v_normals + 3 * i, scale = p.alpha ? p.alpha[i] : 1.0f;
+  const float *R = p.world_from_cam, *g = p.v_normals + 3 * i, scale = normal_length(p, i);
   const float v_n[3] = {scale * (R[0] * g[0] + R[3] * g[1] + R[6] * g[2]), scale * (R[1] * g[0] + R[4] * g[1] + R[7] * g[2]),
                         scale * (R[2] * g[0] + R[5] * g[1] + R[8] * g[2])};
   return depth_normal_vjp(d, pixel_ray(p, x, y), v_n);

@@ -16,6 +16,7 @@ struct ImageLossParams {
   const float* target = nullptr;  // [height, width, 3]
   const float* mask = nullptr;    // [height, width] weights, or null for 1 everywhere
   float l1_weight = 0;
+  bool clip = false;              // count what is over 1 in the image as 1, with no gradient
   Region region = {};             // outside, image and target are equal
   float* v_image = nullptr;       // [height, width, 3], written inside the region; or null
   float* v_target = nullptr;      // the same; only beside v_image

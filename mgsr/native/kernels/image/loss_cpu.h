@@ -104,6 +104,13 @@ class LossTile {
       std::memcpy(out + (begin - x) * 3, image + (int64_t(y) * p_.width + begin) * 3, size_t(end - begin) * 3 * sizeof(float));
   }
 
+  // The image's pixels as they are compared: clipped where that is asked for.
+  void copy_image(int y, int x, int columns, float* out) const {
+    copy_pixels(p_.image, y, x, columns, out);
+    if (!p_.clip) return;
+    for (int i = 0; i < 3 * columns; ++i) out[i] = out[i] > 1.0f ? 1.0f : out[i];
+  }
+
   // The weights of `pixels` pixels of row y from column x on; zero outside of `inside`.
   void load_weights(int y, int x, int pixels, const Region& inside, float* out) const {
     const bool row_inside = y >= inside.y0 && y < inside.y1;
@@ -120,7 +127,7 @@ class LossTile {
     if (y < 0 || y >= p_.height) return moments_.clear(y);
     const int pixels = columns_ + 4 * kRadius;
     float *a = row.input, *b = a + stride_, *squares = b + stride_, *product = squares + stride_;
-    copy_pixels(p_.image, y, tile_.x0 - 2 * kRadius, pixels, a);
+    copy_image(y, tile_.x0 - 2 * kRadius, pixels, a);
     copy_pixels(p_.target, y, tile_.x0 - 2 * kRadius, pixels, b);
     for (int i = 0; i < 3 * pixels; i += kWidth) {
       const vfloat va = load(a + i), vb = load(b + i);
@@ -182,7 +189,7 @@ class LossTile {
   void finish_gradient(int y, const RowBuffers& row) {
     load_weights(y, tile_.x0, columns_, tile_, row.weights);
     float *a = row.input, *b = a + stride_, *v_a = b + stride_, *v_b = v_a + stride_;
-    copy_pixels(p_.image, y, tile_.x0, columns_, a);
+    copy_image(y, tile_.x0, columns_, a);
     copy_pixels(p_.target, y, tile_.x0, columns_, b);
     const float l1 = p_.l1_weight, by_ssim = 1.0f - l1;
     for (int i = 0; i < 3 * columns_; i += kWidth) {
@@ -199,7 +206,10 @@ class LossTile {
     }
     l1_sum_ += sum_floats(row.losses, 3 * columns_);
     const int64_t at = (int64_t(y) * p_.width + tile_.x0) * 3;
-    if constexpr (Derivs > 0) std::memcpy(p_.v_image + at, v_a, size_t(3 * columns_) * sizeof(float));
+    if constexpr (Derivs > 0) {
+      for (int i = 0; i < 3 * columns_ && p_.clip; ++i) v_a[i] = p_.image[at + i] > 1.0f ? 0.0f : v_a[i];
+      std::memcpy(p_.v_image + at, v_a, size_t(3 * columns_) * sizeof(float));
+    }
     if constexpr (Derivs > 3) std::memcpy(p_.v_target + at, v_b, size_t(3 * columns_) * sizeof(float));
   }
 

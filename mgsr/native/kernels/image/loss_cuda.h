@@ -4,7 +4,7 @@
 // which are zero outside, gives the gradient.
 #pragma once
 
-#include "kernels/image/sums_cuda.h"
+#include "kernels/common/sums_cuda.h"
 #include "math/ssim.h"
 
 namespace mgsr {
@@ -23,6 +23,7 @@ struct ImageLossParams {
   const float *image, *target;  // [height, width, 3]
   const float* mask;            // [height, width] weights, or null for 1 everywhere
   float l1_weight;
+  int clip;                     // 1: count what is over 1 in the image as 1, with no gradient
   Region region;                // outside, image and target are equal
   Region maps;                  // where SSIM can differ from 1: the region and 5 pixels more, inside the image
   float* derivatives;           // [3 or 4, 3, maps' height, maps' width]: by a, a^2 + b^2, a b and b; or null
@@ -72,12 +73,18 @@ __device__ inline void filter_moments(const float (*halo)[kHaloHeight][kHaloWidt
   }
 }
 
+// A number of the image as it is compared.
+__device__ inline float compared(const ImageLossParams& p, int64_t at) {
+  const float value = p.image[at];
+  return p.clip && value > 1.0f ? 1.0f : value;
+}
+
 __device__ inline void load_halo(const ImageLossParams& p, const LossPixel& pixel, int channel, float (*halo)[kHaloHeight][kHaloWidth]) {
   for (int i = threadIdx.x; i < kHaloHeight * kHaloWidth; i += kLossThreads) {
     const int x = pixel.x0 + i % kHaloWidth - kSsimRadius, y = pixel.y0 + i / kHaloWidth - kSsimRadius;
     const bool inside = x >= 0 && y >= 0 && x < p.width && y < p.height;
     const int64_t at = (int64_t(y) * p.width + x) * 3 + channel;
-    halo[0][i / kHaloWidth][i % kHaloWidth] = inside ? p.image[at] : 0.0f;
+    halo[0][i / kHaloWidth][i % kHaloWidth] = inside ? compared(p, at) : 0.0f;
     halo[1][i / kHaloWidth][i % kHaloWidth] = inside ? p.target[at] : 0.0f;
   }
 }
@@ -97,7 +104,7 @@ __device__ inline double channel_loss(const ImageLossParams& p, const LossPixel&
   const float value = ssim_vjp(m, -weight, v), parts[4] = {v.a, v.squares, v.product, v.b};
   for (int d = 0; d < p.derivative_count; ++d) *map_at(p, d, channel, pixel.x, pixel.y) = parts[d];
   const int64_t at = (int64_t(pixel.y) * p.width + pixel.x) * 3 + channel;
-  const float l1 = pixel.inside(p.region) ? p.l1_weight * fabsf(p.image[at] - p.target[at]) : 0.0f;
+  const float l1 = pixel.inside(p.region) ? p.l1_weight * fabsf(compared(p, at) - p.target[at]) : 0.0f;
   return double(weight) * (double(1.0f - p.l1_weight) * double(1.0f - value) + double(l1));
 }
 
@@ -138,11 +145,12 @@ __device__ inline void filter_map(const ImageLossParams& p, const LossPixel& pix
 
 __device__ inline void write_gradient(const ImageLossParams& p, const LossPixel& pixel, int channel, const float derivatives[4]) {
   const int64_t at = (int64_t(pixel.y) * p.width + pixel.x) * 3 + channel;
-  const float a = p.image[at], b = p.target[at], difference = a - b, by_ssim = 1.0f - p.l1_weight;
+  const float a = compared(p, at), b = p.target[at], difference = a - b, by_ssim = 1.0f - p.l1_weight;
   const float weight = p.mask ? p.mask[int64_t(pixel.y) * p.width + pixel.x] : 1.0f;
   const float sign = difference > 0.0f ? weight * p.l1_weight : difference < 0.0f ? -weight * p.l1_weight : 0.0f;
   const float squares = 2.0f * derivatives[1], product = derivatives[2];
-  p.v_image[at] = sign + by_ssim * (derivatives[0] + a * squares + b * product);
+  const bool clipped = p.clip && p.image[at] > 1.0f;
+  p.v_image[at] = clipped ? 0.0f : sign + by_ssim * (derivatives[0] + a * squares + b * product);
   if (p.v_target) p.v_target[at] = by_ssim * (derivatives[3] + b * squares + a * product) - sign;
 }
 

@@ -2,7 +2,7 @@
 // gradient is the difference of the fluxes (the derivative of each pair) of its four pairs, so that nothing is scattered.
 #pragma once
 
-#include "kernels/image/sums_cuda.h"
+#include "kernels/common/sums_cuda.h"
 #include "math/tv.h"
 
 namespace mgsr {

@@ -1,11 +1,11 @@
-// Sums over an image on the GPU: each block leaves its own, and image_mean adds those up in a fixed order.
+// Sums on the GPU: each block leaves its own, and the terms family adds those up in a fixed order.
 #pragma once
 
 #include "kernels/common/cuda.h"
 
 namespace mgsr {
 
-// What a block adds to the two sums of an image.
+// What a block adds to a total and to the weight that it is divided by.
 struct PartialSums {
   double total, weight;
 };

@@ -1,0 +1,254 @@
+"""The loss terms on a card: each leaves its sums and slopes there, and nothing is read."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from mgsr.native.cuda.launcher import Launcher
+from mgsr.native.cuda.params import Double, Float, Int, Long, Pointer, pointer, pointers
+
+THREADS, GRADIENT_FLOATS = 256, 1024
+MOST_TERMS, MOST_IMAGES, MOST_PARTS = 24, 16, 4
+
+Region = tuple[int, int, int, int]
+
+
+class TargetParams(ctypes.Structure):
+    """These structs are those of kernels/terms/."""
+
+    _fields_ = (
+        ("pixels", Long),
+        *pointers("image", "mask", "off_edge", "background", "color", "alpha", "weights"),
+    )
+
+
+class CoveredParams(ctypes.Structure):
+    _fields_ = (("pixels", Long), *pointers("alpha", "mask", "covered"))
+
+
+class SilhouetteParams(ctypes.Structure):
+    _fields_ = (
+        ("pixels", Long),
+        *pointers("alpha", "mask", "weights"),
+        ("entropy", Int),
+        *pointers("v_alpha", "sums"),
+    )
+
+
+class SquaresParams(ctypes.Structure):
+    _fields_ = (
+        ("count", Long),
+        *pointers("a", "b", "first", "second"),
+        ("offset", Float),
+        *pointers("differences", "sums"),
+    )
+
+
+class ProductParams(ctypes.Structure):
+    _fields_ = (("pixels", Long), *pointers("weight", "color", "v_weight", "sums"))
+
+
+class StepsParams(ctypes.Structure):
+    _fields_ = (*((name, Int) for name in ("maps", "side", "channels")), *pointers("values", "v_values", "sums"))
+
+
+class TermSums(ctypes.Structure):
+    _fields_ = (
+        ("sums", Pointer),
+        ("blocks", Int),
+        ("counted", Int),
+        ("factor", Double),
+        ("divisor", Pointer),
+        ("weight", Float),
+    )
+
+
+class TotalsParams(ctypes.Structure):
+    _fields_ = (("terms", TermSums * MOST_TERMS), *pointers("values", "scales"))
+
+
+class GradientPart(ctypes.Structure):
+    _fields_ = (
+        ("slopes", Pointer),
+        *((name, Int) for name in ("term", "channels", "y0", "y1", "x0", "x1")),
+        ("factor", Float),
+    )
+
+
+class ImageGradient(ctypes.Structure):
+    _fields_ = (
+        ("out", Pointer),
+        ("count", Long),
+        *((name, Int) for name in ("width", "channels", "parts", "end")),
+        ("part", GradientPart * MOST_PARTS),
+    )
+
+
+class GradientsParams(ctypes.Structure):
+    _fields_ = (("images", Int), *pointers("v_values", "scales"), ("image", ImageGradient * MOST_IMAGES))
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What a term's kernel left on the card. The term is the blocks' total over `factor`, over what they counted where
+    `counted`, and over `divisor` [] float32, where that is given; 0 where this is 0.
+
+    partial [blocks,2] float64.
+    """
+
+    partial: Tensor
+    factor: float
+    counted: bool = False
+    divisor: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Part:
+    """What the term of that number says of an image: factor * slopes, inside the region alone."""
+
+    slopes: Tensor
+    term: int
+    factor: float
+    region: Region | None
+
+
+@dataclass(frozen=True)
+class Image:
+    """A tensor that gets a gradient: its shape, [H,W], [H,W,C] or any other, and what the terms say of it."""
+
+    shape: torch.Size
+    parts: list[Part] = field(default_factory=list)
+
+
+class TermKernels:
+    """Terms on one launcher."""
+
+    def __init__(self, launcher: Launcher) -> None:
+        self._launcher = launcher
+
+    def composite(
+        self,
+        image: Tensor,
+        mask: Tensor | None,
+        off_edge: Tensor | None,
+        background: Tensor | None,
+        color: Tensor,
+        alpha: Tensor | None,
+        weights: Tensor | None,
+    ) -> None:
+        """Write color [H,W,3], alpha [H,W] and weights [H,W] of a view in bytes."""
+        pixels = image.shape[0] * image.shape[1]
+        arrays = (image, mask, off_edge, background, color, alpha, weights)
+        self._run("terms_target", pixels, TargetParams(pixels, *map(pointer, arrays)))
+
+    def covered(self, alpha: Tensor, mask: Tensor | None, covered: Tensor) -> None:
+        """Write covered [H,W]."""
+        params = CoveredParams(alpha.numel(), pointer(alpha), pointer(mask), pointer(covered))
+        self._run("terms_covered", alpha.numel(), params)
+
+    def silhouette(
+        self, alpha: Tensor, mask: Tensor, weights: Tensor | None, entropy: bool, v_alpha: Tensor | None
+    ) -> Sums:
+        """Compare alpha [H,W] with a mask; the mean over all pixels."""
+        count, partial = alpha.numel(), _partial(alpha)
+        inputs = (pointer(alpha), pointer(mask), pointer(weights), entropy)
+        self._run("terms_silhouette", count, SilhouetteParams(count, *inputs, pointer(v_alpha), pointer(partial)))
+        return Sums(partial, count)
+
+    def squares(
+        self,
+        a: Tensor,
+        b: Tensor | None,
+        weights: tuple[Tensor | None, Tensor | None],
+        offset: float,
+        by: float,
+        divisor: Tensor | None,
+        differences: Tensor,
+    ) -> Sums:
+        """The sum of the squares of (a - b) * weights - offset, over `by` and the divisor."""
+        count, partial = a.numel(), _partial(a)
+        inputs = (pointer(a), pointer(b), *map(pointer, weights), offset)
+        self._run("terms_squares", count, SquaresParams(count, *inputs, pointer(differences), pointer(partial)))
+        return Sums(partial, by, divisor=divisor)
+
+    def product(self, weight: Tensor, color: Tensor, v_weight: Tensor) -> Sums:
+        """The mean of weight [H,W] times color [H,W,3]."""
+        count, partial = weight.numel(), _partial(weight)
+        arrays = (weight, color, v_weight, partial)
+        self._run("terms_product", count, ProductParams(count, *map(pointer, arrays)))
+        return Sums(partial, 3.0 * count)
+
+    def steps(self, maps: Tensor, by: float, v_maps: Tensor | None) -> Sums:
+        """The sum of the squared steps between neighbours in maps [M,S,S,C], over `by`."""
+        partial = _partial(maps)
+        sizes = (maps.shape[0], maps.shape[1], maps.shape[3])
+        params = StepsParams(*sizes, pointer(maps), pointer(v_maps), pointer(partial))
+        self._run("terms_steps", maps.numel(), params)
+        return Sums(partial, by)
+
+    def totals(self, terms: Sequence[tuple[Sums, float]]) -> tuple[Tensor, Tensor]:
+        """The terms' values [T], times their weights, and what their slopes must be multiplied by [T]."""
+        values = terms[0][0].partial.new_empty(2, len(terms), dtype=torch.float32)
+        for begin in range(0, len(terms), MOST_TERMS):
+            some = terms[begin : begin + MOST_TERMS]
+            params = TotalsParams()
+            for index, (sums, weight) in enumerate(some):
+                params.terms[index] = TermSums(
+                    *(pointer(sums.partial), len(sums.partial), sums.counted, sums.factor),
+                    *(pointer(sums.divisor), weight),
+                )
+            params.values, params.scales = pointer(values[0, begin:]), pointer(values[1, begin:])
+            self._launcher.launch("terms", "terms_totals", len(some), THREADS, params)
+        return values[0], values[1]
+
+    def gradients(self, images: Sequence[Image], v_values: Tensor, scales: Tensor) -> list[Tensor]:
+        """Each image's gradient, from those of the terms' values [T]."""
+        split = [(index, some) for index, image in enumerate(images) for some in _at_most(MOST_PARTS, image)]
+        outs = [scales.new_empty(image.shape) for _, image in split]
+        for begin in range(0, len(split), MOST_IMAGES):
+            end, params = 0, GradientsParams(0, pointer(v_values), pointer(scales))
+            for (_, image), out in zip(split[begin : begin + MOST_IMAGES], outs[begin:], strict=False):
+                end += -(-out.numel() // GRADIENT_FLOATS)
+                _describe(params.image[params.images], image, out, end)
+                params.images += 1
+            self._launcher.launch("terms", "terms_gradients", end, THREADS, params)
+        gradients: list[Tensor | None] = [None] * len(images)
+        for (index, _), out in zip(split, outs, strict=True):
+            before = gradients[index]
+            gradients[index] = out if before is None else before.add_(out)
+        return [gradient for gradient in gradients if gradient is not None]
+
+    def _run(self, kernel: str, count: int, params: ctypes.Structure) -> None:
+        self._launcher.launch("terms", kernel, -(-count // THREADS), THREADS, params)
+
+
+def _partial(like: Tensor) -> Tensor:
+    return like.new_empty(-(-like.numel() // THREADS), 2, dtype=torch.float64)
+
+
+def _at_most(parts: int, image: Image) -> list[Image]:
+    """The same image with its parts dealt out to several."""
+    return [Image(image.shape, image.parts[begin : begin + parts]) for begin in range(0, len(image.parts), parts)]
+
+
+def _as_image(shape: torch.Size) -> tuple[int, int, int]:
+    """Height, width and channels; what is no image counts as one row of numbers."""
+    if len(shape) == 3:
+        return shape[0], shape[1], shape[2]
+    return (shape[0], shape[1], 1) if len(shape) == 2 else (1, shape.numel(), 1)
+
+
+def _describe(entry: ImageGradient, image: Image, out: Tensor, end: int) -> None:
+    height, width, channels = _as_image(image.shape)
+    entry.out, entry.count, entry.end = pointer(out), out.numel(), end
+    entry.width, entry.channels, entry.parts = width, channels, len(image.parts)
+    whole = (0, height, 0, width)
+    for index, part in enumerate(image.parts):
+        own = channels if part.slopes.numel() == out.numel() else 1
+        region = part.region or whole
+        entry.part[index] = GradientPart(pointer(part.slopes), part.term, own, *region, part.factor)

@@ -1,0 +1,56 @@
+// From stored to used numbers: several arrays in one launch. A block takes kActivationFloats neighbouring numbers of one
+// array, a thread every kActivationThreads-th of them.
+#include "kernels/common/cuda.h"
+
+namespace mgsr {
+
+constexpr int kActivationArrays = 8, kActivationThreads = 256, kActivationFloats = 1024;
+
+enum class Activation : int { kExp, kSigmoid };
+
+struct ActivatedArray {
+  Activation kind;
+  int end;             // the first block behind the array's
+  int64_t count;
+  const float* in;     // the stored numbers; backward: the used ones
+  const float* v_out;  // backward: of the used ones, or null for 0
+  float* out;          // the used numbers; backward: the gradient of the stored ones
+};
+
+struct ActivationParams {
+  int arrays;
+  float largest;  // over it the exponential is constant
+  ActivatedArray array[kActivationArrays];
+};
+
+// The array of this block, and the block's first number in it.
+__device__ inline const ActivatedArray& block_array(const ActivationParams& p, int64_t& begin) {
+  const int block = blockIdx.x;
+  int index = 0;
+  while (index + 1 < p.arrays && block >= p.array[index].end) ++index;
+  begin = int64_t(block - (index > 0 ? p.array[index - 1].end : 0)) * kActivationFloats;
+  return p.array[index];
+}
+
+}  // namespace mgsr
+
+MGSR_KERNEL(activations_forward, mgsr::ActivationParams, mgsr::kActivationThreads) {
+  using namespace mgsr;
+  int64_t begin;
+  const ActivatedArray& array = block_array(p, begin);
+  for (int64_t i = begin + threadIdx.x; i < begin + kActivationFloats && i < array.count; i += kActivationThreads) {
+    const float x = array.in[i];
+    array.out[i] = array.kind == Activation::kExp ? expf(x > p.largest ? p.largest : x) : 1.0f / (1.0f + expf(-x));
+  }
+}
+
+MGSR_KERNEL(activations_backward, mgsr::ActivationParams, mgsr::kActivationThreads) {
+  using namespace mgsr;
+  int64_t begin;
+  const ActivatedArray& array = block_array(p, begin);
+  const float most = 0.999999f * expf(p.largest);  // less than any rounding of that exponential
+  for (int64_t i = begin + threadIdx.x; i < begin + kActivationFloats && i < array.count; i += kActivationThreads) {
+    const float y = array.in[i], v = array.v_out ? array.v_out[i] : 0.0f;
+    array.out[i] = array.kind == Activation::kSigmoid ? v * y * (1.0f - y) : y >= most ? 0.0f : v * y;
+  }
+}

@@ -1,0 +1,82 @@
+// What is made of rendered images before they are compared: reflected light added, and a flash let fall on them. A thread
+// is a pixel; the gradients of a pixel are its own.
+#include "kernels/common/cuda.h"
+
+namespace mgsr {
+
+constexpr int kLightThreads = 256;
+
+// color = transmitted + weight * reflected, reflected = own + mirrored.
+struct ReflectionParams {
+  int64_t pixels;
+  const float *transmitted, *weight;  // [pixels, 3], [pixels]
+  const float *own, *mirrored;        // [pixels, 3] each, or null for 0
+  float *color, *reflected;           // [pixels, 3]
+};
+
+struct ReflectionVjpParams {
+  int64_t pixels;
+  const float *v_color, *reflected, *weight;
+  float *v_reflected, *v_weight;  // [pixels, 3], [pixels]
+};
+
+// image = even + (lit - 1) * (even + alpha * (background + offset) - background).
+struct LightUpParams {
+  int64_t pixels;
+  const float *even, *alpha, *background, *lit;  // [pixels, 3], [pixels], [3], [pixels]
+  float offset;
+  float* image;  // [pixels, 3]
+};
+
+struct LightUpVjpParams {
+  int64_t pixels;
+  const float *v_image, *background, *lit;
+  float offset;
+  float *v_even, *v_alpha;  // [pixels, 3], [pixels]
+};
+
+__device__ inline int64_t light_pixel() { return int64_t(blockIdx.x) * kLightThreads + threadIdx.x; }
+
+}  // namespace mgsr
+
+MGSR_KERNEL(lights_reflection, mgsr::ReflectionParams, mgsr::kLightThreads) {
+  const int64_t i = mgsr::light_pixel();
+  if (i >= p.pixels) return;
+  for (int64_t at = 3 * i; at < 3 * i + 3; ++at) {
+    const float reflected = (p.own ? p.own[at] : 0.0f) + (p.mirrored ? p.mirrored[at] : 0.0f);
+    p.reflected[at] = reflected;
+    p.color[at] = p.transmitted[at] + p.weight[i] * reflected;
+  }
+}
+
+MGSR_KERNEL(lights_reflection_vjp, mgsr::ReflectionVjpParams, mgsr::kLightThreads) {
+  const int64_t i = mgsr::light_pixel();
+  if (i >= p.pixels) return;
+  float v_weight = 0.0f;
+  for (int64_t at = 3 * i; at < 3 * i + 3; ++at) {
+    p.v_reflected[at] = p.v_color[at] * p.weight[i];
+    v_weight += p.v_color[at] * p.reflected[at];
+  }
+  p.v_weight[i] = v_weight;
+}
+
+MGSR_KERNEL(lights_light_up, mgsr::LightUpParams, mgsr::kLightThreads) {
+  const int64_t i = mgsr::light_pixel();
+  if (i >= p.pixels) return;
+  const float lost = p.lit[i] - 1.0f;
+  for (int c = 0; c < 3; ++c) {
+    const float even = p.even[3 * i + c], behind = p.background[c];
+    p.image[3 * i + c] = even + lost * (even + p.alpha[i] * (behind + p.offset) - behind);
+  }
+}
+
+MGSR_KERNEL(lights_light_up_vjp, mgsr::LightUpVjpParams, mgsr::kLightThreads) {
+  const int64_t i = mgsr::light_pixel();
+  if (i >= p.pixels) return;
+  float v_alpha = 0.0f;
+  for (int c = 0; c < 3; ++c) {
+    p.v_even[3 * i + c] = p.v_image[3 * i + c] * p.lit[i];
+    v_alpha += p.v_image[3 * i + c] * (p.background[c] + p.offset);
+  }
+  p.v_alpha[i] = (p.lit[i] - 1.0f) * v_alpha;
+}

@@ -1,0 +1,85 @@
+// From the terms' sums to their values, and from their derivatives to the images' gradients.
+#pragma once
+
+#include "kernels/common/sums_cuda.h"
+
+namespace mgsr {
+
+constexpr int kMostTerms = 24, kMostImages = 16, kMostParts = 4;
+constexpr int kTotalThreads = 256, kGradientThreads = 256, kGradientFloats = 1024;
+
+// value = weight * total / by and scale = weight / by, both 0 where `by` is; by = factor * what the blocks counted, where
+// that counts, * *divisor, where there is one.
+struct TermSums {
+  const PartialSums* sums;
+  int blocks, counted;
+  double factor;
+  const float* divisor;
+  float weight;
+};
+
+// A block takes a term, and adds up its sums in a fixed order.
+struct TotalsParams {
+  TermSums terms[kMostTerms];
+  float *values, *scales;  // [terms]
+};
+
+__device__ inline void find_value(const TotalsParams& p) {
+  const TermSums& term = p.terms[blockIdx.x];
+  double total = 0.0, weight = 0.0;
+  for (int i = threadIdx.x; i < term.blocks; i += kTotalThreads) total += term.sums[i].total, weight += term.sums[i].weight;
+  __shared__ PartialSums all;
+  write_block_sums(total, weight, &all);
+  if (threadIdx.x != 0) return;
+  const double by = term.factor * (term.counted ? all.weight : 1.0) * (term.divisor ? double(*term.divisor) : 1.0);
+  const double scale = by != 0.0 ? double(term.weight) / by : 0.0;
+  p.values[blockIdx.x] = float(all.total * scale), p.scales[blockIdx.x] = float(scale);
+}
+
+// What one term says of an image: factor * slopes, of the pixels in a region alone, times the term's scale and what the
+// loss says of the term.
+struct GradientPart {
+  const float* slopes;  // as the image, or one number a pixel
+  int term, channels;
+  int y0, y1, x0, x1;
+  float factor;
+};
+
+struct ImageGradient {
+  float* out;
+  int64_t count;
+  int width, channels, parts, end;  // end: the first block behind the image's
+  GradientPart part[kMostParts];
+};
+
+// A block adds up kGradientFloats neighbouring numbers of one image, a thread every kGradientThreads-th of them.
+struct GradientsParams {
+  int images;
+  const float *v_values, *scales;  // [terms]
+  ImageGradient image[kMostImages];
+};
+
+__device__ inline float gradient_at(const GradientsParams& p, const ImageGradient& image, int64_t i) {
+  const int64_t pixel = i / image.channels;
+  const int x = int(pixel % image.width), y = int(pixel / image.width);
+  float sum = 0.0f;
+  for (int k = 0; k < image.parts; ++k) {
+    const GradientPart& part = image.part[k];
+    if (x < part.x0 || x >= part.x1 || y < part.y0 || y >= part.y1) continue;
+    const float scale = part.factor * p.scales[part.term] * p.v_values[part.term];
+    sum += scale * part.slopes[part.channels == image.channels ? i : pixel];
+  }
+  return sum;
+}
+
+__device__ inline void add_up_gradients(const GradientsParams& p) {
+  const int block = blockIdx.x;
+  int index = 0;
+  while (index + 1 < p.images && block >= p.image[index].end) ++index;
+  const ImageGradient& image = p.image[index];
+  const int64_t begin = int64_t(block - (index > 0 ? p.image[index - 1].end : 0)) * kGradientFloats;
+  for (int i = threadIdx.x; i < kGradientFloats && begin + i < image.count; i += kGradientThreads)
+    image.out[begin + i] = gradient_at(p, image, begin + i);
+}
+
+}  // namespace mgsr

@@ -1,0 +1,70 @@
+"""From stored to used numbers: scales from their logarithms, shares from their logits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mgsr.native.cuda.activations import Activation, activate_vjp
+from mgsr.native.cuda.activations import activate as activate_on_card
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.ops.arrays import plain
+
+# exp of more comes near float32's largest number, and an infinite scale would make its own zero gradient a NaN.
+LARGEST_LOG_SCALE = 80.0
+LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounding of that exponential
+
+
+def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
+    """exp of the log-scales, and the sigmoid of each of the logits; of any shapes, gradients flow. The exponential is
+    constant, and passes no gradient, over 80."""
+    kinds = (Activation.EXP, *(Activation.SIGMOID for _ in logits))
+    used: tuple[Tensor, ...] = _Activate.apply(kinds, log_scales, *logits)
+    return used
+
+
+def shares(logits: Tensor) -> Tensor:
+    """The sigmoid of logits of any shape; gradients flow."""
+    used: Tensor = _Activate.apply((Activation.SIGMOID,), logits)[0]
+    return used
+
+
+class _Activate(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, kinds: Sequence[Activation], *stored: Tensor) -> tuple[Tensor, ...]:
+        numbers = [plain(tensor) for tensor in stored]
+        ctx.kinds, ctx.launcher = kinds, launcher_for(numbers[0])
+        if ctx.launcher is None:
+            used = tuple(
+                each.clamp(max=LARGEST_LOG_SCALE).exp_() if kind is Activation.EXP else each.sigmoid()
+                for kind, each in zip(kinds, numbers, strict=True)
+            )
+        else:
+            used = tuple(torch.empty_like(each) for each in numbers)
+            activate_on_card(ctx.launcher, kinds, LARGEST_LOG_SCALE, numbers, used)
+        ctx.save_for_backward(*used)
+        ctx.set_materialize_grads(False)
+        return used
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *v_used: Tensor | None) -> tuple[Any, ...]:
+        used, gradients = ctx.saved_tensors, [None if v is None else plain(v) for v in v_used]
+        if ctx.launcher is None:
+            return None, *(_vjp(*each) for each in zip(ctx.kinds, used, gradients, strict=True))
+        v_stored = [torch.empty_like(each) for each in used]
+        activate_vjp(ctx.launcher, ctx.kinds, LARGEST_LOG_SCALE, used, gradients, v_stored)
+        return None, *v_stored
+
+
+def _vjp(kind: Activation, used: Tensor, v_used: Tensor | None) -> Tensor | None:
+    if v_used is None:
+        return None
+    if kind is Activation.SIGMOID:
+        return torch.ops.aten.sigmoid_backward(v_used, used)
+    return (v_used * used).masked_fill_(used >= LARGEST_SCALE, 0.0)

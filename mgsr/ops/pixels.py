@@ -1,0 +1,173 @@
+"""What losses are made of beside image kernels: targets, coverage, and terms that look at each number alone."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from mgsr.checks import check_tensors
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.terms import Sums, TermKernels
+from mgsr.ops.arrays import plain
+from mgsr.ops.terms import Region, Slope, Term, Total, wanted
+
+LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
+
+
+def composite(
+    image: Tensor, mask: Tensor, background: Tensor, off_edge: Tensor | None = None, region: Region | None = None
+) -> tuple[Tensor, Tensor, Tensor | None]:
+    """A photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W] as numbers 0 or 1.
+
+    image [H,W,3] uint8, straight colours; mask [H,W] uint8; background [3]; off_edge [H,W] bool; region (y0, y1, x0,
+    x1), ends excluded: the mask is 0 outside.
+    """
+    height, width = mask.shape
+    launcher = launcher_for(background)
+    if launcher is not None:
+        color, alpha = background.new_empty(height, width, 3), background.new_empty(height, width)
+        weights = None if off_edge is None else torch.empty_like(alpha)
+        edge = None if off_edge is None else plain(off_edge)
+        TermKernels(launcher).composite(plain(image), plain(mask), edge, plain(background), color, alpha, weights)
+        return color, alpha, weights
+    # Whole rows at once, then only what the mask touches, takes less time than compositing every pixel.
+    color = background.repeat(width).expand(height, -1).contiguous().view(height, width, 3)
+    alpha = mask / 255
+    y0, y1, x0, x1 = region or (0, height, 0, width)
+    color[y0:y1, x0:x1] += (image[y0:y1, x0:x1] / 255).sub_(background).mul_(alpha[y0:y1, x0:x1, None])
+    return color, alpha, None if off_edge is None else off_edge.to(alpha.dtype)
+
+
+def covered(alpha: Tensor, mask: Tensor | None = None) -> Tensor:
+    """[H,W] float32: 1 where alpha [H,W] and, if given, the mask [H,W] are over a half, else 0. No gradient."""
+    alpha = plain(alpha)
+    launcher = launcher_for(alpha)
+    if launcher is None:
+        inside = alpha > 0.5
+        return (inside if mask is None else inside & (mask > 0.5)).to(alpha.dtype)
+    result = torch.empty_like(alpha)
+    TermKernels(launcher).covered(alpha, None if mask is None else plain(mask), result)
+    return result
+
+
+def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, entropy: bool = False) -> Term:
+    """The mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy, alpha kept 1e-4 from 0 and 1.
+
+    alpha [H,W] in 0..1, gradients flow; mask [H,W] in 0..1; weights [H,W] multiply both before they are compared.
+    Raises TensorError for wrong shapes or dtypes.
+    """
+    sizes = check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"))
+    if weights is not None:
+        check_tensors(sizes, alpha=(alpha, "H W"), weights=(weights, "H W"))
+    own, other, by = plain(alpha), plain(mask), None if weights is None else plain(weights)
+    v_alpha = torch.empty_like(own) if wanted(alpha)[0] else None
+    launcher = launcher_for(own)
+    if launcher is not None:
+        sums = TermKernels(launcher).silhouette(own, other, by, entropy, v_alpha)
+        return Term(sums, () if v_alpha is None else (Slope(alpha, v_alpha),))
+    if by is not None:
+        own, other = own * by, other * by
+    total, slopes = _cross_entropy(own, other) if entropy else _absolute(own, other)
+    if v_alpha is None:
+        return Term(Total(total, own.numel()), ())
+    return Term(Total(total, own.numel()), (Slope(alpha, slopes if by is None else slopes.mul_(by)),))
+
+
+def squares_term(
+    a: Tensor,
+    b: Tensor | None = None,
+    weights: tuple[Tensor | None, Tensor | None] = (None, None),
+    offset: float = 0.0,
+    by: float | Tensor = 1.0,
+) -> Term:
+    """The sum of the squares of (a - b) * weights - offset, divided by `by`.
+
+    a and b, of one shape: gradients flow. weights: two, of that shape, each 0 or 1; None is 1 everywhere, as both must
+    be beside an offset. by: a number, or one in a tensor [] float32, which is not read. Raises TensorError for wrong
+    dtypes or shapes.
+    """
+    of_a, of_b = wanted(a)[0], b is not None and wanted(b)[0]
+    shape = " ".join(str(size) for size in a.shape)
+    given = {"a": a, "b": b, "first weight": weights[0], "second weight": weights[1]}
+    check_tensors(None, **{name: (each, shape) for name, each in given.items() if each is not None})
+    own, other, first, second = plain(a), *(None if each is None else plain(each) for each in (b, *weights))
+    launcher = launcher_for(own)
+    sums: Total | Sums
+    if launcher is None:
+        sums, differences = _squares(own, other, (first, second), offset, by)
+    else:
+        differences = torch.empty_like(own)
+        number, divisor = (1.0, by) if isinstance(by, Tensor) else (by, None)
+        sums = TermKernels(launcher).squares(own, other, (first, second), offset, number, divisor, differences)
+    # Weights are 0 or 1, and where one is 0 so is the difference: it need not be multiplied by them again.
+    slopes = [Slope(a, differences, 2.0)] if of_a else []
+    return Term(sums, (*slopes, *([Slope(b, differences, -2.0)] if b is not None and of_b else [])))
+
+
+def product_term(weight: Tensor, color: Tensor) -> Term:
+    """The mean over pixels and channels of weight [H,W] times color [H,W,3]; gradients flow to both. Raises TensorError
+    for wrong shapes or dtypes."""
+    check_tensors(weight=(weight, "H W"), color=(color, "H W 3"))
+    factor, image = plain(weight), plain(color)
+    launcher = launcher_for(factor)
+    sums: Total | Sums
+    if launcher is None:
+        sums_of_color = image @ torch.ones(3)
+        sums = Total(float(factor.reshape(-1) @ sums_of_color.reshape(-1)), image.numel())
+    else:
+        sums_of_color = torch.empty_like(factor)
+        sums = TermKernels(launcher).product(factor, image, sums_of_color)
+    of_weight, of_color = wanted(weight, color)
+    return Term(sums, (*[Slope(weight, sums_of_color)] * of_weight, *[Slope(color, factor)] * of_color))
+
+
+def steps_term(maps: Tensor) -> Term:
+    """The mean square of the steps from line to line plus that from column to column in maps [M,S,S,C]; gradients flow.
+    0 for maps of one texel. Raises TensorError for a wrong shape or dtype."""
+    sizes = check_tensors(maps=(maps, "M S S C"))
+    values, by = plain(maps), sizes["M"] * sizes["S"] * (sizes["S"] - 1) * sizes["C"]
+    launcher = launcher_for(values)
+    sums: Total | Sums
+    if launcher is None:
+        total, v_maps = _steps(values)
+        sums = Total(total, by)
+    else:
+        v_maps = torch.empty_like(values)
+        sums = TermKernels(launcher).steps(values, by, v_maps)
+    return Term(sums, (Slope(maps, v_maps),) if wanted(maps)[0] else ())
+
+
+def _absolute(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    difference = alpha - mask
+    slopes = difference.sign()
+    return float(difference.reshape(-1) @ slopes.reshape(-1)), slopes
+
+
+def _cross_entropy(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
+    inside = alpha.clamp(LEAST, 1 - LEAST)
+    total = torch.nn.functional.binary_cross_entropy(inside, mask, reduction="sum")
+    slopes = (inside - mask) / (inside * (1 - inside))
+    return float(total), slopes.mul_(inside == alpha)
+
+
+def _squares(
+    a: Tensor, b: Tensor | None, weights: tuple[Tensor | None, Tensor | None], offset: float, by: float | Tensor
+) -> tuple[Total, Tensor]:
+    differences = a if b is None else a - b
+    for weight in weights:
+        differences = differences if weight is None else differences * weight
+    differences = differences - offset if offset else differences
+    flat = differences.reshape(-1)
+    return Total(float(flat @ flat), float(by)), differences
+
+
+def _steps(maps: Tensor) -> tuple[float, Tensor]:
+    down, right = maps[:, 1:] - maps[:, :-1], maps[:, :, 1:] - maps[:, :, :-1]
+    v_maps = torch.zeros_like(maps)
+    v_maps[:, 1:].add_(down, alpha=2)
+    v_maps[:, :-1].sub_(down, alpha=2)
+    v_maps[:, :, 1:].add_(right, alpha=2)
+    v_maps[:, :, :-1].sub_(right, alpha=2)
+    return math.fsum(float(step.square().sum()) for step in (down, right)), v_maps

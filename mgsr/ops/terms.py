@@ -1,0 +1,123 @@
+"""Loss terms that bring their derivatives along, and their values as one node of the graph.
+
+A term's kernel finds its value and what it says of each image in one pass. Scaled and added up are these only once, for
+all terms together: an image that five terms look at gets its gradient in one pass over it, and a training step has one
+node where it would have dozens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.terms import Image, Part, Region, Sums, TermKernels
+
+
+@dataclass(frozen=True)
+class Total:
+    """A term's sum and what it is divided by, as the processor's kernels give them; 0 over 0 counts as 0."""
+
+    total: float
+    by: float
+
+
+@dataclass(frozen=True)
+class Slope:
+    """What a term says of one tensor of the graph: the derivative of its sum is factor * values, which is shaped like
+    the image or has one number a pixel. region (y0, y1, x0, x1), ends excluded: outside, the values are not read and
+    the derivative is 0."""
+
+    image: Tensor
+    values: Tensor
+    factor: float = 1.0
+    region: Region | None = None
+
+
+@dataclass(frozen=True)
+class Term:
+    """A number to make small, times a weight. A number times a term is a term; `float` gives its value, and `scalar`
+    makes a tensor of it that gradients flow through."""
+
+    sums: Total | Sums
+    slopes: tuple[Slope, ...]
+    weight: float = 1.0
+
+    def __rmul__(self, factor: float) -> Term:
+        return Term(self.sums, self.slopes, factor * self.weight)
+
+    def __float__(self) -> float:
+        return float(scalar(self))
+
+
+def wanted(*tensors: Tensor) -> list[bool]:
+    """Which of these tensors a gradient is wanted for."""
+    return [torch.is_grad_enabled() and tensor.requires_grad for tensor in tensors]
+
+
+def scalar(term: Term) -> Tensor:
+    """The term's value, weighted; gradients flow to its images."""
+    return evaluate([term])[0]
+
+
+def evaluate(terms: Sequence[Term]) -> Tensor:
+    """The values [T] of terms, weighted; gradients flow to their images. All must be of one device."""
+    images: dict[int, Tensor] = {id(slope.image): slope.image for term in terms for slope in term.slopes}
+    values: Tensor = _Evaluate.apply(tuple(terms), list(images), *images.values())
+    return values
+
+
+class _Evaluate(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, terms: tuple[Term, ...], keys: list[int], *images: Tensor) -> Tensor:
+        ctx.kernels, values, ctx.scales = _values(terms)
+        slopes = [(number, slope) for number, term in enumerate(terms) for slope in term.slopes]
+        ctx.shapes = [image.shape for image in images]
+        ctx.described = [(keys.index(id(each.image)), number, each.factor, each.region) for number, each in slopes]
+        ctx.save_for_backward(*(slope.values for _, slope in slopes))
+        return values
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, v_values: Tensor) -> tuple[Any, ...]:
+        images = [Image(shape) for shape in ctx.shapes]
+        for (image, number, factor, region), values in zip(ctx.described, ctx.saved_tensors, strict=True):
+            images[image].parts.append(Part(values, number, factor, region))
+        if ctx.kernels is not None:
+            return None, None, *ctx.kernels.gradients(images, v_values.contiguous(), ctx.scales)
+        scales = [scale * v for scale, v in zip(ctx.scales, v_values.tolist(), strict=True)]
+        return None, None, *(_added_up(image, scales) for image in images)
+
+
+def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
+    """Who adds up the slopes, the values, and what the slopes must be multiplied by."""
+    on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
+    if on_card:
+        assert len(on_card) == len(terms), "terms of one loss must be of one device"
+        launcher = launcher_for(on_card[0][0].partial)
+        assert launcher is not None
+        kernels = TermKernels(launcher)
+        return kernels, *kernels.totals(on_card)
+    sums = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Total)]
+    scales = [weight / each.by if each.by else 0.0 for each, weight in sums]
+    values = [each.total * scale for (each, _), scale in zip(sums, scales, strict=True)]
+    return None, torch.tensor(values, dtype=torch.float32), scales
+
+
+def _added_up(image: Image, scales: list[float]) -> Tensor:
+    gradient = None
+    for part in image.parts:
+        assert part.region is None, "on the processor slopes are whole images"
+        scale = part.factor * scales[part.term]
+        slopes = part.slopes if part.slopes.shape == image.shape else part.slopes.unsqueeze(-1).expand(image.shape)
+        if gradient is None:
+            gradient = slopes * scale
+        else:
+            gradient.add_(slopes, alpha=scale)
+    assert gradient is not None
+    return gradient

@@ -14,8 +14,14 @@ from typing import Any
 from worker.job import EVENTS_FD
 
 # What the job process may know of the worker's environment: no address and no secret of Redis or the store.
-_PASSED = ("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "CUDA_VISIBLE_DEVICES")
-_PASSED_PREFIXES = ("OMP_", "MKL_", "NVIDIA_", "MGSR_CPU_", "MGSR_CUDA_")
+_PASSED = (
+    *("PATH", "HOME", "LANG", "LC_ALL", "PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH"),
+    *("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"),  # a number means a card only in an order
+)
+_PASSED_PREFIXES = (
+    *("OMP_", "MKL_", "NVIDIA_", "MGSR_CPU_", "MGSR_CUDA_"),
+    *("PYTORCH_ALLOC_", "PYTORCH_CUDA_", "PYTORCH_NO_CUDA_"),  # how torch takes a card's memory
+)
 
 
 @dataclass(frozen=True)

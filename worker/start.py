@@ -8,22 +8,20 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from pathlib import Path
 
 from service.contract.children import Child, Stop, keep_alive, stop_on_signals
-from service.contract.errors import SetupError
 from service.contract.queue import CPU, GPU
 from service.contract.settings import Settings
+from worker.cards import all_cards
 from worker.rq_worker import work
 
 # Tells a child which card is its own, so that it starts no children again.
 _CARD = "MGSR_WORKER_CARD"
-# The driver's own list of cards: asking CUDA would load it into this process.
-_DRIVERS_LIST = Path("/proc/driver/nvidia/gpus")
 
 
 def start_workers(gpus: str | None) -> None:
-    """Work until a signal. gpus: "all", or numbers of cards; None: on the CPU. Raises SetupError."""
+    """Work until a signal. gpus: "all", or cards by number or uuid, as in CUDA_VISIBLE_DEVICES; None: on the CPU.
+    Raises SetupError."""
     if _CARD in os.environ:
         _work(on_card=True)
     elif gpus is None:
@@ -67,10 +65,4 @@ def _one_for_each(cards: list[str]) -> None:
 
 
 def _cards(gpus: str) -> list[str]:
-    if gpus != "all":
-        return [card.strip() for card in gpus.split(",")]
-    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
-    cards = [str(i) for i, _ in enumerate(_DRIVERS_LIST.glob("*"))] if visible is None else visible.split(",")
-    if not any(cards):
-        raise SetupError("--gpus all: no NVIDIA driver or card on this machine; leave it out to work on the CPU")
-    return cards
+    return all_cards() if gpus == "all" else [card.strip() for card in gpus.split(",")]

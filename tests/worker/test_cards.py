@@ -7,6 +7,8 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -57,27 +59,169 @@ def test_a_cards_worker_that_dies_starts_again(tmp_path: Path) -> None:
             assert workers.wait(30) == 0
 
 
-@pytest.mark.parametrize(("visible", "cards"), [(None, ["0", "1", "2"]), ("2,1", ["2", "1"]), ("GPU-5a", ["GPU-5a"])])
-def test_all_cards_are_those_that_this_process_may_use(
-    visible: str | None, cards: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("0000:01:00.0", "0000:02:00.0", "0000:a1:00.0"):
-        (tmp_path / name).mkdir()
-    monkeypatch.setattr(start, "_DRIVERS_LIST", tmp_path)
-    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
-    if visible is not None:
-        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+class Nvml(ModuleType):
+    """In the place of pynvml. cards: by uuid, model, and what MIG makes of it: the uuids at its places, None where
+    there is no instance; "off"; or "none" where the card has no MIG. fails: the function that does."""
+
+    NVML_DEVICE_MIG_ENABLE = 1
+
+    class NVMLError(Exception):
+        pass
+
+    class NVMLError_NotSupported(NVMLError):  # noqa: N801, as pynvml calls it
+        pass
+
+    class NVMLError_FunctionNotFound(NVMLError):  # noqa: N801
+        pass
+
+    class NVMLError_NotFound(NVMLError):  # noqa: N801
+        pass
+
+    class NVMLError_NoPermission(NVMLError):  # noqa: N801
+        pass
+
+    def __init__(self, *cards: tuple[str, str, list[str | None] | str], fails: str = "") -> None:
+        super().__init__("pynvml")
+        self._cards, self._fails = cards, fails
+        self.open = 0
+
+    def __getattribute__(self, name: str) -> Any:
+        if name.startswith("nvml") and name == object.__getattribute__(self, "_fails"):
+            raise Nvml.NVMLError("NVML Shared Library Not Found")
+        return object.__getattribute__(self, name)
+
+    def nvmlInit(self) -> None:  # noqa: N802
+        self.open += 1
+
+    def nvmlShutdown(self) -> None:  # noqa: N802
+        self.open -= 1
+
+    def nvmlDeviceGetCount(self) -> int:  # noqa: N802
+        assert self.open == 1
+        return len(self._cards)
+
+    def nvmlDeviceGetHandleByIndex(self, index: int) -> tuple[int, int | None]:  # noqa: N802
+        return index, None
+
+    def nvmlDeviceGetName(self, handle: tuple[int, int | None]) -> str:  # noqa: N802
+        return self._cards[handle[0]][1]
+
+    def nvmlDeviceGetUUID(self, handle: tuple[int, int | None]) -> str:  # noqa: N802
+        uuid, _, places = self._cards[handle[0]]
+        return uuid if handle[1] is None else str(places[handle[1]])
+
+    def nvmlDeviceGetMigMode(self, handle: tuple[int, int | None]) -> list[int]:  # noqa: N802
+        mig = self._cards[handle[0]][2]
+        if mig == "none":
+            raise Nvml.NVMLError_NotSupported("Not Supported")
+        return [0, 1] if mig == "off" else [1, 1]
+
+    def nvmlDeviceGetMaxMigDeviceCount(self, handle: tuple[int, int | None]) -> int:  # noqa: N802
+        return len(self._cards[handle[0]][2])
+
+    def nvmlDeviceGetMigDeviceHandleByIndex(self, handle: tuple[int, int | None], place: int) -> Any:  # noqa: N802
+        if self._cards[handle[0]][2][place] is None:
+            raise Nvml.NVMLError_NotFound("Not Found")
+        return handle[0], place
+
+
+T4 = ("GPU-t4", "Tesla T4", "none")
+A100 = ("GPU-a100", "NVIDIA A100", "off")
+CUT = ("GPU-cut", "NVIDIA A100", ["MIG-1", None, "MIG-2", None])
+EMPTY = ("GPU-empty", "NVIDIA A100", [None, None])
+
+
+@pytest.fixture(autouse=True)
+def environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The devices that `--gpus all` starts workers for."""
     seen: list[str] = []
     monkeypatch.setattr(start, "_one_for_each", seen.extend)
     start.start_workers("all")
-    assert seen == cards
+    return seen
 
 
-@pytest.mark.parametrize("visible", [None, ""])
-def test_no_card_is_told(visible: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(start, "_DRIVERS_LIST", tmp_path / "none")
-    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+@pytest.mark.parametrize(
+    ("machine", "devices"),
+    [
+        ([T4], ["0"]),
+        ([A100, T4, A100], ["0", "1", "2"]),
+        ([CUT], ["MIG-1", "MIG-2"]),
+        ([T4, CUT, A100], ["GPU-t4", "MIG-1", "MIG-2", "GPU-a100"]),
+        ([EMPTY, A100], ["GPU-a100"]),
+    ],
+)
+def test_all_cards_are_those_that_nvml_lists(machine: list[Any], devices: list[str], monkeypatch: Any) -> None:
+    nvml = Nvml(*machine)
+    monkeypatch.setitem(sys.modules, "pynvml", nvml)
+    assert started(monkeypatch) == devices
+    assert nvml.open == 0
+
+
+@pytest.mark.parametrize(
+    ("visible", "order", "machine", "devices"),
+    [
+        ("2,1", "", [A100, A100, A100], ["2", "1"]),
+        (" 1 , GPU-a", "", [A100, A100], ["1", "GPU-a"]),
+        ("MIG-2", "", [CUT], ["MIG-2"]),
+        ("GPU-c", "", [T4, CUT], ["MIG-1", "MIG-2"]),
+        ("1,0", "", [A100, CUT], ["MIG-1", "MIG-2", "0"]),
+        ("1", "", [T4, CUT], ["1"]),  # which is the faster one, only CUDA knows
+        ("1", "PCI_BUS_ID", [T4, CUT], ["MIG-1", "MIG-2"]),
+        ("0,GPU-cut", "", [CUT], ["MIG-1", "MIG-2"]),
+        ("1,-1,0", "", [A100, A100], ["1"]),
+        ("7", "", [A100], ["7"]),
+    ],
+)
+def test_the_environment_limits_all_cards(
+    visible: str, order: str, machine: list[Any], devices: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pynvml", Nvml(*machine))
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    monkeypatch.setenv("CUDA_DEVICE_ORDER", order)
+    assert started(monkeypatch) == devices
+
+
+def test_what_the_environment_names_needs_no_nvml(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pynvml", None)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1,GPU-a")
+    assert started(monkeypatch) == ["1", "GPU-a"]
+
+
+@pytest.mark.parametrize(
+    ("visible", "machine"), [(None, []), (None, [EMPTY]), ("", [A100]), ("-1", [A100]), ("0", [EMPTY])]
+)
+def test_no_card_is_told(visible: str | None, machine: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pynvml", Nvml(*machine))
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     with pytest.raises(SetupError, match="--gpus all: no NVIDIA driver or card"):
         start.start_workers("all")
+
+
+@pytest.mark.parametrize("fails", ["nvmlInit", "nvmlDeviceGetCount", "nvmlDeviceGetHandleByIndex", "nvmlDeviceGetUUID"])
+def test_nvml_that_fails_is_told_with_the_cure(fails: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    nvml = Nvml(A100, fails=fails)
+    monkeypatch.setitem(sys.modules, "pynvml", nvml)
+    with pytest.raises(SetupError, match=r"Shared Library Not Found.*nvidia-smi.*--gpus 0,1"):
+        start.start_workers("all")
+    assert nvml.open == 0
+
+
+def test_without_nvml_the_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pynvml", None)
+    with pytest.raises(SetupError, match=r"nvidia-ml-py.*pip install 'mgsr\[cuda\]'.*--gpus 0,1"):
+        start.start_workers("all")
+
+
+def test_the_stand_in_has_what_the_package_has() -> None:
+    real = pytest.importorskip("pynvml", reason="NEEDS nvidia-ml-py: pip install 'mgsr[cuda]'")
+    used = [name for name in vars(Nvml) if name.startswith(("nvml", "NVML"))]
+    assert len(used) > 10 and all(hasattr(real, name) for name in used)
+    for name in used:
+        if name.startswith("NVMLError_"):
+            assert issubclass(getattr(real, name), real.NVMLError)

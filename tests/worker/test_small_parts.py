@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
 from worker import reporting
 from worker.attempt import folder_name, joined
+from worker.process import _environment
 from worker.publish import media_type
 from worker.reporting import AFTER, AFTER_SECONDS, AFTER_SHARE, BEFORE, CURVE_ROWS, Reporter
 from worker.scratch import scratch_folder, sweep
@@ -194,14 +196,39 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_cards_are_asked_of_the_driver_not_of_cuda() -> None:
-    """--gpus all on a machine without cards is one message."""
-    if Path("/proc/driver/nvidia/gpus").is_dir():
-        return
+def test_all_cards_of_a_machine_without_any_are_one_message() -> None:
+    """And CUDA is not loaded for it."""
+    if nvidia_smi_runs():
+        pytest.skip("this machine has a card")
     environment = os.environ | {"MGSR_REDIS_URL": "redis://127.0.0.1:1"}
+    environment.pop("CUDA_VISIBLE_DEVICES", None)
     command = [sys.executable, "-m", "worker.cli", "--gpus", "all"]
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=ROOT, timeout=60)
-    assert ran.returncode == 2 and "no NVIDIA driver" in ran.stderr
+    assert ran.returncode == 2 and ran.stderr.count("\n") == 1
+    assert ran.stderr.startswith("error: --gpus all: ") and "--gpus 0,1" in ran.stderr
+
+
+def nvidia_smi_runs() -> bool:
+    smi = shutil.which("nvidia-smi")
+    return smi is not None and subprocess.run([smi, "-L"], capture_output=True).returncode == 0
+
+
+def test_a_job_knows_the_settings_of_its_computing_and_no_secret(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passed = {
+        "PYTORCH_ALLOC_CONF": "expandable_segments:False",
+        "PYTORCH_CUDA_ALLOC_CONF": "max_split_size_mb:64",
+        "PYTORCH_NO_CUDA_MEMORY_CACHING": "1",
+        "CUDA_VISIBLE_DEVICES": "MIG-1",
+        "CUDA_DEVICE_ORDER": "PCI_BUS_ID",
+    }
+    kept_back = ("MGSR_REDIS_URL", "AWS_SECRET_ACCESS_KEY", "REDIS_PASSWORD", "PYTORCHBOT_TOKEN", "PYTORCH_TOKEN")
+    for name, value in (passed | dict.fromkeys(kept_back, "secret")).items():
+        monkeypatch.setenv(name, value)
+    environment = _environment(tmp_path / "spec.json", tmp_path)
+    assert passed.items() <= environment.items()
+    assert "secret" not in environment.values()
 
 
 @pytest.mark.parametrize(

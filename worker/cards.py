@@ -1,0 +1,124 @@
+"""Which NVIDIA cards there are, as CUDA_VISIBLE_DEVICES names them.
+
+NVML is asked, the driver's library that nvidia-smi uses: asking CUDA would load it into this process.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import Any
+
+from service.contract.errors import SetupError
+
+NAME_THEM = "or name the cards by their numbers: --gpus 0,1"
+
+
+@dataclass(frozen=True)
+class Card:
+    """A card as NVML sees it. uuid: GPU-...; model: its name; instances: those that MIG cuts it into, each a device
+    with a uuid of its own (MIG-...), or None where MIG is off."""
+
+    uuid: str
+    model: str
+    instances: tuple[str, ...] | None
+
+
+def all_cards() -> list[str]:
+    """Every device that this process may use: cards, and of a card in MIG mode its instances. CUDA_VISIBLE_DEVICES
+    limits them where it is set. Raises SetupError where there is none, and where NVML can't be asked."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    found = _named_by_nvml() if visible is None else _named_by(visible)
+    if not found:
+        raise SetupError(
+            "--gpus all: no NVIDIA driver or card on this machine, or CUDA_VISIBLE_DEVICES hides it, or MIG is on and "
+            "there is no instance (nvidia-smi -L lists them); leave --gpus out to work on the CPU"
+        )
+    return found
+
+
+def _named_by_nvml() -> list[str]:
+    """By number, as long as each card is one device. CUDA counts cards in MIG mode otherwise: then by uuid."""
+    cards = ask_nvml()
+    if all(card.instances is None for card in cards):
+        return [str(number) for number, _ in enumerate(cards)]
+    return [uuid for card in cards for uuid in _devices(card)]
+
+
+def _named_by(visible: str) -> list[str]:
+    """What CUDA_VISIBLE_DEVICES names, up to the first that is no name, where CUDA stops too. Of a card in MIG mode,
+    its instances; NVML need not be there for the others."""
+    names = [name.strip() for name in visible.split(",")]
+    names = list(takewhile(lambda name: name and not name.startswith("-"), names))
+    try:
+        cards = ask_nvml() if names else []
+    except SetupError:
+        return names
+    return list(dict.fromkeys(device for name in names for device in _resolve(name, cards)))
+
+
+def _resolve(name: str, cards: list[Card]) -> tuple[str, ...]:
+    named = _find(name, cards)
+    return (name,) if named is None or named.instances is None else _devices(named)
+
+
+def _find(name: str, cards: list[Card]) -> Card | None:
+    """The card of a number or of the beginning of a uuid. NVML counts cards by their places on the bus, and CUDA by
+    their speed unless CUDA_DEVICE_ORDER says otherwise: a number means the same to both where all are of one model."""
+    if not name.isdecimal():
+        return next((card for card in cards if card.uuid.startswith(name)), None)
+    same = os.environ.get("CUDA_DEVICE_ORDER") == "PCI_BUS_ID" or len({card.model for card in cards}) == 1
+    return cards[int(name)] if same and int(name) < len(cards) else None
+
+
+def _devices(card: Card) -> tuple[str, ...]:
+    return (card.uuid,) if card.instances is None else card.instances
+
+
+def ask_nvml() -> list[Card]:
+    """The cards of this machine or container. Raises SetupError where NVML or its package is missing or fails."""
+    try:
+        import pynvml
+    except ImportError as error:
+        raise SetupError(
+            "--gpus all: cards are counted with the package nvidia-ml-py: install MGSR with its cuda extra "
+            f"(pip install 'mgsr[cuda]'), {NAME_THEM}"
+        ) from error
+    with _nvml(pynvml):
+        handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
+        return [
+            Card(pynvml.nvmlDeviceGetUUID(h), pynvml.nvmlDeviceGetName(h), _mig_instances(pynvml, h)) for h in handles
+        ]
+
+
+@contextmanager
+def _nvml(pynvml: Any) -> Iterator[None]:
+    """NVML is there within the block, and whatever fails is a SetupError."""
+    try:
+        pynvml.nvmlInit()
+        try:
+            yield
+        finally:
+            pynvml.nvmlShutdown()
+    except pynvml.NVMLError as error:
+        raise SetupError(
+            f"--gpus all: no NVIDIA driver or card can be asked ({error}); see that nvidia-smi runs here, {NAME_THEM}; "
+            "leave --gpus out to work on the CPU"
+        ) from error
+
+
+def _mig_instances(pynvml: Any, handle: Any) -> tuple[str, ...] | None:
+    try:
+        mode, _ = pynvml.nvmlDeviceGetMigMode(handle)
+    except (pynvml.NVMLError_NotSupported, pynvml.NVMLError_FunctionNotFound):  # no MIG in the card, or the driver
+        return None
+    if mode != pynvml.NVML_DEVICE_MIG_ENABLE:
+        return None
+    uuids: list[str] = []
+    for place in range(pynvml.nvmlDeviceGetMaxMigDeviceCount(handle)):
+        with suppress(pynvml.NVMLError_NotFound, pynvml.NVMLError_NoPermission):  # none there, or not this container's
+            uuids.append(pynvml.nvmlDeviceGetUUID(pynvml.nvmlDeviceGetMigDeviceHandleByIndex(handle, place)))
+    return tuple(uuids)

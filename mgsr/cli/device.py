@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import torch
 
+from mgsr.cli.allocator import prefer_expandable_segments
 from mgsr.errors import ConfigError, GpuError
 from mgsr.native.cuda.launcher import cuda_launcher
 
@@ -24,7 +25,7 @@ class Device(StrEnum):
 
 
 def pick_device(name: str) -> Device:
-    """The device to use, cpu or cuda.
+    """The device to use, cpu or cuda; torch's allocator is prepared for a card.
 
     Raises ConfigError for an unknown name, and where cuda is asked for and torch sees no card; GpuError for a card that
     can't be used (auto falls back to the processor then).
@@ -39,9 +40,10 @@ def pick_device(name: str) -> Device:
         built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
         raise ConfigError(f"--device cuda: this torch {built}; install torch for CUDA, or use --device cpu or auto")
     try:
-        cuda_launcher(torch.cuda.current_device())
+        launcher = cuda_launcher(torch.cuda.current_device())
     except GpuError:
         if name == Device.CUDA:
             raise
         return Device.CPU
+    prefer_expandable_segments(launcher)
     return Device.CUDA

@@ -23,9 +23,12 @@ def test_the_processor_is_always_there(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_usable_card_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "current_device", lambda: 0)
-    monkeypatch.setattr(device, "cuda_launcher", lambda index: object())
+    monkeypatch.setattr(device, "cuda_launcher", lambda index: f"launcher {index}")
+    prepared: list[object] = []
+    monkeypatch.setattr(device, "prefer_expandable_segments", prepared.append)
     assert pick_device("auto") is Device.CUDA and pick_device("cuda") is Device.CUDA
     assert pick_device("cpu") is Device.CPU
+    assert prepared == ["launcher 0", "launcher 0"]
 
 
 def test_a_card_that_can_not_be_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Every CUDA kernel compiles for every generation of cards; the cache on disk serves two processes."""
+"""Every CUDA kernel compiles for every generation of cards; the cache on disk serves several processes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ import pytest
 
 from mgsr.errors import GpuError
 from mgsr.native.cuda import compiler
-from mgsr.native.cuda.compiler import SOURCES, arch_for, compile_family, headers_digest, supported_archs
+from mgsr.native.cuda.compiler import (
+    SOURCES,
+    arch_for,
+    compile_family,
+    default_cache_dir,
+    headers_digest,
+    supported_archs,
+)
 from mgsr.native.cuda.launcher import check_driver
 
 FAMILIES = sorted(path.stem for path in SOURCES.glob("kernels/*/*.cu"))
@@ -57,16 +64,58 @@ def test_a_changed_header_is_compiled_again(tmp_path: Path, monkeypatch: pytest.
     assert headers_digest() != b"another"
 
 
+COMPILE = """
+import sys
+from pathlib import Path
+from mgsr.native.cuda.compiler import compile_family
+print(len(compile_family("adam", "sm_90", Path(sys.argv[1]))))
+"""
+
+
+def sizes_in_processes(folder: Path, processes: int) -> list[int]:
+    """How much machine code each of several processes gets that start together."""
+    command = [sys.executable, "-c", COMPILE, str(folder)]
+    started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(processes)]
+    return [int(process.communicate()[0]) for process in started]
+
+
+def entries(folder: Path) -> list[Path]:
+    return [path for path in (folder / "entries").rglob("*") if path.is_file()]
+
+
 def test_processes_share_the_cache(tmp_path: Path) -> None:
-    code = "import sys; from mgsr.native.cuda.compiler import compile_family as c; from pathlib import Path; "
-    code += "print(len(c('adam', 'sm_90', Path(sys.argv[1]))))"
-    started = [
-        subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
-        for _ in range(3)
-    ]
-    sizes = {process.communicate()[0] for process in started}
-    assert len(sizes) == 1 and all(process.returncode == 0 for process in started)
-    assert int(sizes.pop()) == len(compile_family("adam", "sm_90", tmp_path))
+    sizes = sizes_in_processes(tmp_path, 3)
+    assert sizes == 3 * [len(compile_family("adam", "sm_90", tmp_path))]
+
+
+def test_processes_replace_a_damaged_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = compile_family("adam", "sm_90", tmp_path)
+    (entry,) = entries(tmp_path)
+    entry.write_bytes(whole[:1000])
+    assert sizes_in_processes(tmp_path, 2) == 2 * [len(whole)]
+    monkeypatch.setattr(compiler, "_compile", lambda *arguments: b"compiled")
+    assert compile_family("adam", "sm_90", tmp_path) == whole
+
+
+def test_without_a_usable_cache_it_compiles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As where the folder of MGSR_CUDA_CACHE lies below a file."""
+    (tmp_path / "file").write_text("")
+    for _ in range(2):
+        assert compile_family("adam", "sm_90", tmp_path / "file" / "cache")[:4] == b"\x7fELF"
+    (told,) = caplog.messages
+    assert str(tmp_path / "file" / "cache") in told and "Not a directory" in told and "MGSR_CUDA_CACHE" in told
+
+
+def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("MGSR_CUDA_CACHE", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert default_cache_dir() is None
+    monkeypatch.setenv("XDG_CACHE_HOME", "/of/user")
+    assert default_cache_dir() == Path("/of/user/mgsr/cuda")
 
 
 def test_the_environment_moves_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

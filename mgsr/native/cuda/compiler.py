@@ -1,4 +1,4 @@
-"""Compiles kernel families with NVRTC, and keeps the results on disk."""
+"""Compiles kernel families with NVRTC, through the cache on disk."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.errors import GpuError
+from mgsr.native.cuda.kernel_cache import kernel_cache
 
 SOURCES = Path(__file__).resolve().parents[1]
 INSTALL = "install MGSR with its cuda extra: pip install 'mgsr[cuda]'"
@@ -18,14 +19,13 @@ def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> byt
     """The machine code (cubin) of kernels/<family>/<family>.cu for an architecture such as sm_90.
 
     Taken from the cache on disk when the same sources, options, architecture and NVRTC version were compiled before.
-    Processes may share the cache: a file appears there whole or not at all. cache_dir: by default `MGSR_CUDA_CACHE`,
-    else `mgsr/cuda` in the user's cache folder.
+    Where the cache can't be used, a warning says so once a process. cache_dir: by default `default_cache_dir()`.
 
     Raises GpuError when NVRTC is missing, doesn't know the architecture, or rejects the source.
     """
     try:
         from cuda.core import Program, ProgramOptions
-        from cuda.core.utils import FileStreamProgramCache, make_program_cache_key
+        from cuda.core.utils import make_program_cache_key
     except ImportError as error:
         raise GpuError(f"cuda-core can't be imported ({error}); {INSTALL}") from error
     if arch not in supported_archs():
@@ -41,10 +41,11 @@ def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> byt
     key = make_program_cache_key(
         code=text, code_type="c++", options=options, target_type="cubin", extra_digest=headers_digest()
     )
-    with FileStreamProgramCache(cache_dir or default_cache_dir()) as stored:
-        cubin = stored.get(key)
-        if cubin is None:
-            cubin = stored[key] = _compile(Program(text, "c++", options), family, arch)
+    kept = kernel_cache(cache_dir or default_cache_dir())
+    cubin = kept.get(key)
+    if cubin is None:
+        cubin = _compile(Program(text, "c++", options), family, arch)
+        kept.put(key, cubin)
     return cubin
 
 
@@ -73,10 +74,16 @@ def arch_for(major: int, minor: int) -> str:
     return capable[-1]
 
 
-def default_cache_dir() -> Path:
-    """Where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder."""
-    own = os.environ.get("MGSR_CUDA_CACHE")
-    return Path(own) if own else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "mgsr" / "cuda"
+def default_cache_dir() -> Path | None:
+    """Where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder; None where the user has
+    no home to have one in."""
+    if own := os.environ.get("MGSR_CUDA_CACHE"):
+        return Path(own)
+    try:
+        of_user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:
+        return None
+    return Path(of_user) / "mgsr" / "cuda"
 
 
 @cache

@@ -1,0 +1,77 @@
+"""Compiled kernels on disk. A folder that can't be used costs compiling at every start, and nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import threading
+from functools import cache
+from pathlib import Path
+
+log = logging.getLogger("mgsr.cuda")
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+@cache
+def kernel_cache(folder: Path | None) -> KernelCache:
+    """The cache in a folder, made once a process: it knows whether it has told that the folder can't be used."""
+    return KernelCache(folder)
+
+
+class KernelCache:
+    """Machine code by key. Processes may share the folder: a file appears there whole or not at all.
+
+    A file ends with a hash of its key and its code, so that one that was cut off, altered or put there under another
+    name is no hit, and is replaced. The hash comes last, since NVIDIA's tools then read the files. folder: made
+    where it is missing; None, where there is none to use, keeps nothing. No method raises: what the system says of the
+    folder is logged once.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._told = False
+        self._lock = threading.Lock()
+
+    def get(self, key: bytes) -> bytes | None:
+        """The machine code of a key; None where there is none that is whole."""
+        from cuda.core.utils import FileStreamProgramCache
+
+        if self._folder is None:
+            return None
+        try:
+            with FileStreamProgramCache(self._folder) as files:
+                stored = files.get(key)
+        except OSError as error:
+            self._tell(error)
+            return None
+        code, digest = (stored[:-DIGEST_BYTES], stored[-DIGEST_BYTES:]) if stored else (b"", b"")
+        return code if digest == _digest(key, code) else None
+
+    def put(self, key: bytes, code: bytes) -> None:
+        """Keep the machine code of a key, in the place of what is there."""
+        from cuda.core.utils import FileStreamProgramCache
+
+        if self._folder is None:
+            self._tell("no home folder is known")
+            return
+        try:
+            with FileStreamProgramCache(self._folder) as files:
+                files[key] = code + _digest(key, code)
+        except OSError as error:
+            self._tell(error)
+
+    def _tell(self, reason: object) -> None:
+        with self._lock:
+            told, self._told = self._told, True
+        if not told:
+            log.warning(
+                "compiled CUDA kernels can't be kept in %s (%s), so every start compiles them again: name a folder "
+                "that can be written with MGSR_CUDA_CACHE",
+                self._folder or "a folder of their own",
+                reason,
+            )
+
+
+def _digest(key: bytes, code: bytes) -> bytes:
+    return hashlib.sha256(key + code).digest()

@@ -22,8 +22,16 @@ def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tens
     for name, (tensor, shape) in specs.items():
         if not isinstance(tensor, torch.Tensor):
             raise TensorError(f"{name}: expected a tensor [{_expected(shape, bound)}], got {type(tensor).__name__}")
-        if not _matches(tensor.shape, _parts(shape), bound):
-            raise TensorError(f"{name}: expected [{_expected(shape, bound)}], got {list(tensor.shape)}")
+        came, (axes, letters, numbers) = tensor.shape, _parts(shape)
+        # Written out: an iteration of training checks a hundred tensors.
+        matches = len(came) == axes
+        for place, letter in letters if matches else ():
+            size = came[place]
+            matches = matches and bound.setdefault(letter, size) == size
+        for place, number in numbers if matches else ():
+            matches = matches and came[place] == number
+        if not matches:
+            raise TensorError(f"{name}: expected [{_expected(shape, bound)}], got {list(came)}")
         if tensor.dtype is not torch.float32:
             raise TensorError(f"{name}: expected float32, got {tensor.dtype}; call .float() first")
         own = tensor.device
@@ -35,18 +43,11 @@ def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tens
 
 
 @cache
-def _parts(shape: str) -> tuple[int | str, ...]:
-    return tuple(int(part) if part.isdigit() else part for part in shape.split())
-
-
-def _matches(sizes: torch.Size, parts: tuple[int | str, ...], bound: dict[str, int]) -> bool:
-    """Whether sizes are those of a shape; letters that are met first are bound."""
-    if len(sizes) != len(parts):
-        return False
-    for size, part in zip(sizes, parts, strict=True):
-        if size != (bound.setdefault(part, size) if isinstance(part, str) else part):
-            return False
-    return True
+def _parts(shape: str) -> tuple[int, tuple[tuple[int, str], ...], tuple[tuple[int, int], ...]]:
+    """A shape's number of axes, and the places of its letters and of its numbers."""
+    parts = list(enumerate(shape.split()))
+    numbers = tuple((place, int(part)) for place, part in parts if part.isdigit())
+    return len(parts), tuple((place, part) for place, part in parts if not part.isdigit()), numbers
 
 
 def _expected(shape: str, bound: dict[str, int]) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
+from mgsr.checks import check_tensors
 from mgsr.ops.activations import activate, shares
 from mgsr.ops.harmonics import harmonics_to_rgb
 
@@ -32,6 +33,16 @@ class SurfelModel:
         """Every stored tensor by name; their first axis is the surfels."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
+    def check(self) -> None:
+        """Raise TensorError, which names the tensor, unless all fit together."""
+        check_tensors(
+            means=(self.means, "N 3"),
+            quats=(self.quats, "N 4"),
+            log_scales=(self.log_scales, "N 2"),
+            opacity_logits=(self.opacity_logits, "N"),
+            sh=(self.sh, "N K 3"),
+        )
+
     @property
     def sh_degree(self) -> int:
         """The degree that the stored coefficients reach."""
@@ -44,11 +55,6 @@ class SurfelModel:
     def opacities(self) -> Tensor:
         """[N], in (0, 1)."""
         return shares(self.opacity_logits)
-
-    def activated(self) -> tuple[Tensor, Tensor]:
-        """Scales and opacities, in one pass."""
-        scales, opacities = activate(self.log_scales, self.opacity_logits)
-        return scales, opacities
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
         """Colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 import torch
 from torch import Tensor
 
+from mgsr.checks import check_tensors
 from mgsr.ops.activations import activate, shares
 from mgsr.ops.harmonics import harmonics_to_rgb
 
@@ -35,6 +36,24 @@ class VolumeModel:
     def __len__(self) -> int:
         return self.means.shape[0]
 
+    def check(self) -> None:
+        """Raise TensorError, which names the tensor, unless all fit together."""
+        sizes = check_tensors(
+            means=(self.means, "N 3"),
+            quats=(self.quats, "N 4"),
+            log_scales=(self.log_scales, "N 3"),
+            opacity_logits=(self.opacity_logits, "N"),
+            sh=(self.sh, "N K 3"),
+        )
+        if self.split:
+            check_tensors(
+                {"N": sizes["N"]},
+                means=(self.means, "N 3"),
+                refl_opacity_logits=(_stored(self.refl_opacity_logits), "N"),
+                weight_logits=(_stored(self.weight_logits), "N"),
+                refl_sh=(_stored(self.refl_sh), "N K 3"),
+            )
+
     @property
     def split(self) -> bool:
         """Whether there is a reflected half."""
@@ -62,15 +81,6 @@ class VolumeModel:
     def opacities(self) -> Tensor:
         """Of the transmitted half, [N], in (0, 1)."""
         return shares(self.opacity_logits)
-
-    def activated(self) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
-        """Scales and opacities, and of the reflected half opacities and weights (None without it), in one pass."""
-        if self.refl_opacity_logits is None or self.weight_logits is None:
-            scales, opacities = activate(self.log_scales, self.opacity_logits)
-            return scales, opacities, None, None
-        logits = self.opacity_logits, self.refl_opacity_logits, self.weight_logits
-        scales, opacities, refl_opacities, weights = activate(self.log_scales, *logits)
-        return scales, opacities, refl_opacities, weights
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
         """Transmitted colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""

@@ -7,7 +7,6 @@ can be named. A term whose weight is zero is not computed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -15,6 +14,7 @@ from torch import Tensor
 from mgsr.config import SurfaceDepth, Teaching, TrainConfig
 from mgsr.losses.alpha import silhouette
 from mgsr.losses.depths import depth_agreement, depth_unit
+from mgsr.losses.loss import Loss
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.image_loss import image_loss_term
@@ -26,24 +26,11 @@ from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
 
 
-@dataclass(frozen=True)
-class Loss:
-    """What a step makes smaller: value [], whose gradients flow on, and its terms [] by name."""
-
-    value: Tensor
-    terms: dict[str, Tensor]
-
-
 def total(terms: Mapping[str, Term | Tensor]) -> Loss:
     """The sum of the terms."""
-    brought = {name: term for name, term in terms.items() if isinstance(term, Term)}
-    values = evaluate(list(brought.values()))
-    loss = values.sum()
+    names = [name for name, term in terms.items() if isinstance(term, Term)]
     others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
-    for term in others.values():
-        loss = loss + term
-    by_name = dict(zip(brought, values.detach().unbind(), strict=True))
-    return Loss(loss, by_name | {name: term.detach() for name, term in others.items()})
+    return Loss(evaluate([term for term in terms.values() if isinstance(term, Term)]), names, others)
 
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:

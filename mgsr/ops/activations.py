@@ -8,12 +8,11 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from mgsr.native.cuda.activations import Activation, activate_vjp
 from mgsr.native.cuda.activations import activate as activate_on_card
-from mgsr.native.cuda.launcher import launcher_for
-from mgsr.ops.arrays import plain
+from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.ops.arrays import once_differentiable, plain
 
 # exp of more comes near float32's largest number, and an infinite scale would make its own zero gradient a NaN.
 LARGEST_LOG_SCALE = 80.0
@@ -37,29 +36,41 @@ def shares(logits: Tensor) -> Tensor:
 class _Activate(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, kinds: Sequence[Activation], *stored: Tensor) -> tuple[Tensor, ...]:
-        numbers = [plain(tensor) for tensor in stored]
-        ctx.kinds, ctx.launcher = kinds, launcher_for(numbers[0])
-        if ctx.launcher is None:
-            used = tuple(
-                each.clamp(max=LARGEST_LOG_SCALE).exp_() if kind is Activation.EXP else each.sigmoid()
-                for kind, each in zip(kinds, numbers, strict=True)
-            )
-        else:
-            used = tuple(torch.empty_like(each) for each in numbers)
-            activate_on_card(ctx.launcher, kinds, LARGEST_LOG_SCALE, numbers, used)
+        ctx.kinds, ctx.launcher = kinds, launcher_for(stored[0])
+        used = activated(ctx.launcher, kinds, [plain(tensor) for tensor in stored])
         ctx.save_for_backward(*used)
         ctx.set_materialize_grads(False)
-        return used
+        return tuple(used)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *v_used: Tensor | None) -> tuple[Any, ...]:
-        used, gradients = ctx.saved_tensors, [None if v is None else plain(v) for v in v_used]
-        if ctx.launcher is None:
-            return None, *(_vjp(*each) for each in zip(ctx.kinds, used, gradients, strict=True))
-        v_stored = [torch.empty_like(each) for each in used]
-        activate_vjp(ctx.launcher, ctx.kinds, LARGEST_LOG_SCALE, used, gradients, v_stored)
-        return None, *v_stored
+        gradients = [None if v is None else plain(v) for v in v_used]
+        return None, *activated_vjp(ctx.launcher, ctx.kinds, ctx.saved_tensors, gradients)
+
+
+def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Sequence[Tensor]) -> list[Tensor]:
+    """The used numbers of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
+    processor."""
+    if launcher is None:
+        return [
+            each.clamp(max=LARGEST_LOG_SCALE).exp_() if kind is Activation.EXP else each.sigmoid()
+            for kind, each in zip(kinds, stored, strict=True)
+        ]
+    used = [torch.empty_like(each) for each in stored]
+    activate_on_card(launcher, kinds, LARGEST_LOG_SCALE, stored, used)
+    return used
+
+
+def activated_vjp(
+    launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
+) -> list[Tensor | None]:
+    """The gradients of the stored numbers; None for some without one."""
+    if launcher is None:
+        return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
+    v_stored = [torch.empty_like(each) for each in used]
+    activate_vjp(launcher, kinds, LARGEST_LOG_SCALE, used, v_used, v_stored)
+    return list(v_stored)
 
 
 def _vjp(kind: Activation, used: Tensor, v_used: Tensor | None) -> Tensor | None:

@@ -9,20 +9,20 @@ import torch
 
 from mgsr.errors import CheckpointError, TensorError
 from mgsr.native import _adam
-from mgsr.native.cuda.adam import AdamBatch, judge
+from mgsr.native.cuda.adam import Group, judge, make_group, update
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.ops.arrays import plain
 
 
-def any_bad(loss: torch.Tensor, gradients: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Whether the loss [] or any number of the gradients is not finite, or is over 1e19, whose square float32 does not
-    hold: [] bool on their device, which is not waited for."""
-    launcher = launcher_for(loss)
+def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Whether any number of the tensors is not finite, or is over 1e19, whose square float32 does not hold: [] bool on
+    their device, which is not waited for."""
+    launcher = launcher_for(tensors[0])
     if launcher is not None:
-        return judge(launcher, plain(loss), [plain(gradient) for gradient in gradients])
+        return judge(launcher, [plain(tensor) for tensor in tensors])
     # A dot is one pass over the numbers, and one number that shows whether all are finite.
-    squares = [flat @ flat for flat in (gradient.reshape(-1) for gradient in gradients)]
-    return ~torch.isfinite(torch.stack([loss.detach().square(), *squares]).sum())
+    squares = [flat @ flat for flat in (tensor.detach().reshape(-1) for tensor in tensors)]
+    return ~torch.isfinite(torch.stack(squares).sum())
 
 
 class FusedAdam:
@@ -61,6 +61,7 @@ class FusedAdam:
         self._second: dict[str, torch.Tensor] = {}
         # Of each parameter the values and the two moments, seen as [rows, columns].
         self._packed: dict[str, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = {}
+        self._groups: dict[str, Group] = {}
         self._steps = dict.fromkeys(params, 0)
         for name, param in params.items():
             self._adopt(name, param, torch.zeros_like(param.detach()), torch.zeros_like(param.detach()))
@@ -68,22 +69,27 @@ class FusedAdam:
     def step(self, bad: torch.Tensor | None = None) -> None:
         """Update every parameter that has a gradient, in place. bad [] bool, on a card: whether the gradients count as
         zero (see `any_bad`)."""
-        batch, held = self._batch(bad), []  # the batch keeps bare pointers until update, and these may be copies
-        for name, param in self.params.items():
-            if param.grad is None or not param.numel():
-                continue
+        due = {name: p.grad.contiguous() for name, p in self.params.items() if p.grad is not None and p.numel()}
+        for name in due:
             self._steps[name] += 1
+        launcher = launcher_for(next(iter(self.params.values())))
+        if launcher is not None:
+            groups = [(self._group(name), grad, self.lrs[name], self._steps[name]) for name, grad in due.items()]
+            update(launcher, groups, bad)
+            return
+        batch = _adam.AdamBatch(*self.betas, self.epsilon)
+        for name, gradients in due.items():
             values, first, second = self._packed[name]
-            gradients = param.grad.contiguous().view(values.shape)
-            held.append(gradients)
-            batch.add(values, gradients, first, second, self._scales.get(name), self.lrs[name], self._steps[name])
+            arrays = (values, gradients.view(values.shape), first, second, self._scales.get(name))
+            batch.add(*arrays, self.lrs[name], self._steps[name])
         batch.update()
 
-    def set_lr(self, name: str, lr: float) -> None:
-        """Change one learning rate from the next step on."""
-        if name not in self.lrs:
-            raise TensorError(f"set_lr: expected one of {sorted(self.lrs)}, got {name}")
-        self.lrs[name] = lr
+    def set_lrs(self, lrs: Mapping[str, float]) -> None:
+        """Change all learning rates from the next step on; there may be more names than parameters. Raises TensorError
+        where a parameter's is missing."""
+        if not self.params.keys() <= lrs.keys():
+            raise TensorError(f"set_lrs: expected a rate for each of {sorted(self.params)}, got {sorted(lrs)}")
+        self.lrs = {name: lrs[name] for name in self.params}
 
     def keep(self, rows: torch.Tensor) -> None:
         """Keep the rows of a mask [N] bool, or those of an index [M] int64 in its order (a row may come twice).
@@ -139,12 +145,6 @@ class FusedAdam:
         for name in self.params:
             self._pack(name)
 
-    def _batch(self, bad: torch.Tensor | None) -> AdamBatch | _adam.AdamBatch:
-        launcher = launcher_for(next(iter(self.params.values())))
-        if launcher is None:
-            return _adam.AdamBatch(*self.betas, self.epsilon)
-        return AdamBatch(launcher, *self.betas, self.epsilon, bad)
-
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
         if leaf.dtype != torch.float32 or not leaf.is_contiguous() or leaf.ndim == 0:
@@ -160,3 +160,12 @@ class FusedAdam:
         tensors = (self.params[name].detach(), self._first[name], self._second[name])
         values, first, second = (tensor.view(tensor.shape[0], -1) if tensor.numel() else tensor for tensor in tensors)
         self._packed[name] = values, first, second
+        self._groups.pop(name, None)
+
+    def _group(self, name: str) -> Group:
+        """The parameter as a card's kernel takes it."""
+        group = self._groups.get(name)
+        if group is None:
+            arrays = (*self._packed[name], self._scales.get(name))
+            group = self._groups[name] = make_group(*arrays, self.betas, self.epsilon)
+        return group

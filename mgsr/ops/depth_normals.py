@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
@@ -14,7 +13,7 @@ from mgsr.native import _image
 from mgsr.native.cuda.image import ImageKernels
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Sums
-from mgsr.ops.arrays import plain
+from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.terms import Slope, Term, Total, wanted
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.errors import TensorError
 from mgsr.native import _harmonics
 from mgsr.native.cuda.harmonics import HarmonicsKernels
-from mgsr.native.cuda.launcher import launcher_for
-from mgsr.ops.arrays import plain
+from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.ops.arrays import once_differentiable, plain
 
 
 def harmonics_to_rgb(
@@ -32,31 +31,60 @@ def harmonics_to_rgb(
     """
     check_tensors(coeffs=(coeffs, "N K 3"), means=(means, "N 3"))
     check_tensors(camera_center=(camera_center, "3"))
+    check_degree(coeffs, degree)
+    return _Harmonics.apply(coeffs, means, camera_center, degree)
+
+
+def check_degree(coeffs: torch.Tensor, degree: int) -> None:
+    """Raise TensorError unless coefficients [N,K,3] are those of whole bands, up to the degree at least."""
     stored = coeffs.shape[1]
     if stored not in (1, 4, 9, 16):
         raise TensorError(f"coeffs: expected [N, K, 3] with K = 1, 4, 9 or 16, got K = {stored}")
     if not 0 <= degree <= 3 or (degree + 1) ** 2 > stored:
         raise TensorError(f"degree: expected 0..{round(stored**0.5) - 1} for K = {stored}, got {degree}")
-    return _Harmonics.apply(coeffs, means, camera_center, degree)
 
 
 class _Harmonics(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:
         coeffs, means, center = plain(coeffs), plain(means), plain(center)
-        launcher = launcher_for(means)
-        ctx.kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
-        rgb = torch.empty_like(means)
-        ctx.kernels.forward(coeffs, means, center, degree, rgb)
+        ctx.launcher, ctx.degree = launcher_for(means), degree
+        rgb = harmonics(ctx.launcher, coeffs, means, center, degree)
         ctx.save_for_backward(coeffs, means, center, rgb)
-        ctx.degree = degree
         return rgb
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None, None, None]:
         coeffs, means, center, rgb = ctx.saved_tensors
-        v_coeffs = torch.empty_like(coeffs)
-        v_means = torch.empty_like(means) if ctx.needs_input_grad[1] else None
-        ctx.kernels.backward(coeffs, means, center, ctx.degree, plain(rgb), plain(v_rgb), v_coeffs, v_means)
-        return v_coeffs, v_means, None, None
+        v_means = torch.zeros_like(means) if ctx.needs_input_grad[1] else None
+        arrays = (coeffs, means, center, ctx.degree, plain(rgb), plain(v_rgb), v_means)
+        return harmonics_vjp(ctx.launcher, *arrays), v_means, None, None
+
+
+def harmonics(
+    launcher: Launcher | None, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int
+) -> torch.Tensor:
+    """The colours [N,3] of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
+    processor."""
+    rgb = torch.empty_like(means)
+    kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
+    kernels.forward(coeffs, means, center, degree, rgb)
+    return rgb
+
+
+def harmonics_vjp(
+    launcher: Launcher | None,
+    coeffs: torch.Tensor,
+    means: torch.Tensor,
+    center: torch.Tensor,
+    degree: int,
+    rgb: torch.Tensor,
+    v_rgb: torch.Tensor,
+    v_means: torch.Tensor | None,
+) -> torch.Tensor:
+    """The gradient of the coefficients [N,K,3]; that of the means is added to v_means [N,3], where it is given."""
+    v_coeffs = torch.empty_like(coeffs)
+    kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
+    kernels.backward(coeffs, means, center, degree, rgb, v_rgb, v_coeffs, v_means)
+    return v_coeffs

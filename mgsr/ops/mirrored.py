@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
@@ -13,7 +12,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _mirrored
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.mirrored import MirroredKernels
-from mgsr.ops.arrays import plain
+from mgsr.ops.arrays import once_differentiable, plain
 
 
 def look_up_mirrored(

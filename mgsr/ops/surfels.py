@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _surfels
-from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.native.cuda.surfels import SurfelKernels
-from mgsr.ops.arrays import plain
+from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.volumes import SplatStats
 
 
@@ -88,24 +88,43 @@ def rasterize_surfels(
         colors=(colors, "N 3"),
         background=(background, "3"),
     )
-    stats = SplatStats(radii=means.new_empty(len(means)))
     tensors = (means, quats, scales, opacities, colors, background)
-    launcher = launcher_for(means)
     differentiable = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
-    kernels = _surfels if launcher is None else SurfelKernels(launcher, keep=differentiable)
-    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(*tensors, camera, options, stats, kernels)
-    return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, stats)
+    pass_ = SurfelPass(camera, options, launcher_for(means), differentiable)
+    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(pass_, *tensors)
+    return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, pass_.stats)
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, means, quats, scales, opacities, colors, background, camera, options, stats, kernels):
-        splats = [plain(t) for t in (means, quats, scales, opacities, colors, background)]
-        plane, triple = (camera.height, camera.width), (camera.height, camera.width, 3)
-        color, normal = means.new_empty(triple), means.new_empty(triple)
-        alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
-        distortion = means.new_empty(plane) if options.distortion else None
-        view = (
+    def forward(ctx: Any, pass_: SurfelPass, *tensors: Tensor) -> tuple[Tensor | None, ...]:
+        splats = [plain(t) for t in tensors]
+        images = pass_.forward(splats)
+        ctx.pass_, ctx.splats = pass_, splats
+        ctx.save_for_backward(*images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
+        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
+        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
+        v_background = None
+        if ctx.needs_input_grad[6] and v_images[0] is not None:
+            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        return None, *v_splats, v_background
+
+
+class SurfelPass:
+    """One rendering of surfels, forward and back, outside the graph. differentiable: whether `backward` will be called;
+    stats: of the rendering, once it is done."""
+
+    def __init__(self, camera: Camera, options: SurfelOptions, launcher: Launcher | None, differentiable: bool) -> None:
+        self.stats = SplatStats(torch.empty(0))
+        self._kernels = _surfels if launcher is None else SurfelKernels(launcher, keep=differentiable)
+        self._distortion = options.distortion
+        self._view = (
             np.ascontiguousarray(camera.K, dtype=np.float64),
             np.ascontiguousarray(camera.cam_from_world, dtype=np.float64),
             camera.width,
@@ -114,25 +133,30 @@ class _Rasterize(torch.autograd.Function):
             options.far,
             options.low_pass,
         )
+        self._frame: Any = None
+
+    def forward(self, splats: Sequence[Tensor]) -> tuple[Tensor | None, ...]:
+        """color, alpha, depth, median_depth, normal and distortion. splats: contiguous, the tensors of
+        `rasterize_surfels` in its order, the background last."""
+        means = splats[0]
+        plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
+        color, normal = means.new_empty(triple), means.new_empty(triple)
+        alpha, depth, median_depth = means.new_empty(plane), means.new_empty(plane), means.new_empty(plane)
+        distortion = means.new_empty(plane) if self._distortion else None
         images = (color, alpha, depth, median_depth, normal, distortion)
-        ctx.frame = kernels.forward(*splats, *view, *images, stats.radii)
-        ctx.splats, ctx.view, ctx.stats, ctx.kernels = splats, view, stats, kernels
-        ctx.save_for_backward(*images)
-        ctx.set_materialize_grads(False)
+        self.stats.radii = means.new_empty(means.shape[0])
+        self._frame = self._kernels.forward(*splats, *self._view, *images, self.stats.radii)
         return images
 
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *v_outputs: Tensor | None):
-        images = ctx.saved_tensors
-        v_images = [v if v is None else plain(v) for v in v_outputs]
-        new_like = torch.zeros_like if ctx.kernels is _surfels else torch.empty_like  # CUDA kernels write all of it
-        v_splats = [new_like(t) for t in ctx.splats[:-1]]
-        v_means2d = new_like(ctx.splats[0][:, :2], memory_format=torch.contiguous_format)
-        ctx.kernels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
-        ctx.stats.v_means2d = v_means2d
-        v_background = None
-        v_color = v_images[0]
-        if ctx.needs_input_grad[5] and v_color is not None:
-            v_background = (v_color * (1 - images[1])[..., None]).sum((0, 1))
-        return *v_splats, v_background, None, None, None, None
+    def backward(
+        self, splats: Sequence[Tensor], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
+    ) -> list[Tensor]:
+        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
+        None."""
+        # A card's kernels write all of it.
+        new_like = torch.zeros_like if self._kernels is _surfels else torch.empty_like
+        v_splats = [new_like(t) for t in splats[:-1]]
+        v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)
+        self._kernels.backward(self._frame, *splats, *self._view, *images, *v_images, *v_splats, v_means2d)
+        self.stats.v_means2d = v_means2d
+        return v_splats

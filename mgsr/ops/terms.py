@@ -13,13 +13,13 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from mgsr.native.cuda.launcher import launcher_for
 from mgsr.native.cuda.terms import Image, Part, Region, Sums, TermKernels
+from mgsr.ops.arrays import once_differentiable
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Total:
     """A term's sum and what it is divided by, as the processor's kernels give them; 0 over 0 counts as 0."""
 
@@ -27,7 +27,7 @@ class Total:
     by: float
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Slope:
     """What a term says of one tensor of the graph: the derivative of its sum is factor * values, which is shaped like
     the image or has one number a pixel. region (y0, y1, x0, x1), ends excluded: outside, the values are not read and
@@ -39,7 +39,7 @@ class Slope:
     region: Region | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Term:
     """A number to make small, times a weight. A number times a term is a term; `float` gives its value, and `scalar`
     makes a tensor of it that gradients flow through."""

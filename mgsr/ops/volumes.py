@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -12,8 +13,9 @@ from torch import Tensor
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.native import _volumes
-from mgsr.native.cuda.launcher import launcher_for
+from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.native.cuda.volumes import VolumeKernels
+from mgsr.ops.arrays import once_differentiable, plain
 
 
 class Reflected(NamedTuple):
@@ -100,68 +102,76 @@ def rasterize_volumes(
             refl_colors=(reflected.colors, "N 3"),
             weights=(reflected.weights, "N"),
         )
-    stats = SplatStats(radii=means.new_empty(len(means)))
     tensors = (means, quats, scales, opacities, colors, *(reflected or (None, None, None)), background)
-    launcher = launcher_for(means)
     differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
-    kernels = _volumes if launcher is None else VolumeKernels(launcher, keep=differentiable)
-    color, alpha, depth, refl, weight = _Rasterize.apply(*tensors, camera, options, stats, kernels)
-    return VolumeRaster(color, alpha, depth, refl, weight, stats)
+    pass_ = VolumePass(camera, options, launcher_for(means), differentiable)
+    color, alpha, depth, refl, weight = _Rasterize.apply(pass_, *tensors)
+    return VolumeRaster(color, alpha, depth, refl, weight, pass_.stats)
 
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any,
-        means,
-        quats,
-        scales,
-        opacities,
-        colors,
-        refl_opacities,
-        refl_colors,
-        weights,
-        background,
-        camera,
-        options,
-        stats,
-        kernels,
-    ):
-        splats = [
-            t if t is None else t.detach().contiguous()
-            for t in (means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background)
-        ]
-        height, width = camera.height, camera.width
-        dual = refl_opacities is not None
-        color, alpha = means.new_empty(height, width, 3), means.new_empty(height, width)
-        depth = means.new_empty(height, width) if options.depth else None
-        refl = means.new_empty(height, width, 3) if dual else None
-        weight = means.new_empty(height, width) if dual else None
-        view = (
+    def forward(ctx: Any, pass_: VolumePass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
+        splats = [t if t is None else plain(t) for t in tensors]
+        images = pass_.forward(splats)
+        ctx.pass_, ctx.splats = pass_, splats
+        ctx.save_for_backward(*images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
+        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
+        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
+        v_background = None
+        if ctx.needs_input_grad[9] and v_images[0] is not None:
+            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        return None, *v_splats, v_background
+
+
+class VolumePass:
+    """One rendering of Gaussians, forward and back, outside the graph. differentiable: whether `backward` will be
+    called; stats: of the rendering, once it is done."""
+
+    def __init__(self, camera: Camera, options: VolumeOptions, launcher: Launcher | None, differentiable: bool) -> None:
+        self.stats = SplatStats(torch.empty(0))
+        self._kernels = _volumes if launcher is None else VolumeKernels(launcher, keep=differentiable)
+        self._depth = options.depth
+        self._view = (
             np.ascontiguousarray(camera.K, dtype=np.float64),
             np.ascontiguousarray(camera.cam_from_world, dtype=np.float64),
-            width,
-            height,
+            camera.width,
+            camera.height,
             options.near,
             options.low_pass,
             options.compensate,
         )
-        ctx.frame = kernels.forward(*splats, *view, color, alpha, depth, refl, weight, stats.radii)
-        ctx.splats, ctx.view, ctx.stats, ctx.kernels = splats, view, stats, kernels
-        ctx.save_for_backward(color, alpha, depth, refl, weight)
-        ctx.set_materialize_grads(False)
+        self._frame: Any = None
+
+    def forward(self, splats: Sequence[Tensor | None]) -> tuple[Tensor | None, ...]:
+        """color, alpha, depth, reflected and weight. splats: contiguous, the tensors of `rasterize_volumes` in its
+        order, with the reflected three, or None for each of them, before the background."""
+        means, dual = splats[0], splats[5] is not None
+        assert means is not None
+        plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
+        color, alpha = means.new_empty(triple), means.new_empty(plane)
+        depth = means.new_empty(plane) if self._depth else None
+        refl, weight = (means.new_empty(triple), means.new_empty(plane)) if dual else (None, None)
+        self.stats.radii = means.new_empty(means.shape[0])
+        self._frame = self._kernels.forward(*splats, *self._view, color, alpha, depth, refl, weight, self.stats.radii)
         return color, alpha, depth, refl, weight
 
-    @staticmethod
-    def backward(ctx: Any, *v_outputs: Any):
-        images: list[Any] = [t if t is None else t.detach() for t in ctx.saved_tensors]
-        v_images: list[Any] = [v if v is None else v.detach().contiguous() for v in v_outputs]
-        new_like = torch.zeros_like if ctx.kernels is _volumes else torch.empty_like  # CUDA kernels write all of it
-        v_splats = [t if t is None else new_like(t) for t in ctx.splats[:-1]]
-        v_means2d = new_like(ctx.splats[0][:, :2], memory_format=torch.contiguous_format)
-        ctx.kernels.backward(ctx.frame, *ctx.splats, *ctx.view, *images, *v_images, *v_splats, v_means2d)
-        ctx.stats.v_means2d = v_means2d
-        v_background = None
-        if ctx.needs_input_grad[8] and v_images[0] is not None:
-            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
-        return *v_splats, v_background, None, None, None, None
+    def backward(
+        self, splats: Sequence[Tensor | None], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
+    ) -> list[Tensor | None]:
+        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
+        None."""
+        # A card's kernels write all of it.
+        new_like = torch.zeros_like if self._kernels is _volumes else torch.empty_like
+        v_splats = [t if t is None else new_like(t) for t in splats[:-1]]
+        assert splats[0] is not None
+        v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)
+        self._kernels.backward(self._frame, *splats, *self._view, *images, *v_images, *v_splats, v_means2d)
+        self.stats.v_means2d = v_means2d
+        return v_splats

@@ -50,7 +50,7 @@ class Guard:
         """Whether the step may be taken; on a card yes, with `bad` telling those who take it. Raises TrainingError
         where going back did not help."""
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
-        bad = any_bad(step.loss.detach(), _tensors(self.stage.trained, "grad", without=SH_NAMES))
+        bad = any_bad([step.loss.values, *_tensors(self.stage.trained, "grad", without=SH_NAMES)])
         if on_card(bad):
             self._dropped.append(bad)
             self.bad = bad
@@ -64,12 +64,13 @@ class Guard:
             self._go_back(", ".join(self._bad_names(step)) + " not finite")
         return False
 
-    def look_back(self, loss: Tensor) -> None:
-        """After a step that was taken. Raises TrainingError where going back did not help."""
-        self._losses.append(loss.detach())
+    def look_back(self, values: Tensor) -> None:
+        """After a step that was taken; values, of any shape: of its loss's terms. Raises TrainingError where going back
+        did not help."""
+        self._losses.append(values)
         if len(self._losses) < self.every:
             return
-        mean = float(torch.stack(self._losses).nanmean())
+        mean = float(torch.stack([values.sum() for values in self._losses]).nanmean())
         self._report_dropped()
         trouble = self._trouble(mean)
         if trouble:
@@ -102,8 +103,7 @@ class Guard:
         self._usual, self._kept = state["usual"], state["kept"]
 
     def _trouble(self, mean: float) -> str:
-        values = _tensors(self.stage.trained, "values")
-        if bool(any_bad(torch.zeros((), device=values[0].device), values)):
+        if bool(any_bad(_tensors(self.stage.trained, "values"))):
             return ", ".join(self._bad_names(None)) + " not finite"
         if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
             return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
@@ -131,7 +131,7 @@ class Guard:
             self._note(f"{count} of the last {self.every} steps were not taken: numbers were not finite")
 
     def _bad_names(self, step: Step | None) -> list[str]:
-        terms = {} if step is None else step.terms
+        terms = {} if step is None else step.loss.terms
         bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
         kind: Kind = "values" if step is None else "grad"
         return bad or [name for part in self.stage.trained for name in part.bad(kind)]

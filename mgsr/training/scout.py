@@ -58,7 +58,9 @@ def train_scout(
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         step = see(view, background, iteration)
-        return step.plus("opacity", opacity_cost * branch.model.opacities().mean()) if opacity_cost else step
+        if not opacity_cost:
+            return step
+        return replace(step, loss=step.loss.plus("opacity", opacity_cost * branch.model.opacities().mean()))
 
     prepared = prepare_views(views, scene.masked)
     stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)

@@ -12,6 +12,7 @@ from torch import Tensor
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
+from mgsr.losses.loss import Loss
 from mgsr.losses.mirrored import light_terms
 from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
 from mgsr.ops.mirrored import look_up_mirrored
@@ -41,21 +42,10 @@ class Seen:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration's loss [], its terms [] by name and times their weights, and what was seen on the way."""
+    """One iteration's loss and what was seen on the way."""
 
-    loss: Tensor
-    terms: dict[str, Tensor]
+    loss: Loss
     seen: list[Seen]
-
-    @classmethod
-    def of(cls, terms: Terms, seen: list[Seen]) -> Step:
-        """The step whose loss is the sum of the terms."""
-        loss = total(terms)
-        return cls(loss.value, loss.terms, seen)
-
-    def plus(self, name: str, term: Tensor) -> Step:
-        """The step with one more term []."""
-        return Step(self.loss + term, self.terms | {name: term.detach()}, self.seen)
 
 
 @dataclass(frozen=True)
@@ -177,7 +167,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
         behind = color_tensor(background, branch.device)
         outputs = _see_surfels(branch, view, behind, degree, config)
         terms = surfel_terms(outputs, view.target(behind), config, regularised)
-        return Step.of(terms, [Seen(branch, outputs.stats, 1.0)])
+        return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -201,7 +191,7 @@ def volumes_alone(
         behind = color_tensor(background, branch.device)
         outputs = _see_volumes(branch, view, behind, degree, refl_degree, needs_depth, shown)
         terms = volume_terms(outputs, view.target(behind), config) | held
-        return Step.of(terms, [Seen(branch, outputs.stats, 1.0)])
+        return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
@@ -228,7 +218,7 @@ def both_teach(
             Seen(surfels, flat.stats, config.mutual.surfel_weight),
             Seen(volumes, full.stats, config.mutual.volume_weight),
         ]
-        return Step.of(terms, [item for item in seen if item.weight > 0])
+        return Step(total(terms), [item for item in seen if item.weight > 0])
 
     return compute
 

@@ -43,9 +43,7 @@ class Trained(ABC, Generic[Model]):
     def step(self, progress: float, bad: Tensor | None = None) -> None:
         """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run; bad []
         bool, on a card: whether the gradients count as zero."""
-        rates = self.rates(progress)
-        for name in self.optimizer.params:
-            self.optimizer.set_lr(name, rates[name])
+        self.optimizer.set_lrs(self.rates(progress))
         self.optimizer.step(bad)
         self.skip_step()
 

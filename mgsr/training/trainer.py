@@ -8,10 +8,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
-
 from mgsr.config import TrainConfig
 from mgsr.errors import Cancelled
+from mgsr.losses.loss import Loss
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.guard import Guard
@@ -136,10 +135,10 @@ class Trainer:
             if stage.trial is not None and stage.trial.due(stage):
                 self._hold_trial(stage, stage.trial)
                 guard.expect_anew()
-            terms, converged = self._iterate(stage, guard)
+            loss, converged = self._iterate(stage, guard)
             stage.seconds = self.seconds - begun
             last = converged or stage.iteration == stage.iterations
-            self._watch(stage, terms, last)
+            self._watch(stage, loss, last)
             if converged:
                 reason = "converged"
                 break
@@ -161,9 +160,9 @@ class Trainer:
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():
                     raise self._cancelled(f"stopped on request while {candidate} was tried")
-                terms, _ = self._iterate(stage, guard)
+                loss, _ = self._iterate(stage, guard)
                 if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
-                    report = self._report(stage, terms, last=False)
+                    report = self._report(stage, loss, last=False)
                     report = replace(report, stage=f"trial_{candidate}", iteration=done + 1, total=iterations)
                     self.progress(replace(report, done=begun, previews={}))
 
@@ -178,8 +177,8 @@ class Trainer:
         kept = "" if self.checkpoint_path is None else f"; {self.checkpoint_path.name} holds what was done"
         return Cancelled(what + kept)
 
-    def _iterate(self, stage: Stage, guard: Guard) -> tuple[dict[str, Tensor], bool]:
-        """One view: render, compare, step, densify. Returns the loss terms and whether the stage has converged."""
+    def _iterate(self, stage: Stage, guard: Guard) -> tuple[Loss, bool]:
+        """One view: render, compare, step, densify. Returns the loss and whether the stage has converged."""
         view = stage.next_view()
         background = pick_background(self.plan.backdrop, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)
@@ -188,12 +187,14 @@ class Trainer:
         if not guard.admits(step, view.name):
             for part in stage.trained:
                 part.skip_step()
-            return step.terms, False
+            return step.loss, False
         self._update(stage, step, view.camera.width, view.camera.height, guard)
-        guard.look_back(step.loss)
+        guard.look_back(step.loss.values)
         if stage.convergence is None:
-            return step.terms, False
-        return step.terms, stage.convergence.converged(step.loss.detach(), stage.iteration, stage.cycle.at_epoch_end)
+            return step.loss, False
+        return step.loss, stage.convergence.converged(
+            step.loss.value.detach(), stage.iteration, stage.cycle.at_epoch_end
+        )
 
     def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
@@ -213,13 +214,13 @@ class Trainer:
                 branch.reset_opacities()
                 guard.expect_anew()
 
-    def _watch(self, stage: Stage, terms: dict[str, Tensor], last: bool) -> None:
+    def _watch(self, stage: Stage, loss: Loss, last: bool) -> None:
         """Note the curve, report and save, each where it is due."""
         watch, iteration = self.config.watch, stage.iteration
         if last or iteration % watch.curve_every == 0:
             self.curve.append(self._curve_row(stage))
         if self.progress is not None and (last or iteration % watch.report_every == 0):
-            self.progress(self._report(stage, terms, last))
+            self.progress(self._report(stage, loss, last))
         if (iteration % watch.checkpoint_every == 0 or self._checkpoint_overdue()) and not last:
             self.save()
 
@@ -245,7 +246,7 @@ class Trainer:
             return None
         return mean_psnr(self.plan.parts.picture(branch), self.plan.curve_views, self.plan.backdrop.color)
 
-    def _report(self, stage: Stage, terms: dict[str, Tensor], last: bool) -> Progress:
+    def _report(self, stage: Stage, loss: Loss, last: bool) -> Progress:
         every = self.config.watch.preview_every
         due = every is not None and (last or stage.iteration % every == 0)
         return Progress(
@@ -254,7 +255,7 @@ class Trainer:
             total=stage.iterations,
             done=self._done(stage),
             seconds=self.seconds,
-            losses={name: float(term) for name, term in terms.items()},
+            losses={name: float(term) for name, term in loss.terms.items()},
             counts=self._counts(),
             psnr=self.curve[-1].psnr if self.curve else None,
             previews=preview_pictures(self.plan) if due else {},

@@ -1,27 +1,42 @@
-"""An image whose pairs of splats and tiles are too many for the memory is worked in bands of rows of tiles."""
+"""An image whose pairs of splats and tiles are too many for the memory is worked in bands of rows of tiles.
+
+Memory that is too small is played: by a limit of pairs, and by an error at one of the places, every launch and every
+tensor that torch makes, at which a card may report it.
+"""
 
 from __future__ import annotations
 
-from itertools import pairwise
+import ctypes
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count, pairwise
+from typing import Any
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from mgsr.data.camera import Camera
 from mgsr.errors import GpuError
-from mgsr.native.cuda import tiles
+from mgsr.native.cuda import bands
+from mgsr.native.cuda.launcher import use_launcher
+from mgsr.native.cuda.tiles import Band
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
 from mgsr.ops.volumes import Reflected, rasterize_volumes
 from tests.cuda.machines import SHIM, Machine, on_each_machine
+from tests.cuda_shim.launcher import ShimLauncher
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_volumes import dual_splats
 
 VIEW = camera().resized(120, 84)  # 8 x 6 tiles
+ROWS = 6
 KINDS = ("single", "dual", "surfels", "distortion")
+SOME_SLOW = [pytest.param(kind, marks=[pytest.mark.slow] if kind in ("dual", "distortion") else []) for kind in KINDS]
 IMAGES = ("color", "alpha", "depth", "reflected", "weight", "median_depth", "normal", "distortion")
 
 
-def render(machine: Machine, kind: str, view: Camera = VIEW) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
     """The images there are, and the gradients of all of them."""
     made = dual_splats(60) if kind == "dual" else random_splats(60, 3 if kind == "single" else 2)
     splats = {name: t.float().to(machine.device).requires_grad_() for name, t in made.items()}
@@ -44,46 +59,278 @@ def render(machine: Machine, kind: str, view: Camera = VIEW) -> tuple[dict[str, 
     return {name: image.detach().cpu() for name, image in images.items()}, gradients
 
 
+@pytest.fixture
+def worked(monkeypatch: pytest.MonkeyPatch) -> list[list[Band]]:
+    """The bands of each forward and backward pass, as they come."""
+    passes: list[list[Band]] = []
+    work_bands = bands.work_bands
+
+    def noted(*arguments: Any) -> Iterator[tuple[Band, Any]]:
+        passes.append([])
+        for band, result in work_bands(*arguments):
+            passes[-1].append(band)
+            yield band, result
+
+    monkeypatch.setattr(bands, "work_bands", noted)
+    return passes
+
+
+def check_rows(worked: list[list[Band]]) -> None:
+    """Each pass has each row of tiles once, in their order, and all pairs."""
+    whole = sum(band.pairs for band in worked[0])
+    for found in worked:
+        assert (found[0].first, found[-1].end) == (0, ROWS)
+        assert all(before.end == after.first for before, after in pairwise(found))
+        assert sum(band.pairs for band in found) == whole
+
+
+def check_same(
+    expected: tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]],
+    found: tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]],
+) -> None:
+    """Pixels to the bit; gradients are sums of float32 numbers in another order."""
+    for name, pixels in expected[0].items():
+        assert torch.equal(pixels, found[0][name]), name
+    for name, gradient in expected[1].items():
+        assert (gradient - found[1][name]).abs().max() <= 1e-5 * gradient.abs().max(), name
+
+
 @on_each_machine
 @pytest.mark.parametrize("kind", KINDS)
-def test_bands_change_no_pixel(machine: Machine, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    cut, bands = tiles.cut_into_bands, list[tiles.Band]()
+def test_bands_change_no_pixel(
+    machine: Machine, kind: str, worked: list[list[Band]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = render(machine, kind)
+    (image,), _ = worked
+    worked.clear()
+    monkeypatch.setattr(bands, "most_pairs", lambda device, wanted: image.pairs // 3)
+    check_same(whole, render(machine, kind))
+    assert len(worked) == 2 and all(len(found) > 2 for found in worked)
+    check_rows(worked)
 
-    def noted(*arguments) -> list[tiles.Band]:
-        bands[:] = cut(*arguments)
-        return bands.copy()
 
-    for module in ("volumes", "surfels"):
-        monkeypatch.setattr(f"mgsr.native.cuda.{module}.cut_into_bands", noted)
-    whole, whole_gradients = render(machine, kind)
-    (image,) = bands
-    monkeypatch.setattr(tiles, "most_pairs", lambda device: image.pairs // 3)
-    banded, banded_gradients = render(machine, kind)
-    assert len(bands) > 2 and sum(band.pairs for band in bands) == image.pairs
-    assert (bands[0].first, bands[-1].end) == (0, 6)
-    assert all(before.end == after.first for before, after in pairwise(bands))
-    for name, pixels in whole.items():
-        assert torch.equal(pixels, banded[name]), name
-    for name, gradient in whole_gradients.items():  # sums of float32 numbers in another order
-        assert (gradient - banded_gradients[name]).abs().max() <= 1e-5 * gradient.abs().max(), name
+class Places:
+    """Where memory may turn out too small, while a band is worked: every launch, every operation of torch's.
+
+    refuses: of a place's number since the band was begun, the band, and whether the pass is the backward one. made:
+    what torch made there, held weakly, so that a test sees what still lives.
+    """
+
+    device = SHIM.device
+
+    def __init__(self, refuses: Callable[[int, Band, bool], bool]) -> None:
+        self._refuses = refuses
+        self._band: Band | None = None
+        self._place = 0
+        self.backward, self.raised = False, 0
+        self.made: list[weakref.ref[torch.Tensor]] = []
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """As of a Machine: the shim, with these places."""
+        with SHIM.running(), use_launcher(_Launcher(self)):
+            yield
+
+    def around(self, work: Callable[[Band], Any]) -> Callable[[Band], Any]:
+        """A band's work, with its places."""
+
+        def counted(band: Band) -> Any:
+            self._band, self._place = band, 0
+            try:
+                with _Operations(self):
+                    return work(band)
+            finally:
+                self._band = None
+
+        return counted
+
+    def reach(self) -> None:
+        """The next place. Raises torch.OutOfMemoryError."""
+        if self._band is None:
+            return
+        place, self._place = self._place, self._place + 1
+        if self._refuses(place, self._band, self.backward):
+            self.raised += 1
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
+
+    def alive(self) -> list[torch.Size]:
+        """The shapes of what was made and still lives."""
+        return [tensor.shape for held in self.made if (tensor := held()) is not None]
+
+
+class _Operations(TorchDispatchMode):
+    def __init__(self, places: Places) -> None:
+        super().__init__()
+        self._places = places
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        self._places.reach()
+        made = func(*args, **(kwargs or {}))
+        self._places.made += [weakref.ref(t) for t in (made if isinstance(made, tuple) else (made,))]
+        return made
+
+
+class _Launcher(ShimLauncher):
+    def __init__(self, places: Places) -> None:
+        super().__init__()
+        self._places = places
+
+    def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
+        self._places.reach()
+        super().launch(family, kernel, blocks, threads, params)
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch, worked: list[list[Band]]) -> Callable[..., Places]:
+    """Makes Places. When a band is halved, nothing of what was made for it lives, nor the states kept for backward."""
+    attempt, halves, places = bands._try, bands._halves, list[Places]()
+
+    def with_places(work: Callable[[Band], Any], band: Band) -> Any:
+        if not places:  # the rendering to compare with
+            return attempt(work, band)
+        places[-1].backward = len(worked) == 2
+        return attempt(places[-1].around(work), band)
+
+    def halved(*arguments: Any) -> tuple[Band, Band]:
+        assert set(places[-1].alive()) <= {torch.Size([60, 16])}, "only sums of the bands before may live"
+        return halves(*arguments)
+
+    monkeypatch.setattr(bands, "_try", with_places)
+    monkeypatch.setattr(bands, "_halves", halved)
+
+    def make(refuses: Callable[[int, Band, bool], bool]) -> Places:
+        worked.clear()
+        places[:] = [Places(refuses)]
+        return places[-1]
+
+    return make
+
+
+@pytest.mark.parametrize("backward", [False, True], ids=["forward", "backward"])
+@pytest.mark.parametrize("kind", SOME_SLOW)
+def test_memory_that_is_too_small_once(
+    kind: str, backward: bool, worked: list[list[Band]], short: Callable[..., Places]
+) -> None:
+    """At each place in turn, of the whole image."""
+    whole = render(SHIM, kind)
+    for at in count():
+        places = short(lambda *now, at=at: now[1].end - now[1].first == ROWS and (now[0], now[2]) == (at, backward))
+        found = render(places, kind)
+        if not places.raised:
+            break
+        check_same(whole, found)
+        check_rows(worked)
+        assert places.raised == 1 and [len(bands) for bands in worked] == ([1, 2] if backward else [2, 2])
+    assert at > (4 if backward else 8)
+
+
+@pytest.mark.parametrize("kind", SOME_SLOW)
+def test_memory_that_is_too_small_again_and_again(
+    kind: str, worked: list[list[Band]], short: Callable[..., Places]
+) -> None:
+    """At each place in turn, of every band that has too many pairs, forward and backward; backward has less memory."""
+    whole = render(SHIM, kind)
+    pairs = sum(band.pairs for band in worked[0])
+    for at in count():
+        places = short(lambda *now, at=at: now[0] == at and now[1].pairs > pairs // (4 if now[2] else 3))
+        found = render(places, kind)
+        if not places.raised:
+            break
+        check_same(whole, found)
+        check_rows(worked)
+        assert places.raised > 2 and max(len(bands) for bands in worked) > 2
+    assert at > 8
+
+
+@pytest.mark.parametrize("backward", [False, True], ids=["forward", "backward"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_row_that_memory_does_not_hold_is_refused_with_the_cure(
+    kind: str, backward: bool, short: Callable[..., Places]
+) -> None:
+    places = short(lambda *now: now[0] == 5 and now[2] == backward)
+    with pytest.raises(
+        GpuError, match=r"memory does not hold \d+ pairs .* in 1 row.*80\.00 GiB.*fewer or smaller splats"
+    ):
+        render(places, kind)
+    assert places.raised == 3  # 6, 3 and 1 rows
+
+
+def test_memory_that_does_not_hold_the_counts_is_refused(
+    short: Callable[..., Places], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: Any) -> Band:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr(bands, "_counted", full)
+    with pytest.raises(GpuError, match=r"memory does not hold \d+ pairs .* in 6 row.*fewer or smaller splats"):
+        render(short(lambda *now: True), "single")
+
+
+def test_a_second_backward_pass_blends_again() -> None:
+    """What is kept for backward is given away by the first."""
+    splats = {name: t.float().requires_grad_() for name, t in random_splats(60, 3).items()}
+    names = ("means", "quats", "scales", "opacities", "colors")
+    with SHIM.running():
+        color = rasterize_volumes(*(splats[name] for name in names), VIEW, torch.zeros(3)).color
+        first = torch.autograd.grad(color.sum(), [splats[name] for name in names], retain_graph=True)
+        second = torch.autograd.grad(color.sum(), [splats[name] for name in names])
+    assert all(torch.equal(*pair) for pair in zip(first, second, strict=True))
 
 
 @on_each_machine
-def test_a_row_too_full_is_refused_with_the_cure(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tiles, "most_pairs", lambda device: 3)
-    with pytest.raises(GpuError, match=r"a row of tiles .* pairs .* is for 3: .*fewer or smaller splats"):
+def test_more_pairs_in_a_row_than_numbers_are_refused_with_the_cure(
+    machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bands, "MAX_PAIRS", 3)
+    with pytest.raises(GpuError, match=r"a row of tiles .* pairs .* more than 3: .*fewer or smaller splats"):
         render(machine, "single")
 
 
-def test_a_card_is_given_what_half_its_memory_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Properties:
-        total_memory = 9_000_000
+@on_each_machine
+def test_a_row_is_tried_where_less_memory_is_free_than_it_is_thought_to_need(
+    machine: Machine, worked: list[list[Band]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bands, "most_pairs", lambda device, wanted: 0)
+    render(machine, "single")
+    assert [len(found) for found in worked] == [ROWS, ROWS]
 
-    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: Properties)
-    tiles.most_pairs.cache_clear()
-    assert tiles.most_pairs(torch.device("cuda", 0)) == 10_000
-    Properties.total_memory = 2**50
-    tiles.most_pairs.cache_clear()
-    assert tiles.most_pairs(torch.device("cuda", 0)) == 2**31 - 1
-    tiles.most_pairs.cache_clear()
-    assert tiles.most_pairs(SHIM.device) == 2**31 - 1
+
+class Card:
+    """The memory of a card, in bytes, as torch tells it."""
+
+    total_memory, free, reserved, allocated, asked = 7_200_000, 450_000, 1_000_000, 550_000, 0
+
+    def mem_get_info(self, device: torch.device) -> tuple[int, int]:
+        self.asked += 1
+        return self.free, self.total_memory
+
+
+@pytest.fixture
+def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
+    card = Card()
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda device: card)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", card.mem_get_info)
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda device: card.reserved)
+    monkeypatch.setattr(torch.cuda, "memory_allocated", lambda device: card.allocated)
+    bands._total_memory.cache_clear()
+    yield card
+    bands._total_memory.cache_clear()
+
+
+def test_a_band_is_what_half_of_the_free_memory_holds(card: Card) -> None:
+    """A pair needs 450 bytes; what torch's allocator keeps unused is free too."""
+    device = torch.device("cuda", 0)
+    assert bands.most_pairs(device, 1001) == 1000
+    card.allocated = card.reserved
+    assert bands.most_pairs(device, 1001) == 500
+    card.free = 2**50
+    assert bands.most_pairs(device, 2**40) == 2**31 - 1
+
+
+def test_the_driver_is_asked_only_for_many_pairs(card: Card) -> None:
+    """More than a sixteenth of the memory is for."""
+    device = torch.device("cuda", 0)
+    assert bands.most_pairs(device, 1000) == 2**31 - 1 and card.asked == 0
+    bands.most_pairs(device, 1001)
+    assert card.asked == 1
+    assert bands.most_pairs(SHIM.device, 2**40) == 2**31 - 1 and card.asked == 1

@@ -54,7 +54,7 @@ def iterate(stage: Stage) -> None:
     step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
     step.loss.backward()
     gradients = [tensor for part in stage.trained for tensor in part.tensors("grad").values()]
-    bad = any_bad(step.loss.detach(), gradients)
+    bad = any_bad([step.loss.values, *gradients])
     for part in stage.trained:
         part.step(0.5, bad)
     for branch in stage.branches:
@@ -62,8 +62,8 @@ def iterate(stage: Stage) -> None:
             if seen.branch is branch:
                 branch.gather(seen.stats, view.camera.width, view.camera.height, seen.weight, bad)
     if stage.convergence is not None:
-        stage.convergence.converged(step.loss.detach(), 1, False)
-    assert step.loss.device == META
+        stage.convergence.converged(step.loss.value.detach(), 1, False)
+    assert step.loss.values.device == META
 
 
 @pytest.mark.parametrize("masked", [True, False])

@@ -50,10 +50,12 @@ backward.start()
 backward.join()
 current[0] = 3
 card.launch("adam", "adam_update", 9, 32, Params(6, 1))
-try:
-    card.launch("adam", "refused", 1, 32, Params(0, 0))
-except GpuError as error:
-    print(error, flush=True)
+for kernel in ("refused", "large", "huge"):
+    try:
+        card.launch("adam", kernel, 1, 32, Params(0, 0))
+    except (GpuError, torch.OutOfMemoryError) as error:
+        print(f"{type(error).__name__}: {error}", flush=True)
+print("maps memory", card.maps_memory())
 """
 
 
@@ -67,12 +69,16 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     environment = os.environ | {"LD_LIBRARY_PATH": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
     program = [sys.executable, "-c", PROGRAM, str(cubin)]
     done = subprocess.run(program, env=environment, capture_output=True, text=True, check=True)
-    assert sorted(done.stdout.splitlines()) == [
+    *printed, huge, maps = sorted(done.stdout.splitlines(), key=lambda line: ("maps" in line, "huge" in line, line))
+    assert maps == "maps memory True"
+    assert huge.startswith("OutOfMemoryError: huge can't be loaded on card 0: CUDA_ERROR_OUT_OF_MEMORY")
+    assert printed == [
+        "GpuError: refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
+        "OutOfMemoryError: large failed on card 0: CUDA_ERROR_OUT_OF_MEMORY, out of memory",
         "device 0",
         "launch 0x1234 blocks 3 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter 7 extra 0",
         "launch 0x1234 blocks 7 1 1 threads 128 1 1 shared 0 stream 0x7f00 first parameter 4242 extra 0",
         "launch 0x1234 blocks 8 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter -1 extra 0",
         "launch 0x1234 blocks 9 1 1 threads 32 1 1 shared 0 stream 0x7f00 first parameter 6 extra 0",
         "load ELF",
-        "refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
     ]

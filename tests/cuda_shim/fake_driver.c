@@ -1,11 +1,13 @@
 /* A libcuda.so.1 that prints what it is asked for, so that the launch helper can be tested without a card. A kernel whose
-   name is "refused" does not launch, nor does any in a thread where the first card's context is not current. */
+   name is "refused" does not launch, nor does any in a thread where the first card's context is not current. Memory is short
+   for launching "large" and for loading "huge". */
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
-enum { kOk = 0, kInvalidValue = 1, kInvalidContext = 201, kNotSupported = 801 };
-enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kKernel = 0x1234 };
+enum { kOk = 0, kInvalidValue = 1, kOutOfMemory = 2, kInvalidContext = 201, kNotSupported = 801 };
+enum { kMapsMemory = 102 };  /* an attribute of devices: virtual memory management */
+enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kLargeKernel = 0x999, kKernel = 0x1234 };
 
 static _Thread_local void* current = NULL;  /* context of the calling thread */
 
@@ -13,6 +15,7 @@ static int launch(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned 
                   void* stream, void** params, void** extra) {
   if (current != (void*)(uintptr_t)kContext) return kInvalidContext;
   if ((uintptr_t)kernel == kRefusedKernel) return kInvalidValue;
+  if ((uintptr_t)kernel == kLargeKernel) return kOutOfMemory;
   printf("launch %p blocks %u %u %u threads %u %u %u shared %u stream %p first parameter %lld extra %d\n", kernel, gx, gy, gz, bx,
          by, bz, shared, stream, *(long long*)params[0], extra != NULL);
   return kOk;
@@ -26,12 +29,14 @@ static int version(int* number) {
 }
 
 static int error_name(int error, const char** text) {
-  *text = error == kInvalidValue ? "CUDA_ERROR_INVALID_VALUE" : "CUDA_ERROR_UNKNOWN";
+  *text = error == kInvalidValue  ? "CUDA_ERROR_INVALID_VALUE"
+          : error == kOutOfMemory ? "CUDA_ERROR_OUT_OF_MEMORY"
+                                  : "CUDA_ERROR_UNKNOWN";
   return kOk;
 }
 
 static int error_string(int error, const char** text) {
-  *text = error == kInvalidValue ? "invalid argument" : "unknown error";
+  *text = error == kInvalidValue ? "invalid argument" : error == kOutOfMemory ? "out of memory" : "unknown error";
   return kOk;
 }
 
@@ -44,7 +49,10 @@ static int load(void** library, const char* code, void* a, void* b, unsigned n, 
 
 static int get_kernel(void** kernel, void* library, const char* name) {
   if ((uintptr_t)library != kLibrary) return kInvalidValue;
-  *kernel = (void*)(uintptr_t)(strcmp(name, "refused") == 0 ? kRefusedKernel : kKernel);
+  if (strcmp(name, "huge") == 0) return kOutOfMemory;
+  *kernel = (void*)(uintptr_t)(strcmp(name, "refused") == 0 ? kRefusedKernel
+                               : strcmp(name, "large") == 0 ? kLargeKernel
+                                                            : kKernel);
   return kOk;
 }
 
@@ -52,6 +60,12 @@ static int unload(void* library) { return (uintptr_t)library == kLibrary ? kOk :
 
 static int get_device(int* device, int ordinal) {
   *device = ordinal;
+  return kOk;
+}
+
+static int get_attribute(int* value, int attribute, int device) {
+  (void)device;
+  *value = attribute == kMapsMemory;
   return kOk;
 }
 
@@ -78,6 +92,7 @@ int cuGetProcAddress_v2(const char* name, void** function, int driver, uint64_t 
       {"cuGetErrorString", (void*)error_string},
       {"cuLaunchKernel", (void*)launch},
       {"cuDeviceGet", (void*)get_device},
+      {"cuDeviceGetAttribute", (void*)get_attribute},
       {"cuDevicePrimaryCtxRetain", (void*)retain},
       {"cuCtxSetCurrent", (void*)set_current},
       {"cuLibraryLoadData", (void*)load},

@@ -156,8 +156,7 @@ def test_a_restored_state_gives_the_same_bytes() -> None:
 
 def test_learning_rates_change() -> None:
     optimizer = FusedAdam(parameters(5), LRS)
-    for name in SHAPES:
-        optimizer.set_lr(name, 0.0)
+    optimizer.set_lrs(dict.fromkeys([*SHAPES, "a parameter that it has not"], 0.0))
     before = {name: p.detach().clone() for name, p in optimizer.params.items()}
     run(optimizer, range(2))
     assert all(torch.equal(optimizer.params[name], before[name]) for name in SHAPES)
@@ -165,8 +164,8 @@ def test_learning_rates_change() -> None:
 
 def test_bad_arguments_are_named() -> None:
     optimizer = FusedAdam(parameters(5), LRS)
-    with pytest.raises(TensorError, match="set_lr"):
-        optimizer.set_lr("colour", 1.0)
+    with pytest.raises(TensorError, match="set_lrs: expected a rate for each of"):
+        optimizer.set_lrs({"colour": 1.0})
     with pytest.raises(TensorError, match="rows"):
         optimizer.extend({"means": torch.zeros(1, 3)})
     with pytest.raises(TensorError, match="lrs"):

@@ -7,7 +7,7 @@ import ctypes
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, addresses, pointer, pointers
 
 THREADS = 64
 
@@ -46,7 +46,7 @@ class HarmonicsKernels:
         v_coeffs: Tensor,
         v_means: Tensor | None,
     ) -> None:
-        """Write v_coeffs [N,K,3] and, where asked for, v_means [N,3]."""
+        """Write v_coeffs [N,K,3] and, where it is given, add to v_means [N,3]."""
         self._run("backward", degree, coeffs, means, center, (rgb, v_rgb, v_coeffs, v_means))
 
     def _run(
@@ -60,5 +60,5 @@ class HarmonicsKernels:
     ) -> None:
         n, k = coeffs.shape[:2]
         inputs = (pointer(coeffs), pointer(means), (Float * 3)(*center.tolist()))
-        params = Params(n, k, degree, *inputs, *map(pointer, arrays))
+        params = Params(n, k, degree, *inputs, *addresses(*arrays))
         self._launcher.launch("harmonics", f"harmonics_{direction}_{degree}", -(-n // THREADS), THREADS, params)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, addresses, pointer, pointers
 from mgsr.native.cuda.terms import Sums
 
 PIXEL_THREADS = 256
@@ -105,7 +105,7 @@ class ImageKernels:
         height, width, channels = values.shape
         blocks = -(-height * width // PIXEL_THREADS)
         sums = values.new_empty(blocks, 2, dtype=torch.float64)
-        arrays = (pointer(t) for t in (values, guide, mask, v_values, sums))
+        arrays = addresses(values, guide, mask, v_values, sums)
         params = TvParams(height, width, channels, *arrays)
         self._launcher.launch("image", "image_tv", blocks, PIXEL_THREADS, params)
         return Sums(sums, float(channels), counted=True)
@@ -125,7 +125,7 @@ class ImageKernels:
         its sum."""
         shape, blocks = depth.shape, -(-depth.numel() // PIXEL_THREADS)
         sums = depth.new_empty(blocks, 2, dtype=torch.float64)
-        inputs = (*shape, *map(pointer, (depth, alpha, covered)), *intrinsics, (Float * 9)(*world_from_cam))
+        inputs = (*shape, *addresses(depth, alpha, covered), *intrinsics, (Float * 9)(*world_from_cam))
         of_depth = NormalsParams(*inputs, pointer(from_depth), pointer(normals), pointer(v_depth))
         params = AgreementParams(of_depth, pointer(normals), pointer(sums))
         self._launcher.launch("image", "image_normal_agreement", blocks, PIXEL_THREADS, params)
@@ -167,7 +167,7 @@ class ImageKernels:
         arrays: tuple[Tensor | None, ...],
     ) -> None:
         inputs = (*depth.shape, pointer(depth), pointer(alpha), None, *intrinsics, (Float * 9)(*world_from_cam))
-        params = NormalsParams(*inputs, *(pointer(t) for t in arrays))
+        params = NormalsParams(*inputs, *addresses(*arrays))
         self._launcher.launch("image", kernel, -(-depth.numel() // PIXEL_THREADS), PIXEL_THREADS, params)
 
 

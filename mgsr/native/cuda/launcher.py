@@ -21,7 +21,8 @@ class Launcher(Protocol):
 
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
         """Run a kernel of kernels/<family>/<family>.cu on `blocks` blocks of `threads` threads, after what was
-        launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it can't be run."""
+        launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it can't be run, and
+        torch.OutOfMemoryError when memory for its code is lacking."""
 
 
 _chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
@@ -88,6 +89,12 @@ class CudaLauncher:
         )
         self._ask(result, kernel)
 
+    def maps_memory(self) -> bool:
+        """Whether the driver maps memory of this card piece by piece, which some virtual cards refuse."""
+        card = self._ask(self._driver.cuDeviceGet(self._device))
+        attribute = self._driver.CUdevice_attribute.CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED
+        return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, card)))
+
     def _make_current(self) -> Any:
         """The card's context, current in this thread. Torch's threads for backward have none until torch itself has
         launched something there, and the driver refuses a launch without one."""
@@ -101,7 +108,10 @@ class CudaLauncher:
 
         if family not in self._modules:
             self._modules[family] = ObjectCode.from_cubin(compile_family(family, self._arch), name=family)
-        handle = self._modules[family].get_kernel(kernel).handle
+        try:
+            handle = self._modules[family].get_kernel(kernel).handle
+        except Exception as error:  # cuda-core's own class is private; its text begins with the driver's name for it
+            raise _failure(f"{kernel} can't be loaded on card {self._device}: {error}") from error
         function = self._kernels[family, kernel] = self._driver.CUfunction(int(handle))
         return function
 
@@ -110,8 +120,14 @@ class CudaLauncher:
         if int(status) != 0:
             _, name = self._driver.cuGetErrorName(status)
             _, text = self._driver.cuGetErrorString(status)
-            raise GpuError(f"{what} failed on card {self._device}: {name.decode()}, {text.decode()}")
+            raise _failure(f"{what} failed on card {self._device}: {name.decode()}, {text.decode()}")
         return result[1] if len(result) > 1 else None
+
+
+def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
+    """What the driver says, as the error to raise. Memory is short for it where torch keeps it all; whoever can do with
+    less takes torch's error for that."""
+    return torch.OutOfMemoryError(text) if "CUDA_ERROR_OUT_OF_MEMORY" in text else GpuError(text)
 
 
 def compiler_version() -> tuple[int, int]:

@@ -7,7 +7,7 @@ import ctypes
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Long, addresses, pointer, pointers
 
 THREADS = 256
 
@@ -19,7 +19,11 @@ class ReflectionParams(ctypes.Structure):
 
 
 class ReflectionVjpParams(ctypes.Structure):
-    _fields_ = (("pixels", Long), *pointers("v_color", "reflected", "weight", "v_reflected", "v_weight"))
+    _fields_ = (
+        ("pixels", Long),
+        *pointers("v_color", "reflected", "weight", "add_transmitted", "add_weight", "add_own"),
+        *pointers("v_transmitted", "v_weight", "v_own", "v_mirrored"),
+    )
 
 
 class LightUpParams(ctypes.Structure):
@@ -36,7 +40,7 @@ class LightUpVjpParams(ctypes.Structure):
         ("pixels", Long),
         *pointers("v_image", "background", "lit"),
         ("offset", Float),
-        *pointers("v_even", "v_alpha"),
+        *pointers("add_alpha", "v_even", "v_alpha"),
     )
 
 
@@ -57,28 +61,40 @@ class LightKernels:
     ) -> None:
         """Write color and reflected [H,W,3]."""
         arrays = (transmitted, weight, own, mirrored, color, reflected)
-        self._run("lights_reflection", weight, ReflectionParams(weight.numel(), *map(pointer, arrays)))
+        self._run("lights_reflection", weight, ReflectionParams(weight.numel(), *addresses(*arrays)))
 
     def add_reflection_vjp(
-        self, v_color: Tensor, reflected: Tensor, weight: Tensor, v_reflected: Tensor, v_weight: Tensor
+        self,
+        v_color: Tensor,
+        reflected: Tensor,
+        weight: Tensor,
+        before: tuple[Tensor | None, ...],
+        out: tuple[Tensor, ...],
     ) -> None:
-        """Write v_reflected [H,W,3] and v_weight [H,W]."""
-        arrays = (v_color, reflected, weight, v_reflected, v_weight)
-        self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *map(pointer, arrays)))
+        """Write the gradients of transmitted, weight, own and mirrored; `before` is added to the first three."""
+        arrays = addresses(v_color, reflected, weight, *before, *out)
+        self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
 
     def light_up(
         self, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor, offset: float, image: Tensor
     ) -> None:
         """Write the lit image [H,W,3]."""
-        arrays = map(pointer, (even, alpha, background, lit))
+        arrays = addresses(even, alpha, background, lit)
         self._run("lights_light_up", lit, LightUpParams(lit.numel(), *arrays, offset, pointer(image)))
 
     def light_up_vjp(
-        self, v_image: Tensor, background: Tensor, lit: Tensor, offset: float, v_even: Tensor, v_alpha: Tensor
+        self,
+        v_image: Tensor,
+        background: Tensor,
+        lit: Tensor,
+        offset: float,
+        add_alpha: Tensor | None,
+        v_even: Tensor,
+        v_alpha: Tensor,
     ) -> None:
-        """Write v_even [H,W,3] and v_alpha [H,W]."""
-        arrays = map(pointer, (v_image, background, lit))
-        written = map(pointer, (v_even, v_alpha))
+        """Write v_even [H,W,3], and v_alpha [H,W] with add_alpha added."""
+        arrays = addresses(v_image, background, lit)
+        written = addresses(add_alpha, v_even, v_alpha)
         self._run("lights_light_up_vjp", lit, LightUpVjpParams(lit.numel(), *arrays, offset, *written))
 
     def _run(self, kernel: str, plane: Tensor, params: ctypes.Structure) -> None:

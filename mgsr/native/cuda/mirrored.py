@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, Pointer, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, Pointer, addresses, pointer, pointers
 
 THREADS, WARP, CELL_FIELDS = 128, 32, 12
 
@@ -96,7 +96,7 @@ class MirroredKernels:
         count = _count(normals, pixels)
         inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))
         camera = ((Float * 9)(*cam_from_world), *intrinsics)
-        params = PixelParams(*inputs, *camera, *(pointer(t) for t in arrays))
+        params = PixelParams(*inputs, *camera, *addresses(*arrays))
         self._launcher.launch("mirrored", kernel, -(-count // THREADS), THREADS, params)
 
     def _add_up(
@@ -106,11 +106,11 @@ class MirroredKernels:
         cells, slots = torch.sort(cells, stable=True)
         sums = v_maps.new_empty(2, side, side, CELL_FIELDS)
         inputs = (count, pointer(pixels), pointer(v_light), pointer(places), side)
-        params = CellParams(*inputs, *(pointer(t) for t in (cells, slots, sums)))
+        params = CellParams(*inputs, *addresses(cells, slots, sums))
         self._launcher.launch("mirrored", "mirrored_cells", -(-2 * side * side * WARP // THREADS), THREADS, params)
         texels = TexelParams(side, pointer(sums), pointer(v_maps))
         self._launcher.launch("mirrored", "mirrored_texels", -(-v_maps.numel() // THREADS), THREADS, texels)
 
 
 def _count(normals: Tensor, pixels: Tensor | None) -> int:
-    return normals.shape[0] * normals.shape[1] if pixels is None else len(pixels)
+    return normals.shape[0] * normals.shape[1] if pixels is None else pixels.shape[0]

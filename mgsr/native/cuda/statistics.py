@@ -7,7 +7,7 @@ import ctypes
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Long, addresses, pointer, pointers
 
 THREADS = 256
 
@@ -34,6 +34,6 @@ def gather(
     bad: Tensor | None,
 ) -> None:
     """gradient_sum [N] += |v_means2d [N,2] * scale| unless bad [] bool, seen [N] += 1 where radii [N] > 0; in place."""
-    arrays = (pointer(t) for t in (bad, gradient_sum, seen))
+    arrays = addresses(bad, gradient_sum, seen)
     params = Params(len(seen), pointer(v_means2d), pointer(radii), *scale, *arrays)
     launcher.launch("statistics", "statistics_gather", -(-len(seen) // THREADS), THREADS, params)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from torch import Tensor
 
+from mgsr.native.cuda.bands import add_bands, blend_bands
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, addresses, pointer, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
     PAIR_FIELDS,
@@ -21,11 +23,8 @@ from mgsr.native.cuda.tiles import (
     Projected,
     TileLists,
     Tiles,
-    add_up,
-    cut_into_bands,
     list_tiles,
     project,
-    refusing,
     splat_blocks,
     sum_pairs,
 )
@@ -76,7 +75,7 @@ class PixelParams(ctypes.Structure):
 class BackwardParams(ctypes.Structure):
     _fields_ = (
         ("tiles", Tiles),
-        *pointers("records"),
+        *pointers("records", "outlines"),
         *DEPTHS,
         *pointers("states"),
         ("state_planes", Int),
@@ -92,16 +91,21 @@ class GradientParams(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True)
+@dataclass
 class Frame:
-    """What backward needs kept from forward. blended: of the one band that most images are; bands of an image too
-    large for that are blended again in backward, one after the other."""
+    """What backward needs kept from forward. blended: of the one band that most images are, until backward takes it;
+    bands of an image too large for that are blended again in backward, one after the other."""
 
     projected: Projected
-    bands: list[Band]
-    blended: Blended | None
     transmittance: Tensor
     moments: Tensor | None
+    bands: list[Band]
+    blended: Blended | None = None
+
+    def take_blended(self) -> Blended | None:
+        """What is kept, which then lives no longer than its user: memory may be short."""
+        blended, self.blended = self.blended, None
+        return blended
 
 
 class SurfelKernels:
@@ -112,48 +116,46 @@ class SurfelKernels:
         self._launcher, self._keep = launcher, keep
 
     def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes."""
+        """Render into the images and radii given, and return what `backward` takes. Raises GpuError where the card's
+        memory is too small."""
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, radii = arguments[13:19], arguments[19]
         projected = project(self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii)
-        bands = cut_into_bands(self._launcher, projected)
         size = (projected.height, projected.width)
         moments = None if images[5] is None else radii.new_empty(*size, 2)
-        frame = Frame(projected, bands, None, radii.new_empty(size), moments)
-        if self._keep and len(bands) == 1:
-            return replace(frame, blended=self._blend(frame, bands[0], background, view, images, keep=True))
-        for band in bands:
-            self._blend(frame, band, background, view, images, keep=False)
+        frame = Frame(projected, radii.new_empty(size), moments, [projected.whole])
+        blend = partial(self._blend, frame, background, view, images)
+        frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
-        """Write the splats' gradients from those of the images."""
+        """Write the splats' gradients from those of the images. Raises GpuError where the card's memory is too
+        small."""
         assert self._keep, "rendered without a backward pass in mind"
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
-        parts = (
-            self._walk_back(frame, self._blended(frame, band, background, view, images), view, images, v_images)
-            for band in frame.bands
+
+        def walk_back(band: Band) -> Tensor:
+            blended = frame.take_blended() or self._blend(frame, background, view, images, band, keep=True)
+            return self._walk_back(frame, blended, view, images, v_images)
+
+        sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
+        arrays = addresses(frame.projected.records, sums, frame.projected.whole.tile_counts, *v_splats)
+        gradients = GradientParams(frame.projected.splats, *arrays)
+        self._launcher.launch(
+            "surfels", "surfels_gradients", splat_blocks(splats[0].shape[0]), SPLAT_THREADS, gradients
         )
-        sums = add_up(parts)
-        arrays = (pointer(t) for t in (frame.projected.records, sums, frame.projected.whole.tile_counts, *v_splats))
-        gradients = GradientParams(_splats_struct(splats, view), *arrays)
-        self._launcher.launch("surfels", "surfels_gradients", splat_blocks(len(splats[0])), SPLAT_THREADS, gradients)
 
-    def _blended(self, frame: Frame, band: Band, background: Tensor, view: Any, images: Any) -> Blended:
-        return frame.blended or self._blend(frame, band, background, view, images, keep=True)
-
-    def _blend(self, frame: Frame, band: Band, background: Tensor, view: Any, images: Any, keep: bool) -> Blended:
+    def _blend(self, frame: Frame, background: Tensor, view: Any, images: Any, band: Band, keep: bool) -> Blended:
         """A band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
         kind = "plain" if images[5] is None else "distortion"
         reached, states = lists.ranges.new_empty(lists.tiles), None
-        with refusing(lists.pairs):
-            if keep:
-                states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
-        arrays = (pointer(t) for t in (*images, frame.transmittance, frame.moments, states, reached))
-        inputs = (pointer(t) for t in (frame.projected.records, frame.projected.outlines, background))
-        params = BlendParams(lists.struct(), *inputs, *view[4:], *arrays)
+        if keep:
+            states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
+        arrays = addresses(*images, frame.transmittance, frame.moments, states, reached)
+        inputs = addresses(frame.projected.records, frame.projected.outlines, background)
+        params = BlendParams(lists.struct, *inputs, *view[4:], *arrays)
         self._launcher.launch("surfels", f"surfels_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
@@ -161,13 +163,12 @@ class SurfelKernels:
         """What a band's pixels say of each splat, [N,16]."""
         assert blended.states is not None
         kind, lists = "plain" if v_images[5] is None else "distortion", blended.lists
-        with refusing(lists.pairs):
-            planes = self._prepare_pixels(kind, frame, lists, images, v_images)
-            pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
+        planes = self._prepare_pixels(kind, frame, lists, images, v_images)
+        pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         states, state_planes = pointer(blended.states), blended.states.shape[1]
-        arrays = (pointer(t) for t in (blended.reached, planes, pairs))
-        records = pointer(frame.projected.records)
-        params = BackwardParams(lists.struct(), records, *view[4:], states, state_planes, *arrays)
+        arrays = addresses(blended.reached, planes, pairs)
+        splats = (pointer(frame.projected.records), pointer(frame.projected.outlines))
+        params = BackwardParams(lists.struct, *splats, *view[4:], states, state_planes, *arrays)
         self._launcher.launch("surfels", f"surfels_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
@@ -175,7 +176,7 @@ class SurfelKernels:
         color, _, depth, _, normal, _ = images
         planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, frame.moments, color, depth, normal, *v_images, planes)
-        params = PixelParams(lists.struct(), *(pointer(t) for t in arrays))
+        params = PixelParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("surfels", f"surfels_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
@@ -183,4 +184,4 @@ class SurfelKernels:
 def _splats_struct(splats: Any, view: Any) -> Splats:
     K, cam_from_world, width, height, *depths = view
     camera = camera_struct(K, cam_from_world, width, height)
-    return Splats(len(splats[0]), *(pointer(t) for t in splats), camera, width, height, *depths)
+    return Splats(splats[0].shape[0], *addresses(*splats), camera, width, height, *depths)

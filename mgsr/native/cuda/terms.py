@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Double, Float, Int, Long, Pointer, pointer, pointers
+from mgsr.native.cuda.params import Double, Float, Int, Long, Pointer, addresses, pointer, pointers
 
 THREADS, GRADIENT_FLOATS = 256, 1024
 MOST_TERMS, MOST_IMAGES, MOST_PARTS = 24, 16, 4
@@ -93,7 +93,7 @@ class GradientsParams(ctypes.Structure):
     _fields_ = (("images", Int), *pointers("v_values", "scales"), ("image", ImageGradient * MOST_IMAGES))
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Sums:
     """What a term's kernel left on the card. The term is the blocks' total over `factor`, over what they counted where
     `counted`, and over `divisor` [] float32, where that is given; 0 where this is 0.
@@ -107,7 +107,7 @@ class Sums:
     divisor: Tensor | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Part:
     """What the term of that number says of an image: factor * slopes, inside the region alone."""
 
@@ -117,7 +117,7 @@ class Part:
     region: Region | None
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class Image:
     """A tensor that gets a gradient: its shape, [H,W], [H,W,C] or any other, and what the terms say of it."""
 
@@ -144,7 +144,7 @@ class TermKernels:
         """Write color [H,W,3], alpha [H,W] and weights [H,W] of a view in bytes."""
         pixels = image.shape[0] * image.shape[1]
         arrays = (image, mask, off_edge, background, color, alpha, weights)
-        self._run("terms_target", pixels, TargetParams(pixels, *map(pointer, arrays)))
+        self._run("terms_target", pixels, TargetParams(pixels, *addresses(*arrays)))
 
     def covered(self, alpha: Tensor, mask: Tensor | None, covered: Tensor) -> None:
         """Write covered [H,W]."""
@@ -172,7 +172,7 @@ class TermKernels:
     ) -> Sums:
         """The sum of the squares of (a - b) * weights - offset, over `by` and the divisor."""
         count, partial = a.numel(), _partial(a)
-        inputs = (pointer(a), pointer(b), *map(pointer, weights), offset)
+        inputs = (pointer(a), pointer(b), *addresses(*weights), offset)
         self._run("terms_squares", count, SquaresParams(count, *inputs, pointer(differences), pointer(partial)))
         return Sums(partial, by, divisor=divisor)
 
@@ -180,7 +180,7 @@ class TermKernels:
         """The mean of weight [H,W] times color [H,W,3]."""
         count, partial = weight.numel(), _partial(weight)
         arrays = (weight, color, v_weight, partial)
-        self._run("terms_product", count, ProductParams(count, *map(pointer, arrays)))
+        self._run("terms_product", count, ProductParams(count, *addresses(*arrays)))
         return Sums(partial, 3.0 * count)
 
     def steps(self, maps: Tensor, by: float, v_maps: Tensor | None) -> Sums:
@@ -193,18 +193,16 @@ class TermKernels:
 
     def totals(self, terms: Sequence[tuple[Sums, float]]) -> tuple[Tensor, Tensor]:
         """The terms' values [T], times their weights, and what their slopes must be multiplied by [T]."""
-        values = terms[0][0].partial.new_empty(2, len(terms), dtype=torch.float32)
+        values, scales = terms[0][0].partial.new_empty(2, len(terms), dtype=torch.float32).unbind()
+        first_value, first_scale = values.data_ptr(), scales.data_ptr()
         for begin in range(0, len(terms), MOST_TERMS):
             some = terms[begin : begin + MOST_TERMS]
-            params = TotalsParams()
-            for index, (sums, weight) in enumerate(some):
-                params.terms[index] = TermSums(
-                    *(pointer(sums.partial), len(sums.partial), sums.counted, sums.factor),
-                    *(pointer(sums.divisor), weight),
-                )
-            params.values, params.scales = pointer(values[0, begin:]), pointer(values[1, begin:])
+            params = TotalsParams(values=first_value + 4 * begin, scales=first_scale + 4 * begin)
+            for entry, (sums, weight) in zip(params.terms, some, strict=False):
+                entry.sums, entry.blocks, entry.counted = pointer(sums.partial), sums.partial.shape[0], sums.counted
+                entry.factor, entry.divisor, entry.weight = sums.factor, pointer(sums.divisor), weight
             self._launcher.launch("terms", "terms_totals", len(some), THREADS, params)
-        return values[0], values[1]
+        return values, scales
 
     def gradients(self, images: Sequence[Image], v_values: Tensor, scales: Tensor) -> list[Tensor]:
         """Each image's gradient, from those of the terms' values [T]."""
@@ -217,11 +215,13 @@ class TermKernels:
                 _describe(params.image[params.images], image, out, end)
                 params.images += 1
             self._launcher.launch("terms", "terms_gradients", end, THREADS, params)
-        gradients: list[Tensor | None] = [None] * len(images)
-        for (index, _), out in zip(split, outs, strict=True):
-            before = gradients[index]
-            gradients[index] = out if before is None else before.add_(out)
-        return [gradient for gradient in gradients if gradient is not None]
+        gradients = outs[: len(images)]
+        if len(split) > len(images):  # some image has more parts than a kernel takes at once
+            gradients = [
+                torch.stack([out for (i, _), out in zip(split, outs, strict=True) if i == index]).sum(dim=0)
+                for index in range(len(images))
+            ]
+        return gradients
 
     def _run(self, kernel: str, count: int, params: ctypes.Structure) -> None:
         self._launcher.launch("terms", kernel, -(-count // THREADS), THREADS, params)
@@ -233,6 +233,8 @@ def _partial(like: Tensor) -> Tensor:
 
 def _at_most(parts: int, image: Image) -> list[Image]:
     """The same image with its parts dealt out to several."""
+    if len(image.parts) <= parts:
+        return [image]
     return [Image(image.shape, image.parts[begin : begin + parts]) for begin in range(0, len(image.parts), parts)]
 
 
@@ -245,10 +247,11 @@ def _as_image(shape: torch.Size) -> tuple[int, int, int]:
 
 def _describe(entry: ImageGradient, image: Image, out: Tensor, end: int) -> None:
     height, width, channels = _as_image(image.shape)
-    entry.out, entry.count, entry.end = pointer(out), out.numel(), end
-    entry.width, entry.channels, entry.parts = width, channels, len(image.parts)
+    count = height * width * channels
+    entry.out, entry.count, entry.width, entry.channels = out.data_ptr(), count, width, channels
+    entry.parts, entry.end = len(image.parts), end
     whole = (0, height, 0, width)
     for index, part in enumerate(image.parts):
-        own = channels if part.slopes.numel() == out.numel() else 1
+        own = channels if part.slopes.numel() == count else 1
         region = part.region or whole
-        entry.part[index] = GradientPart(pointer(part.slopes), part.term, own, *region, part.factor)
+        entry.part[index] = (pointer(part.slopes), part.term, own, *region, part.factor)

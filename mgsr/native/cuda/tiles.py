@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from mgsr.errors import GpuError
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Int, Long, Pointer, pointer, pointers
+from mgsr.native.cuda.params import Int, Long, Pointer, addresses, pointer, pointers
 
 TILE, TILE_PIXELS, BUCKET = 16, 256, 32
 PAIR_FIELDS, OUTLINE_FLOATS, RECORD_FLOATS = 16, 12, 16
-THREADS, SPLAT_THREADS = 256, 128
+THREADS, SPLAT_THREADS, BUCKETS_THREADS = 256, 128, 1024
 BUCKET_WARPS, BUCKET_THREADS = 2, 64
-MAX_PAIRS = 2**31 - 1
 SHORT_KEYS = 2**15  # tiles that keys of 16 bits tell apart
-CURE = "expected fewer or smaller splats, a smaller image, or a card with more memory"
-PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
 
 
 class TileRows(ctypes.Structure):
@@ -73,6 +67,10 @@ class ListParams(ctypes.Structure):
     )
 
 
+class BucketsParams(ctypes.Structure):
+    _fields_ = (("tiles", Int), *pointers("ranges", "bucket_ends"))
+
+
 class SumParams(ctypes.Structure):
     _fields_ = (("count", Long), *pointers("order", "tile_counts", "ends", "pairs", "sums"))
 
@@ -95,7 +93,7 @@ class Band:
 @dataclass(frozen=True)
 class Projected:
     """A view's splats on its image. records [N,16], outlines [N,12]: see the families' kernels; order [N] int64: splats
-    by depth, nearest first; whole: the band that is all of the image."""
+    by depth, nearest first; whole: the band that is all of the image; splats: the family's struct of them."""
 
     width: int
     height: int
@@ -103,32 +101,31 @@ class Projected:
     outlines: Tensor
     order: Tensor
     whole: Band
+    splats: Any
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class TileLists:
     """Which splats each tile of a band blends, nearest first.
 
-    ends [N] int64: sums of the band's tile counts in the splats' order, each with its own; ranges [tiles,2] and
-    entries [pairs,2] int32, bucket_ends [tiles] int32: see Tiles in kernels/common/tiles_cuda.h.
+    ends [N] int64: sums of the band's tile counts in the splats' order, each with its own; tiles: how many tiles the
+    band has; ranges [tiles,2] and entries [pairs,2] int32, bucket_ends [tiles] int32: see Tiles in
+    kernels/common/tiles_cuda.h; struct: the same for the kernels' parameters.
     """
 
     projected: Projected
     band: Band
     ends: Tensor
+    tiles: int
     ranges: Tensor
     entries: Tensor
     bucket_ends: Tensor
+    struct: Tiles
 
     @property
     def pairs(self) -> int:
         """How many (splat, tile) pairs there are."""
         return self.band.pairs
-
-    @property
-    def tiles(self) -> int:
-        """How many tiles the band has."""
-        return len(self.ranges)
 
     @property
     def most_buckets(self) -> int:
@@ -139,12 +136,6 @@ class TileLists:
     def bucket_blocks(self) -> int:
         """Blocks of a kernel that takes a bucket to each warp."""
         return -(-self.most_buckets // BUCKET_WARPS)
-
-    def struct(self) -> Tiles:
-        """For the kernels' parameters; its tensors must outlive the launch."""
-        width, height = self.projected.width, self.projected.height
-        arrays = (pointer(t) for t in (self.ranges, self.entries, self.bucket_ends))
-        return Tiles(width, height, _across(width), self.tiles, self.band.struct(), *arrays)
 
 
 @dataclass(frozen=True)
@@ -171,27 +162,12 @@ def project(
     count = splats.count
     records, outlines = radii.new_empty(count, RECORD_FLOATS), radii.new_empty(count, OUTLINE_FLOATS)
     depths, tile_counts = radii.new_empty(count), radii.new_empty(count, dtype=torch.int32)
-    arrays = (pointer(t) for t in (records, outlines, depths, tile_counts, radii))
+    arrays = addresses(records, outlines, depths, tile_counts, radii)
     launcher.launch(family, f"{family}_project", splat_blocks(count), SPLAT_THREADS, params(splats, *arrays))
     total = read_later(tile_counts.sum(dtype=torch.int64))
     order = torch.sort(depths, stable=True).indices
     whole = Band(0, -(-splats.height // TILE), tile_counts, total())
-    return Projected(splats.width, splats.height, records, outlines, order, whole)
-
-
-@cache
-def most_pairs(device: torch.device) -> int:
-    """How many pairs a band may have: what half of the device's memory holds."""
-    if device.type != "cuda":
-        return MAX_PAIRS
-    return min(MAX_PAIRS, torch.cuda.get_device_properties(device).total_memory // 2 // PAIR_BYTES)
-
-
-def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
-    """The image as bands of `most_pairs` at most, in their order: one, unless there are too many pairs for that. Then
-    rows are halved until they fit, and for each part its count is waited for. A band's pixels and gradients don't
-    depend on the others. Raises GpuError where a single row of tiles has too many."""
-    return list(_halved(launcher, projected, projected.whole, most_pairs(projected.records.device)))
+    return Projected(splats.width, splats.height, records, outlines, order, whole, splats)
 
 
 def splat_blocks(splats: int) -> int:
@@ -200,42 +176,27 @@ def splat_blocks(splats: int) -> int:
 
 
 def list_tiles(launcher: Launcher, projected: Projected, band: Band) -> TileLists:
-    """List the splats for each tile of a band. Raises GpuError when memory does not hold the lists."""
-    ends = torch.cumsum(band.tile_counts[projected.order], 0, dtype=torch.int64)
-    with refusing(band.pairs):
-        entries, ranges = _fill_lists(launcher, projected, band, ends)
-    buckets = (ranges[:, 1] - ranges[:, 0] + (BUCKET - 1)) // BUCKET
-    bucket_ends = torch.cumsum(buckets, 0, dtype=torch.int32)
-    return TileLists(projected, band, ends, ranges, entries, bucket_ends)
+    """List the splats for each tile of a band. Raises torch.OutOfMemoryError."""
+    across = -(-projected.width // TILE)
+    rows, tiles = band.struct(), (band.end - band.first) * across
+    ends = torch.cumsum(band.tile_counts.index_select(0, projected.order), 0, dtype=torch.int64)
+    entries, ranges = _fill_lists(launcher, projected, band, rows, tiles, ends)
+    bucket_ends = ranges.new_empty(tiles)
+    arrays = addresses(ranges, entries, bucket_ends)
+    buckets = BucketsParams(tiles, arrays[0], arrays[2])
+    launcher.launch("tiles", "tiles_buckets", 1, BUCKETS_THREADS, buckets)
+    struct = Tiles(projected.width, projected.height, across, tiles, rows, *arrays)
+    return TileLists(projected, band, ends, tiles, ranges, entries, bucket_ends, struct)
 
 
 def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> Tensor:
     """Sums [N,16] of the pairs' gradients [pairs,16] over each splat's tiles in the band, in a fixed order."""
     order = lists.projected.order
-    sums = pair_gradients.new_empty(len(order), PAIR_FIELDS)
+    sums = pair_gradients.new_empty(order.shape[0], PAIR_FIELDS)
     arrays = (order, lists.band.tile_counts, lists.ends, pair_gradients, sums)
-    params = SumParams(len(order), *(pointer(t) for t in arrays))
-    launcher.launch("tiles", "tiles_sum", -(-len(order) * PAIR_FIELDS // THREADS), THREADS, params)
+    params = SumParams(order.shape[0], *addresses(*arrays))
+    launcher.launch("tiles", "tiles_sum", -(-order.shape[0] * PAIR_FIELDS // THREADS), THREADS, params)
     return sums
-
-
-def add_up(of_bands: Iterator[Tensor]) -> Tensor:
-    """The sums of all bands [N,16], from each one's, in their order. One band at a time is asked for."""
-    total = next(of_bands)
-    for sums in of_bands:
-        total += sums
-    return total
-
-
-@contextmanager
-def refusing(pairs: int) -> Iterator[None]:
-    """Within the block, too little memory is a GpuError that says why."""
-    try:
-        yield
-    except torch.OutOfMemoryError as error:
-        raise GpuError(
-            f"the card's memory does not hold {pairs} pairs of splats and tiles ({error}): {CURE}"
-        ) from error
 
 
 def read_later(scalar: Tensor) -> Callable[[], int]:
@@ -253,45 +214,21 @@ def read_later(scalar: Tensor) -> Callable[[], int]:
     return wait
 
 
-def _halved(launcher: Launcher, projected: Projected, band: Band, most: int) -> Iterator[Band]:
-    if band.pairs <= most:
-        yield band
-        return
-    if band.end - band.first == 1:
-        raise GpuError(
-            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, and memory is for {most}: {CURE}"
-        )
-    middle = (band.first + band.end) // 2
-    for first, end in ((band.first, middle), (middle, band.end)):
-        yield from _halved(launcher, projected, _counted(launcher, projected, first, end), most)
-
-
-def _counted(launcher: Launcher, projected: Projected, first: int, end: int) -> Band:
-    in_all = projected.whole.tile_counts
-    tile_counts = torch.empty_like(in_all)
-    arrays = (pointer(t) for t in (projected.outlines, in_all, tile_counts))
-    params = CountParams(len(in_all), projected.width, projected.height, TileRows(first, end), *arrays)
-    launcher.launch("tiles", "tiles_count", -(-len(in_all) // THREADS), THREADS, params)
-    return Band(first, end, tile_counts, int(tile_counts.sum(dtype=torch.int64)))
-
-
-def _fill_lists(launcher: Launcher, projected: Projected, band: Band, ends: Tensor) -> tuple[Tensor, Tensor]:
-    order, pairs, tiles = projected.order, band.pairs, (band.end - band.first) * _across(projected.width)
+def _fill_lists(
+    launcher: Launcher, projected: Projected, band: Band, rows: TileRows, tiles: int, ends: Tensor
+) -> tuple[Tensor, Tensor]:
+    order, pairs = projected.order, band.pairs
+    splats = order.shape[0]
     # Short keys: the sort's time grows with their bits.
-    keys = order.new_empty(pairs, dtype=torch.int16 if tiles <= SHORT_KEYS else torch.int32)
+    short = tiles <= SHORT_KEYS
+    keys = order.new_empty(pairs, dtype=torch.int16 if short else torch.int32)
     owners = order.new_empty(pairs, dtype=torch.int32)
-    arrays = (pointer(t) for t in (projected.outlines, order, band.tile_counts, ends, keys))
-    size = (projected.width, projected.height, band.struct())
-    emit = EmitParams(len(order), *size, *arrays, keys.element_size(), pointer(owners))
-    launcher.launch("tiles", "tiles_emit", -(-len(order) // THREADS), THREADS, emit)
+    arrays = addresses(projected.outlines, order, band.tile_counts, ends, keys)
+    key_bytes = 2 if short else 4
+    emit = EmitParams(splats, projected.width, projected.height, rows, *arrays, key_bytes, pointer(owners))
+    launcher.launch("tiles", "tiles_emit", -(-splats // THREADS), THREADS, emit)
     keys, slots = torch.sort(keys, stable=True)
     entries, ranges = owners.new_empty(pairs, 2), owners.new_zeros(tiles, 2)
-    arrays = (pointer(t) for t in (slots, owners, entries, ranges))
-    listed = ListParams(pairs, pointer(keys), keys.element_size(), *arrays)
+    listed = ListParams(pairs, pointer(keys), key_bytes, *addresses(slots, owners, entries, ranges))
     launcher.launch("tiles", "tiles_list", -(-pairs // THREADS), THREADS, listed)
     return entries, ranges
-
-
-def _across(width: int) -> int:
-    """Tiles in a row."""
-    return -(-width // TILE)

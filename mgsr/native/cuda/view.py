@@ -21,6 +21,6 @@ class Camera(ctypes.Structure):
 
 def camera_struct(K: np.ndarray, cam_from_world: np.ndarray, width: int, height: int) -> Camera:
     """K [3,3] pixels and cam_from_world [4,4], float64, of an image of that size."""
-    rotation = (Float * 9)(*cam_from_world[:3, :3].ravel())
-    translation = (Float * 3)(*cam_from_world[:3, 3])
-    return Camera(rotation, translation, K[0, 0], K[1, 1], K[0, 2], K[1, 2], width, height)
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = cam_from_world.tolist()
+    (fx, _, cx), (_, fy, cy), _ = K.tolist()
+    return Camera((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, width, height)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from torch import Tensor
 
+from mgsr.native.cuda.bands import add_bands, blend_bands
 from mgsr.native.cuda.launcher import Launcher
-from mgsr.native.cuda.params import Float, Int, Long, pointer, pointers
+from mgsr.native.cuda.params import Float, Int, Long, addresses, pointers
 from mgsr.native.cuda.tiles import (
     BUCKET_THREADS,
     PAIR_FIELDS,
@@ -21,11 +23,8 @@ from mgsr.native.cuda.tiles import (
     Projected,
     TileLists,
     Tiles,
-    add_up,
-    cut_into_bands,
     list_tiles,
     project,
-    refusing,
     splat_blocks,
     sum_pairs,
 )
@@ -84,16 +83,21 @@ class GradientParams(ctypes.Structure):
     )
 
 
-@dataclass(frozen=True)
+@dataclass
 class Frame:
-    """What backward needs kept from forward. blended: of the one band that most images are; bands of an image too
-    large for that are blended again in backward, one after the other."""
+    """What backward needs kept from forward. blended: of the one band that most images are, until backward takes it;
+    bands of an image too large for that are blended again in backward, one after the other."""
 
     projected: Projected
-    bands: list[Band]
-    blended: Blended | None
     radii: Tensor
     transmittance: Tensor
+    bands: list[Band]
+    blended: Blended | None = None
+
+    def take_blended(self) -> Blended | None:
+        """What is kept, which then lives no longer than its user: memory may be short."""
+        blended, self.blended = self.blended, None
+        return blended
 
 
 class VolumeKernels:
@@ -104,7 +108,8 @@ class VolumeKernels:
         self._launcher, self._keep = launcher, keep
 
     def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes."""
+        """Render into the images and radii given, and return what `backward` takes. Raises GpuError where the card's
+        memory is too small."""
         splats, background, view, images, radii = (
             arguments[:8],
             arguments[8],
@@ -112,55 +117,49 @@ class VolumeKernels:
             arguments[16:21],
             arguments[21],
         )
-        projected = project(self._launcher, "volumes", ProjectParams, _splats_struct(splats, view), radii)
-        bands = cut_into_bands(self._launcher, projected)
+        projected = project(self._launcher, "volumes", ProjectParams, splats_struct(splats, view), radii)
         transmittance = background.new_empty(projected.height, projected.width)
-        frame = Frame(projected, bands, None, radii, transmittance)
-        if self._keep and len(bands) == 1:
-            return replace(frame, blended=self._blend(_kind(splats), frame, bands[0], background, images, keep=True))
-        for band in bands:
-            self._blend(_kind(splats), frame, band, background, images, keep=False)
+        frame = Frame(projected, radii, transmittance, [projected.whole])
+        blend = partial(self._blend, _kind(splats), frame, background, images)
+        frame.bands, frame.blended = blend_bands(self._launcher, projected, blend, self._keep)
         return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
-        """Write the splats' gradients from those of the images."""
+        """Write the splats' gradients from those of the images. Raises GpuError where the card's memory is too
+        small."""
         assert self._keep, "rendered without a backward pass in mind"
-        splats, background, view = arguments[:8], arguments[8], arguments[9:16]
+        splats, background = arguments[:8], arguments[8]
         images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
         kind = _kind(splats)
-        parts = (
-            self._walk_back(kind, frame, self._blended(kind, frame, band, background, images), images, v_images)
-            for band in frame.bands
-        )
-        sums = add_up(parts)
+
+        def walk_back(band: Band) -> Tensor:
+            blended = frame.take_blended() or self._blend(kind, frame, background, images, band, keep=True)
+            return self._walk_back(kind, frame, blended, images, v_images)
+
+        sums = add_bands(self._launcher, frame.projected, frame.bands, walk_back)
         arrays = (frame.projected.records, frame.radii, sums, frame.projected.whole.tile_counts, *v_splats)
-        gradients = GradientParams(_splats_struct(splats, view), *(pointer(t) for t in arrays))
-        blocks = splat_blocks(len(splats[0]))
+        gradients = GradientParams(frame.projected.splats, *addresses(*arrays))
+        blocks = splat_blocks(splats[0].shape[0])
         self._launcher.launch("volumes", "volumes_gradients", blocks, SPLAT_THREADS, gradients)
 
-    def _blended(self, kind: str, frame: Frame, band: Band, background: Tensor, images: Any) -> Blended:
-        return frame.blended or self._blend(kind, frame, band, background, images, keep=True)
-
-    def _blend(self, kind: str, frame: Frame, band: Band, background: Tensor, images: Any, keep: bool) -> Blended:
+    def _blend(self, kind: str, frame: Frame, background: Tensor, images: Any, band: Band, keep: bool) -> Blended:
         """A band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
         reached, states = lists.ranges.new_empty(lists.tiles), None
-        with refusing(lists.pairs):
-            if keep:
-                states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
+        if keep:
+            states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
         arrays = (frame.projected.records, background, *images, frame.transmittance, states, reached)
-        params = BlendParams(lists.struct(), *(pointer(t) for t in arrays))
+        params = BlendParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("volumes", f"volumes_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
     def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
         """What a band's pixels say of each splat, [N,16]."""
         lists = blended.lists
-        with refusing(lists.pairs):
-            planes = self._prepare_pixels(kind, frame, lists, images, v_images)
-            pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
+        planes = self._prepare_pixels(kind, frame, lists, images, v_images)
+        pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         arrays = (frame.projected.records, blended.states, blended.reached, planes, pairs)
-        params = BackwardParams(lists.struct(), *(pointer(t) for t in arrays))
+        params = BackwardParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("volumes", f"volumes_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
@@ -168,7 +167,7 @@ class VolumeKernels:
         color, _, depth, reflected, weight = images
         planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, color, depth, reflected, weight, *v_images, planes)
-        params = PixelParams(lists.struct(), *(pointer(t) for t in arrays))
+        params = PixelParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("volumes", f"volumes_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
@@ -177,8 +176,10 @@ def _kind(splats: Any) -> str:
     return "single" if splats[5] is None else "dual"
 
 
-def _splats_struct(splats: Any, view: Any) -> Splats:
+def splats_struct(splats: Any, view: Any) -> Splats:
+    """For the kernels' parameters: tensors as SPLAT_TENSORS, None for those that are not there, which must outlive the
+    launch; and the view as `mgsr.native._volumes` takes it."""
     K, cam_from_world, width, height, near, low_pass, compensate = view
     camera = camera_struct(K, cam_from_world, width, height)
-    arrays = (pointer(t) for t in splats)
-    return Splats(len(splats[0]), *arrays, camera, width, height, near, low_pass, compensate)
+    arrays = addresses(*splats)
+    return Splats(splats[0].shape[0], *arrays, camera, width, height, near, low_pass, compensate)

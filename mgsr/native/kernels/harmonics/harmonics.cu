@@ -17,7 +17,7 @@ struct HarmonicsParams {
   float* rgb;           // [n, 3]: written by forward, read by backward
   const float* v_rgb;   // [n, 3]
   float* v_coeffs;      // [n, k, 3], overwritten
-  float* v_means;       // [n, 3], overwritten; or null
+  float* v_means;       // [n, 3], added to; or null
 };
 
 // A splat's row in shared memory: one float longer than it need be, so that neighbouring threads use different banks.
@@ -73,7 +73,7 @@ __device__ void harmonics_backward(const HarmonicsParams& p) {
     for (int j = 0; j < 3 * (D + 1) * (D + 1); ++j) row[j] = v_coeffs[j];
     for (int j = 3 * (D + 1) * (D + 1); j < 3 * p.k; ++j) row[j] = 0.0f;
     unit_vector_vjp(u, inverse, v_u, v_mean);
-    for (int c = 0; c < 3 && p.v_means; ++c) p.v_means[3 * splat + c] = v_mean[c];
+    for (int c = 0; c < 3 && p.v_means; ++c) p.v_means[3 * splat + c] += v_mean[c];
   }
   store_rows(p, first, rows);
 }

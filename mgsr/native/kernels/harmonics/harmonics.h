@@ -15,7 +15,7 @@ struct HarmonicsParams {
   float* rgb = nullptr;           // [n, 3]: written by forward, read by backward
   const float* v_rgb = nullptr;   // [n, 3]
   float* v_coeffs = nullptr;      // [n, k, 3], overwritten
-  float* v_means = nullptr;       // [n, 3], overwritten; or null
+  float* v_means = nullptr;       // [n, 3], added to; or null
 };
 
 struct HarmonicsTable {

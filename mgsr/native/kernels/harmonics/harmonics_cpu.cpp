@@ -121,6 +121,9 @@ void backward_block(const HarmonicsParams& p, int64_t first) {
   store_columns(p.v_coeffs, first, p.n, 3 * p.k, v_coeffs);
   if (!p.v_means) return;
   unit_vector_vjp(u, inverse, v_u, v_means);
+  vfloat before[3];
+  load_triples(p.v_means, first, p.n, before);
+  for (int c = 0; c < 3; ++c) v_means[c] += before[c];
   store_triples(p.v_means, first, p.n, v_means);
 }
 

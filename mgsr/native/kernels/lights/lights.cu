@@ -17,7 +17,8 @@ struct ReflectionParams {
 struct ReflectionVjpParams {
   int64_t pixels;
   const float *v_color, *reflected, *weight;
-  float *v_reflected, *v_weight;  // [pixels, 3], [pixels]
+  const float *add_transmitted, *add_weight, *add_own;         // what else is said of each, or null
+  float *v_transmitted, *v_weight, *v_own, *v_mirrored;  // [pixels, 3] but for the weight
 };
 
 // image = even + (lit - 1) * (even + alpha * (background + offset) - background).
@@ -32,6 +33,7 @@ struct LightUpVjpParams {
   int64_t pixels;
   const float *v_image, *background, *lit;
   float offset;
+  const float* add_alpha;   // [pixels], or null
   float *v_even, *v_alpha;  // [pixels, 3], [pixels]
 };
 
@@ -54,10 +56,13 @@ MGSR_KERNEL(lights_reflection_vjp, mgsr::ReflectionVjpParams, mgsr::kLightThread
   if (i >= p.pixels) return;
   float v_weight = 0.0f;
   for (int64_t at = 3 * i; at < 3 * i + 3; ++at) {
-    p.v_reflected[at] = p.v_color[at] * p.weight[i];
-    v_weight += p.v_color[at] * p.reflected[at];
+    const float v_color = p.v_color[at], v_reflected = v_color * p.weight[i];
+    p.v_transmitted[at] = v_color + (p.add_transmitted ? p.add_transmitted[at] : 0.0f);
+    p.v_own[at] = v_reflected + (p.add_own ? p.add_own[at] : 0.0f);
+    p.v_mirrored[at] = v_reflected;
+    v_weight += v_color * p.reflected[at];
   }
-  p.v_weight[i] = v_weight;
+  p.v_weight[i] = v_weight + (p.add_weight ? p.add_weight[i] : 0.0f);
 }
 
 MGSR_KERNEL(lights_light_up, mgsr::LightUpParams, mgsr::kLightThreads) {
@@ -78,5 +83,5 @@ MGSR_KERNEL(lights_light_up_vjp, mgsr::LightUpVjpParams, mgsr::kLightThreads) {
     p.v_even[3 * i + c] = p.v_image[3 * i + c] * p.lit[i];
     v_alpha += p.v_image[3 * i + c] * (p.background[c] + p.offset);
   }
-  p.v_alpha[i] = (p.lit[i] - 1.0f) * v_alpha;
+  p.v_alpha[i] = (p.lit[i] - 1.0f) * v_alpha + (p.add_alpha ? p.add_alpha[i] : 0.0f);
 }

@@ -6,13 +6,14 @@
 // tiles_emit: a thread writes one splat's (tile, splat) pairs, splats in depth order, so that a stable sort by tile leaves
 // each tile's list nearest first. A pair's place before that sort is its slot: a splat's slots are consecutive.
 // tiles_list: a thread writes one entry of the sorted lists, and the range of a tile where it begins or ends.
+// tiles_buckets: one block adds up the tiles' buckets, a thread a stretch of neighbouring tiles.
 // tiles_sum: 16 lanes add up one splat's pair gradients, a field each, in the order of the slots: no atomics, and the same
 // bytes at every run.
 #include "kernels/common/tiles_cuda.h"
 
 namespace mgsr {
 
-constexpr int kTilesThreads = 256;
+constexpr int kTilesThreads = 256, kBucketsThreads = 1024;
 
 struct CountParams {
   int64_t count;
@@ -46,6 +47,12 @@ struct ListParams {
   int2* ranges;          // [tiles], zero before
 };
 
+struct BucketsParams {
+  int tiles;
+  const int2* ranges;  // [tiles]
+  int* bucket_ends;    // [tiles]
+};
+
 struct SumParams {
   int64_t count;
   const int64_t* order;    // as in EmitParams
@@ -57,6 +64,10 @@ struct SumParams {
 
 __device__ inline int tile_key(const void* keys, int bytes, int64_t i) {
   return bytes == 2 ? static_cast<const int16_t*>(keys)[i] : static_cast<const int*>(keys)[i];
+}
+
+__device__ inline int tile_buckets(const BucketsParams& p, int tile) {
+  return (p.ranges[tile].y - p.ranges[tile].x + kBucket - 1) / kBucket;
 }
 
 }  // namespace mgsr
@@ -91,6 +102,24 @@ MGSR_KERNEL(tiles_list, mgsr::ListParams, mgsr::kTilesThreads) {
   p.entries[i] = make_int2(p.owners[slot], slot);
   if (i == 0 || tile_key(p.keys, p.key_bytes, i - 1) != tile) p.ranges[tile].x = int(i);
   if (i + 1 == p.pairs || tile_key(p.keys, p.key_bytes, i + 1) != tile) p.ranges[tile].y = int(i + 1);
+}
+
+MGSR_KERNEL(tiles_buckets, mgsr::BucketsParams, mgsr::kBucketsThreads) {
+  using namespace mgsr;
+  __shared__ int sums[kBucketsThreads];
+  const int each = (p.tiles + kBucketsThreads - 1) / kBucketsThreads, begin = threadIdx.x * each;
+  const int end = begin + each < p.tiles ? begin + each : p.tiles;
+  int sum = 0;
+  for (int tile = begin; tile < end; ++tile) sum += tile_buckets(p, tile);
+  sums[threadIdx.x] = sum;
+  for (int by = 1; by < kBucketsThreads; by *= 2) {
+    __syncthreads();
+    const int before = int(threadIdx.x) >= by ? sums[threadIdx.x - by] : 0;
+    __syncthreads();
+    sums[threadIdx.x] += before;
+  }
+  int total = sums[threadIdx.x] - sum;
+  for (int tile = begin; tile < end; ++tile) p.bucket_ends[tile] = total += tile_buckets(p, tile);
 }
 
 MGSR_KERNEL(tiles_sum, mgsr::SumParams, mgsr::kTilesThreads) {

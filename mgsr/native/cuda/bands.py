@@ -1,0 +1,148 @@
+"""An image whose pairs of splats and tiles are too many for the card's memory is worked in bands of rows of tiles.
+
+A band's pixels and pair gradients don't depend on the others, so that bands change no pixel. Their size is a guess from
+the memory that is free, and where it was too large, the band is worked again in halves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import TypeVar
+
+import torch
+from torch import Tensor
+
+from mgsr.errors import GpuError
+from mgsr.native.cuda.launcher import Launcher
+from mgsr.native.cuda.params import addresses
+from mgsr.native.cuda.tiles import THREADS, Band, Blended, CountParams, Projected, TileRows
+
+MAX_PAIRS = 2**31 - 1  # their numbers are of 32 bits
+PAIR_BYTES = 450  # of a pair's lists, gradient and share of the pixels' states, at most
+FEW = 16  # pairs that need less than this part of the memory are tried without asking what is free
+CURE = "expected fewer or smaller splats, a smaller image, or a card with more memory"
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class _OutOfMemory:
+    """What torch says of it, without the traceback, which would keep the failed band's tensors."""
+
+    reason: str
+
+
+def most_pairs(device: torch.device, wanted: int) -> int:
+    """How many pairs a band may have, of an image that has `wanted` of them: what half of the device's free memory
+    holds, so that the other half is there for what follows a rendering. Memory that torch's allocator keeps for later
+    counts as free. The driver is asked only for an image with many pairs."""
+    if device.type != "cuda" or wanted * PAIR_BYTES * FEW <= _total_memory(device):
+        return MAX_PAIRS
+    free, _ = torch.cuda.mem_get_info(device)
+    kept = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return min(MAX_PAIRS, (free + kept) // 2 // PAIR_BYTES)
+
+
+def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
+    """The image as bands of `most_pairs` at most, or of one row of tiles, in their order: one, unless there are too
+    many pairs for that. Then rows are halved until they fit, and for each part its count is waited for. Raises GpuError
+    where a single row of tiles has more than MAX_PAIRS."""
+    most = most_pairs(projected.records.device, projected.whole.pairs)
+    return list(_cut(launcher, projected, projected.whole, most))
+
+
+def work_bands(
+    launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Result]
+) -> Iterator[tuple[Band, Result]]:
+    """Bands with what `work` makes of them, in their order, one at a time. One that the memory does not hold is worked
+    again from the start, in halves. Raises GpuError where the memory does not hold a single row of tiles."""
+    waiting = bands[::-1]
+    while waiting:
+        band = waiting.pop()
+        result = _try(work, band)
+        if isinstance(result, _OutOfMemory):
+            first, second = _halve(launcher, projected, band, result.reason)
+            waiting += (second, first)
+        else:
+            yield band, result
+
+
+def blend_bands(
+    launcher: Launcher, projected: Projected, blend: Callable[[Band, bool], Blended], keep: bool
+) -> tuple[list[Band], Blended | None]:
+    """Blend an image in as few bands as memory allows: the bands, and with `keep`, where one was enough, that one.
+    blend: of a band, into the images, with the pixels' states or without. Raises GpuError as `work_bands`."""
+
+    def blend_whole_or_part(band: Band) -> Blended | None:
+        kept = keep and band is projected.whole
+        blended = blend(band, kept)
+        return blended if kept else None
+
+    worked = list(work_bands(launcher, projected, cut_into_bands(launcher, projected), blend_whole_or_part))
+    return [band for band, _ in worked], worked[0][1]
+
+
+def add_bands(launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Tensor]) -> Tensor:
+    """The sum [N,16] of what `work` makes of each band, in their order. Raises GpuError as `work_bands`."""
+    parts = work_bands(launcher, projected, bands, work)
+    _, total = next(parts)
+    for _, part in parts:
+        total += part
+    return total
+
+
+@cache
+def _total_memory(device: torch.device) -> int:
+    return torch.cuda.get_device_properties(device).total_memory
+
+
+def _try(work: Callable[[Band], Result], band: Band) -> Result | _OutOfMemory:
+    try:
+        return work(band)
+    except torch.OutOfMemoryError as error:
+        return _OutOfMemory(str(error))
+
+
+def _cut(launcher: Launcher, projected: Projected, band: Band, most: int) -> Iterator[Band]:
+    one_row = band.end - band.first == 1
+    if one_row and band.pairs > MAX_PAIRS:
+        raise GpuError(
+            f"a row of tiles of this view has {band.pairs} pairs of splats and tiles, more than {MAX_PAIRS}: {CURE}"
+        )
+    if one_row or band.pairs <= most:
+        yield band
+        return
+    for half in _halves(launcher, projected, band):
+        yield from _cut(launcher, projected, half, most)
+
+
+def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) -> tuple[Band, Band]:
+    """The halves of a band that the memory did not hold, once all that can be is given back to the driver, which has
+    needs of its own beside torch's."""
+    if projected.records.is_cuda:
+        torch.cuda.empty_cache()
+    if band.end - band.first > 1:
+        try:
+            return _halves(launcher, projected, band)
+        except torch.OutOfMemoryError as error:
+            reason = str(error)
+    raise GpuError(
+        f"the card's memory does not hold {band.pairs} pairs of splats and tiles in {band.end - band.first} row(s) of "
+        f"tiles ({reason}): {CURE}"
+    )
+
+
+def _halves(launcher: Launcher, projected: Projected, band: Band) -> tuple[Band, Band]:
+    middle = (band.first + band.end) // 2
+    return _counted(launcher, projected, band.first, middle), _counted(launcher, projected, middle, band.end)
+
+
+def _counted(launcher: Launcher, projected: Projected, first: int, end: int) -> Band:
+    in_all = projected.whole.tile_counts
+    tile_counts = torch.empty_like(in_all)
+    arrays = addresses(projected.outlines, in_all, tile_counts)
+    params = CountParams(len(in_all), projected.width, projected.height, TileRows(first, end), *arrays)
+    launcher.launch("tiles", "tiles_count", -(-len(in_all) // THREADS), THREADS, params)
+    return Band(first, end, tile_counts, int(tile_counts.sum(dtype=torch.int64)))

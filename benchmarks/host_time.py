@@ -102,7 +102,7 @@ def profile(plan: Plan, config: Config, iterations: int) -> None:
         for _ in range(iterations):
             iterate()
         profiler.disable()
-    pstats.Stats(profiler).sort_stats("ncalls").print_stats(60)
+    pstats.Stats(profiler).sort_stats("tottime").print_stats(40)
 
 
 @contextmanager

@@ -9,17 +9,19 @@ import torch
 from mgsr.errors import TensorError
 
 
-def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tensor, str]) -> dict[str, int]:
+def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tensor | None, str]) -> dict[str, int]:
     """Check shapes like ``check_tensors(means=(means, "N 3"), quats=(quats, "N 4"))``; return the letters' sizes.
 
-    A number in a shape must match; a letter takes the size that it meets first and must then agree everywhere.
-    All tensors must be float32 and on one device.
+    A number in a shape must match; a letter takes the size that it meets first and must then agree everywhere. A shape
+    that begins with "?" is that of a tensor which may be None. All tensors must be float32 and on one device.
 
     Raises TensorError that names the argument, what was expected and what came.
     """
     bound = dict(sizes) if sizes else {}
     device: torch.device | None = None
     for name, (tensor, shape) in specs.items():
+        if tensor is None and shape[0] == "?":
+            continue
         if not isinstance(tensor, torch.Tensor):
             raise TensorError(f"{name}: expected a tensor [{_expected(shape, bound)}], got {type(tensor).__name__}")
         came, (axes, letters, numbers) = tensor.shape, _parts(shape)
@@ -45,10 +47,10 @@ def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tens
 @cache
 def _parts(shape: str) -> tuple[int, tuple[tuple[int, str], ...], tuple[tuple[int, int], ...]]:
     """A shape's number of axes, and the places of its letters and of its numbers."""
-    parts = list(enumerate(shape.split()))
+    parts = list(enumerate(shape.lstrip("?").split()))
     numbers = tuple((place, int(part)) for place, part in parts if part.isdigit())
     return len(parts), tuple((place, part) for place, part in parts if not part.isdigit()), numbers
 
 
 def _expected(shape: str, bound: dict[str, int]) -> str:
-    return ", ".join(f"{part}={bound[part]}" if part in bound else part for part in shape.split())
+    return ", ".join(f"{part}={bound[part]}" if part in bound else part for part in shape.lstrip("?").split())

@@ -38,21 +38,16 @@ class VolumeModel:
 
     def check(self) -> None:
         """Raise TensorError, which names the tensor, unless all fit together."""
-        sizes = check_tensors(
+        check_tensors(
             means=(self.means, "N 3"),
             quats=(self.quats, "N 4"),
             log_scales=(self.log_scales, "N 3"),
             opacity_logits=(self.opacity_logits, "N"),
             sh=(self.sh, "N K 3"),
+            refl_opacity_logits=(self.refl_opacity_logits, "? N"),
+            weight_logits=(self.weight_logits, "? N"),
+            refl_sh=(self.refl_sh, "? N L 3"),
         )
-        if self.split:
-            check_tensors(
-                {"N": sizes["N"]},
-                means=(self.means, "N 3"),
-                refl_opacity_logits=(_stored(self.refl_opacity_logits), "N"),
-                weight_logits=(_stored(self.weight_logits), "N"),
-                refl_sh=(_stored(self.refl_sh), "N K 3"),
-            )
 
     @property
     def split(self) -> bool:

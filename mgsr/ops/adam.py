@@ -25,6 +25,17 @@ def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
     return ~torch.isfinite(torch.stack(squares).sum())
 
 
+def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = None) -> None:
+    """A step of optimisers of one device, on a card in one launch. bad [] bool, on a card: whether all gradients count
+    as zero (see `any_bad`)."""
+    launcher = launcher_for(next(iter(optimizers[0].params.values())))
+    if launcher is None:
+        for optimizer in optimizers:
+            optimizer.step_on_processor(optimizer.due())
+        return
+    update(launcher, [group for optimizer in optimizers for group in optimizer.groups(optimizer.due())], bad)
+
+
 class FusedAdam:
     """Adam (Kingma and Ba 2015) for parameters whose rows are splats, and whose rows come and go.
 
@@ -66,23 +77,9 @@ class FusedAdam:
         for name, param in params.items():
             self._adopt(name, param, torch.zeros_like(param.detach()), torch.zeros_like(param.detach()))
 
-    def step(self, bad: torch.Tensor | None = None) -> None:
-        """Update every parameter that has a gradient, in place. bad [] bool, on a card: whether the gradients count as
-        zero (see `any_bad`)."""
-        due = {name: p.grad.contiguous() for name, p in self.params.items() if p.grad is not None and p.numel()}
-        for name in due:
-            self._steps[name] += 1
-        launcher = launcher_for(next(iter(self.params.values())))
-        if launcher is not None:
-            groups = [(self._group(name), grad, self.lrs[name], self._steps[name]) for name, grad in due.items()]
-            update(launcher, groups, bad)
-            return
-        batch = _adam.AdamBatch(*self.betas, self.epsilon)
-        for name, gradients in due.items():
-            values, first, second = self._packed[name]
-            arrays = (values, gradients.view(values.shape), first, second, self._scales.get(name))
-            batch.add(*arrays, self.lrs[name], self._steps[name])
-        batch.update()
+    def step(self) -> None:
+        """Update every parameter that has a gradient, in place."""
+        step_together([self])
 
     def set_lrs(self, lrs: Mapping[str, float]) -> None:
         """Change all learning rates from the next step on; there may be more names than parameters. Raises TensorError
@@ -161,6 +158,26 @@ class FusedAdam:
         values, first, second = (tensor.view(tensor.shape[0], -1) if tensor.numel() else tensor for tensor in tensors)
         self._packed[name] = values, first, second
         self._groups.pop(name, None)
+
+    def due(self) -> list[tuple[str, torch.Tensor]]:
+        """The parameters that a step changes, by name, with their gradients."""
+        return [(name, p.grad.contiguous()) for name, p in self.params.items() if p.grad is not None and p.numel()]
+
+    def step_on_processor(self, due: Sequence[tuple[str, torch.Tensor]]) -> None:
+        """One step along the gradients that are due."""
+        batch = _adam.AdamBatch(*self.betas, self.epsilon)
+        for name, gradients in due:
+            self._steps[name] += 1
+            values, first, second = self._packed[name]
+            arrays = (values, gradients.view(values.shape), first, second, self._scales.get(name))
+            batch.add(*arrays, self.lrs[name], self._steps[name])
+        batch.update()
+
+    def groups(self, due: Sequence[tuple[str, torch.Tensor]]) -> list[tuple[Group, torch.Tensor, float, int]]:
+        """What a card's kernel takes for one step along the gradients that are due, which counts as taken."""
+        for name, _ in due:
+            self._steps[name] += 1
+        return [(self._group(name), gradients, self.lrs[name], self._steps[name]) for name, gradients in due]
 
     def _group(self, name: str) -> Group:
         """The parameter as a card's kernel takes it."""

@@ -14,7 +14,8 @@ from mgsr.native.cuda.launcher import launcher_for
 
 def plain(tensor: torch.Tensor) -> torch.Tensor:
     """The tensor as a kernel reads it: contiguous and outside the graph (no copy where it already is)."""
-    return tensor.detach().contiguous()
+    tensor = tensor.detach() if tensor.requires_grad else tensor
+    return tensor if tensor.is_contiguous() else tensor.contiguous()
 
 
 def on_card(tensor: torch.Tensor) -> bool:

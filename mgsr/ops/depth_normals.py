@@ -29,9 +29,7 @@ def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | 
     Raises TensorError for wrong shapes or dtypes, or a camera of another size.
     Source: method, "Surface normal"; 2DGS, Eq. 16.
     """
-    sizes = check_tensors(depth=(depth, "H W"))
-    if alpha is not None:
-        check_tensors(sizes, depth=(depth, "H W"), alpha=(alpha, "H W"))
+    sizes = check_tensors(depth=(depth, "H W"), alpha=(alpha, "? H W"))
     if (sizes["H"], sizes["W"]) != (camera.height, camera.width):
         expected, came = f"[{camera.height}, {camera.width}]", f"[{sizes['H']}, {sizes['W']}]"
         raise TensorError(f"depth: expected the camera's {expected}, got {came}; use camera.resized(width, height)")

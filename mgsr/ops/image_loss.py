@@ -55,9 +55,7 @@ def image_loss_term(
     Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
     Source: method, "Render loss".
     """
-    sizes = check_tensors(image=(image, "H W 3"), target=(target, "H W 3"))
-    if mask is not None:
-        check_tensors(sizes, image=(image, "H W 3"), mask=(mask, "H W"))
+    sizes = check_tensors(image=(image, "H W 3"), target=(target, "H W 3"), mask=(mask, "? H W"))
     if not 0 <= l1_weight <= 1:
         raise TensorError(f"l1_weight: expected 0..1, got {l1_weight}")
     whole = (0, sizes["H"], 0, sizes["W"])

@@ -58,9 +58,7 @@ def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, 
     alpha [H,W] in 0..1, gradients flow; mask [H,W] in 0..1; weights [H,W] multiply both before they are compared.
     Raises TensorError for wrong shapes or dtypes.
     """
-    sizes = check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"))
-    if weights is not None:
-        check_tensors(sizes, alpha=(alpha, "H W"), weights=(weights, "H W"))
+    check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"), weights=(weights, "? H W"))
     own, other, by = plain(alpha), plain(mask), None if weights is None else plain(weights)
     v_alpha = torch.empty_like(own) if wanted(alpha)[0] else None
     launcher = launcher_for(own)
@@ -90,8 +88,8 @@ def squares_term(
     """
     of_a, of_b = wanted(a)[0], b is not None and wanted(b)[0]
     shape = " ".join(str(size) for size in a.shape)
-    given = {"a": a, "b": b, "first weight": weights[0], "second weight": weights[1]}
-    check_tensors(None, **{name: (each, shape) for name, each in given.items() if each is not None})
+    optional = "? " + shape
+    check_tensors(a=(a, shape), b=(b, optional), first=(weights[0], optional), second=(weights[1], optional))
     own, other, first, second = plain(a), *(None if each is None else plain(each) for each in (b, *weights))
     launcher = launcher_for(own)
     sums: Total | Sums

@@ -34,9 +34,7 @@ def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Te
     Source: method, "TV".
     """
     shape = "H W" if values.ndim == 2 else "H W C"
-    sizes = check_tensors(values=(values, shape), guide=(guide, "H W 3"))
-    if mask is not None:
-        check_tensors(sizes, values=(values, shape), mask=(mask, "H W"))
+    check_tensors(values=(values, shape), guide=(guide, "H W 3"), mask=(mask, "? H W"))
     launcher = launcher_for(values)
     v_values = torch.empty(values.shape, device=values.device) if wanted(values)[0] else None
     channels = plain(values).view(*values.shape[:2], -1)

@@ -86,23 +86,19 @@ def rasterize_volumes(
     Raises TensorError for a wrong shape or dtype. Source: supplement, Eq. 16-19; method.md "3D branch".
     """
     options = options or VolumeOptions()
-    sizes = check_tensors(
+    refl_opacities, refl_colors, weights = reflected or (None, None, None)
+    check_tensors(
         means=(means, "N 3"),
         quats=(quats, "N 4"),
         scales=(scales, "N 3"),
         opacities=(opacities, "N"),
         colors=(colors, "N 3"),
         background=(background, "3"),
+        refl_opacities=(refl_opacities, "? N"),
+        refl_colors=(refl_colors, "? N 3"),
+        weights=(weights, "? N"),
     )
-    if reflected is not None:
-        check_tensors(
-            sizes,
-            means=(means, "N 3"),
-            refl_opacities=(reflected.opacities, "N"),
-            refl_colors=(reflected.colors, "N 3"),
-            weights=(reflected.weights, "N"),
-        )
-    tensors = (means, quats, scales, opacities, colors, *(reflected or (None, None, None)), background)
+    tensors = (means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background)
     differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
     pass_ = VolumePass(camera, options, launcher_for(means), differentiable)
     color, alpha, depth, refl, weight = _Rasterize.apply(pass_, *tensors)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, Generic, Literal, TypeVar
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.ops.adam import FusedAdam
+from mgsr.ops.adam import FusedAdam, step_together
 
 Model = TypeVar("Model", bound=SurfelModel | VolumeModel | MirroredLight)
 Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
@@ -40,12 +41,9 @@ class Trained(ABC, Generic[Model]):
         """Where the parameters are."""
         return next(iter(self.optimizer.params.values())).device
 
-    def step(self, progress: float, bad: Tensor | None = None) -> None:
-        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run; bad []
-        bool, on a card: whether the gradients count as zero."""
-        self.optimizer.set_lrs(self.rates(progress))
-        self.optimizer.step(bad)
-        self.skip_step()
+    def step(self, progress: float) -> None:
+        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
+        step_trained({self: progress})
 
     def skip_step(self) -> None:
         """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
@@ -102,6 +100,16 @@ class Trained(ABC, Generic[Model]):
         """Let the model's fields be the optimiser's tensors, which it replaces when their number changes."""
         for name in self.model.parameters() | self.optimizer.params:
             setattr(self.model, name, self.optimizer.params.get(name))
+
+
+def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -> None:
+    """One step of all these along the gradients that backward has left, on a card in one launch. progress: of each,
+    0..1 of the run; bad [] bool, on a card: whether the gradients count as zero."""
+    for part, share in progress.items():
+        part.optimizer.set_lrs(part.rates(share))
+    step_together([part.optimizer for part in progress], bad)
+    for part in progress:
+        part.skip_step()
 
 
 def copied(state: Any) -> Any:

@@ -19,6 +19,7 @@ from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
 from mgsr.training.stages import Stage, Step, Trial
+from mgsr.training.trained import step_trained
 from mgsr.training.views import pick_background
 
 
@@ -198,8 +199,7 @@ class Trainer:
 
     def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
-        for part in stage.trained:
-            part.step(stage.progress(part, stage.iteration), guard.bad)
+        step_trained({part: stage.progress(part, stage.iteration) for part in stage.trained}, guard.bad)
         for branch in stage.branches:
             first, last = stage.window(branch.densify)
             if not stage.iteration <= last:

@@ -21,6 +21,7 @@ from mgsr.ops.image_loss import image_loss
 from mgsr.ops.tv import edge_aware_tv
 from mgsr.training.plan import Plan, make_plan
 from mgsr.training.stages import Stage
+from mgsr.training.trained import step_trained
 from tests.training.ball import ball_points, ball_scene
 
 META = torch.device("meta")
@@ -55,8 +56,7 @@ def iterate(stage: Stage) -> None:
     step.loss.backward()
     gradients = [tensor for part in stage.trained for tensor in part.tensors("grad").values()]
     bad = any_bad([step.loss.values, *gradients])
-    for part in stage.trained:
-        part.step(0.5, bad)
+    step_trained(dict.fromkeys(stage.trained, 0.5), bad)
     for branch in stage.branches:
         for seen in step.seen:
             if seen.branch is branch:

@@ -7,6 +7,7 @@ import torch
 
 from mgsr.errors import GpuError
 from mgsr.gaussians.order import morton_order
+from mgsr.training import trainer
 from mgsr.training.branch import Branch
 from mgsr.training.run import Training
 from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
@@ -77,9 +78,9 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
 
 
 def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(branch: Branch, progress: float, bad: torch.Tensor | None = None) -> None:
+    def full(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
 
-    monkeypatch.setattr(Branch, "step", full)
+    monkeypatch.setattr(trainer, "step_trained", full)
     with pytest.raises(GpuError, match=r"80\.00 GiB.*max_side"):
         Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()

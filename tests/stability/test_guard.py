@@ -11,11 +11,13 @@ import torch
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import Cancelled, TrainingError
+from mgsr.training import trainer
 from mgsr.training.branch import Branch
 from mgsr.training.guard import Guard
 from mgsr.training.plan import make_plan
 from mgsr.training.run import Training
 from mgsr.training.stages import Stage, Step
+from mgsr.training.trained import step_trained
 from mgsr.training.views import TrainingView
 from tests.cuda.machines import SHIM
 from tests.training.ball import ball_points, ball_scene
@@ -73,7 +75,7 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
         (branch,), (expected,) = stage.branches, twin.branches
         branch.optimizer.params[name].grad.view(-1)[5] = bad
         assert guard.admits(step, "r_0") and guard.bad is not None and bool(guard.bad)
-        branch.step(0.5, guard.bad)
+        step_trained({branch: 0.5}, guard.bad)
         branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
         for tensor in expected.optimizer.params.values():
             tensor.grad = torch.zeros_like(tensor)
@@ -91,7 +93,7 @@ def test_on_a_card_a_good_step_is_taken() -> None:
         (branch,) = stage.branches
         step, before = step_of(stage), values(branch)
         assert guard.admits(step, "r_0") and not bool(guard.bad)
-        branch.step(0.5, guard.bad)
+        step_trained({branch: 0.5}, guard.bad)
         branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
     assert all(not torch.equal(values(branch)[name], tensor) for name, tensor in before.items())
     assert branch.densify_state.gradient_sum.any()
@@ -172,14 +174,15 @@ def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch)
 
 def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on a branch's thirty-first step throws every colour far off, once."""
-    taken = Branch.step
+    taken = trainer.step_trained
 
-    def step(branch: Branch, progress: float, bad: torch.Tensor | None = None) -> None:
-        taken(branch, progress, bad)
-        if branch.steps == 31:
-            branch.optimizer.params["sh"].data.mul_(1e4)
+    def step(progress: dict[Branch, float], bad: torch.Tensor | None = None) -> None:
+        taken(progress, bad)
+        for branch in progress:
+            if branch.steps == 31:
+                branch.optimizer.params["sh"].data.mul_(1e4)
 
-    monkeypatch.setattr(Branch, "step", step)
+    monkeypatch.setattr(trainer, "step_trained", step)
 
 
 def bursting() -> Config:

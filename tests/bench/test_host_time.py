@@ -1,0 +1,34 @@
+"""What an iteration on a card asks of the host: few operations of torch's, beside the launches."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.host_time import IdleLauncher, Row, measure
+from mgsr.config import make_config
+from mgsr.training.plan import make_plan
+from tests.training.ball import ball_points, ball_scene
+
+
+def rows(*overrides: str) -> list[Row]:
+    config = make_config("high", overrides=list(overrides))
+    return measure(make_plan(ball_scene(24, train=3, test=1, masked=True), ball_points(80), config), config, 2)
+
+
+@pytest.mark.parametrize("reflection", ["shared", "both"])
+def test_an_iteration_has_few_operations(reflection: str) -> None:
+    """Counted, so that one that creeps in shows: with both lights 23 in the mutual phase, of which 9 make the tiles'
+    lists. None waits for a number, which would be called item."""
+    surfels, volumes, mutual = rows(f"reflection={reflection}")
+    assert (surfels.stage, volumes.stage, mutual.stage) == ("warmup_surfels", "warmup_volumes", "mutual")
+    assert surfels.operations.total() <= 15 and volumes.operations.total() <= 20 and mutual.operations.total() <= 30
+    assert mutual.launches <= 65
+    for row in (surfels, volumes, mutual):
+        assert not {"item", "_local_scalar_dense"} & row.operations.keys()
+        assert row.milliseconds > 0
+
+
+def test_the_idle_launcher_counts() -> None:
+    launcher = IdleLauncher()
+    launcher.launch("tiles", "tiles_list", 1, 1, None)  # type: ignore[arg-type]
+    assert launcher.launched == 1

@@ -1,12 +1,14 @@
 """Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported:
 
-    python benchmarks/cuda.py [--sizes 20k/256 100k/800 500k/1080p 1M/1080p] [--runs 20] [--json FILE]
+    python -m benchmarks.cuda [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
 
 Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's
 own clock, with the modes of one size alternating; and the memory at its highest. `3d` and `2d` send a gradient to the
 colour alone, and so do `gsplat 3d` and `gsplat 2d`; `dual` is the 3D branch's two opacities with weight and depth in
 one pass, and `gsplat 3d twice` what two passes of gsplat need for the two colours. `ratio` is the time of both passes
-over that of the gsplat row of the same kind. `--device cpu` times the kernels of the processor instead.
+over that of the gsplat row of the same kind; `--ours` leaves gsplat out. The rows of a size are printed, and written,
+when it is done; a mode that fails, such as one of gsplat's, leaves the others alone. `--device cpu` times the kernels
+of the processor instead.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +35,8 @@ try:
 except ImportError:
     gsplat = None
 
-SIZES = ("20k/256", "100k/800", "500k/1080p", "1M/1080p")
+# The size that targets are set for comes first.
+SIZES = ("100k/800", "20k/256", "500k/1080p", "1M/1080p")
 Render = Callable[[], list[Tensor]]
 
 
@@ -49,14 +52,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """Median times in ms; peak memory in MiB."""
+    """Median times in ms; peak memory in MiB, None on the processor."""
 
     size: str
     mode: str
     forward: float
     backward: float
     both: float
-    memory: float
+    memory: float | None
 
 
 def make_scene(size: str, device: torch.device) -> Scene:
@@ -148,45 +151,55 @@ def time_once(render: Render, device: torch.device) -> tuple[float, float]:
     return begin_event.elapsed_time(middle_event), middle_event.elapsed_time(end_event)
 
 
-def measure(size: str, runs: int, device: torch.device) -> list[Row]:
-    """The rows of one size; two runs of each mode are not counted."""
+def measure(size: str, runs: int, device: torch.device, beside: bool = True) -> tuple[list[Row], dict[str, str]]:
+    """The rows of one size, and what the modes that failed said; two runs of each mode are not counted. beside: whether
+    gsplat is measured too."""
     scene = make_scene(size, device)
-    modes = our_modes(scene) | gsplat_modes(scene)
+    modes = our_modes(scene) | (gsplat_modes(scene) if beside else {})
     times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in modes}
-    memory: dict[str, float] = {}
+    memory: dict[str, float | None] = {}
+    failed: dict[str, str] = {}
     for run in range(runs + 2):
         for mode, render in modes.items():
+            if mode in failed:
+                continue
             if device.type == "cuda":
                 torch.cuda.reset_peak_memory_stats()
-            spent = time_once(render, device)
+            try:
+                spent = time_once(render, device)
+            except Exception as error:  # another program's, too: the other modes go on
+                failed[mode] = f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
+                continue
             for leaf in (*scene.leaves, *scene.reflected):
                 leaf.grad = None
-            memory[mode] = torch.cuda.max_memory_allocated() / 2**20 if device.type == "cuda" else math.nan
+            memory[mode] = torch.cuda.max_memory_allocated() / 2**20 if device.type == "cuda" else None
             if run >= 2:
                 times[mode].append(spent)
-    return [_row(size, mode, rows, memory[mode]) for mode, rows in times.items()]
+    return [_row(size, mode, rows, memory[mode]) for mode, rows in times.items() if mode not in failed], failed
 
 
-def _row(size: str, mode: str, rows: list[tuple[float, float]], memory: float) -> Row:
+def _row(size: str, mode: str, rows: list[tuple[float, float]], memory: float | None) -> Row:
     forward, backward = zip(*rows, strict=True)
     both = [a + b for a, b in rows]
     return Row(size, mode, *(statistics.median(column) for column in (forward, backward, both)), memory)
 
 
-def table(rows: list[Row]) -> list[str]:
-    """Lines of Markdown."""
+HEAD = (
+    "| size | mode | forward ms | backward ms | both ms | memory MiB | ratio |",
+    "|---|---|---|---|---|---|---|",
+)
+
+
+def table_lines(rows: list[Row]) -> Iterator[str]:
+    """The rows of one size as lines of Markdown, under HEAD."""
     yardsticks = {"3d": "gsplat 3d", "2d": "gsplat 2d", "dual": "gsplat 3d twice"}
-    found = {(row.size, row.mode): row.both for row in rows}
-    lines = [
-        "| size | mode | forward ms | backward ms | both ms | memory MiB | ratio |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    found = {row.mode: row.both for row in rows}
     for row in rows:
-        other = found.get((row.size, yardsticks.get(row.mode, "")))
+        other = found.get(yardsticks.get(row.mode, ""))
         ratio = "" if other is None else f"{row.both / other:.2f}"
         times = f"{row.forward:.3f} | {row.backward:.3f} | {row.both:.3f}"
-        lines.append(f"| {row.size} | {row.mode} | {times} | {row.memory:.0f} | {ratio} |")
-    return lines
+        memory = "" if row.memory is None else f"{row.memory:.0f}"
+        yield f"| {row.size} | {row.mode} | {times} | {memory} | {ratio} |"
 
 
 def main() -> None:
@@ -194,14 +207,32 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", default=list(SIZES))
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--device", default="cuda")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--ours", action="store_true", help="without gsplat")
+    parser.add_argument("--json", type=Path, help="a file to which each size's rows are added, a line of JSON each")
     args = parser.parse_args()
-    rows = [row for size in args.sizes for row in measure(size, args.runs, torch.device(args.device))]
-    print("\n".join(table(rows)))
-    if gsplat is None:
-        print("\ngsplat can't be imported here: no row of its own, no ratios")
-    if args.json is not None:
-        args.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
+    if args.device == "cuda" and not torch.cuda.is_available():
+        raise SystemExit("no card is usable by torch; --device cpu times the processor")
+    without = "" if gsplat is not None and not args.ours else "; without gsplat, so no ratios"
+    print(f"\n{card(args.device)}, medians of {args.runs}{without}\n", *HEAD, sep="\n", flush=True)
+    failures = dict[str, str]()
+    for size in args.sizes:
+        try:
+            rows, failed = measure(size, args.runs, torch.device(args.device), beside=not args.ours)
+        except torch.OutOfMemoryError as error:
+            rows, failed = [], {"all": str(error).splitlines()[0]}
+        print(*table_lines(rows), sep="\n", flush=True)
+        failures |= {f"{size} {mode}": error for mode, error in failed.items()}
+        if args.json is not None:
+            with args.json.open("a") as file:
+                file.writelines(json.dumps({"step": "benchmark", **vars(row)}) + "\n" for row in rows)
+    print(*(f"\n{mode} failed: {error}" for mode, error in failures.items()), sep="")
+    if failures:
+        raise SystemExit(1)
+
+
+def card(device: str) -> str:
+    """What is measured."""
+    return torch.cuda.get_device_name() if device == "cuda" else "the CPU"
 
 
 if __name__ == "__main__":

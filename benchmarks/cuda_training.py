@@ -1,143 +1,142 @@
-"""One training on a card, of a scene that was packed into one file on another machine:
+"""Trainings on a card, of scenes that were packed on another machine, whose splats come home for their meshes:
 
-    python benchmarks/cuda_training.py pack ../shared/data/scenes/nefertiti_hdr_800 scene.npz
-    python benchmarks/cuda_training.py run scene.npz OUT --preset high [--device cuda] [--profile 100]
+    python -m benchmarks.cuda_training pack ../shared/data/scenes/spot_soft spot_soft.npz --preset standard
+    python -m benchmarks.cuda_training pack-all FOLDER [--data ../shared/data]
+    python -m benchmarks.cuda_training run spot_soft.npz OUT --preset standard [--device cuda]
+    python -m benchmarks.cuda_training home RESULTS OUT [--data ../shared/data]
 
-`pack` reads the scene and chooses its starting points, which needs OpenImageIO; `pack ball` takes the tests' textured
-ball instead. `run` needs torch, numpy, SciPy and plyfile alone. It leaves splats_2d.ply, splats_3d.ply and, where one
-was learnt, mirrored_light.npz in OUT, from which `mgsr mesh SCENE -o OUT` makes the mesh anywhere, and training.json:
-seconds, iterations, splats, the reflection that was chosen, PSNR of the test views, and, with --profile, the part of an
-iteration's wall time in which the card's kernels ran, over that many iterations of a last stage begun anew.
+`pack` reads a scene and does what a run does before it trains (see `packed_scenes.py`), which needs OpenImageIO;
+`pack ball` takes the tests' textured ball. `pack-all` packs the scenes of `scripts/gpu_check.sh` and the wheels that
+a bare machine lacks, and says how much that is. `run` needs torch, numpy, SciPy, Pillow and plyfile alone. It leaves in
+OUT what `mgsr train` would, but for the log, and training.json: seconds, iterations, splats, the reflection that was
+chosen, PSNR of the test views, and hashes of what was learnt. `home` takes the splats.zip that the check left in
+RESULTS, makes each scene's mesh here, scores both, and prints them beside the CPU's rows of benchmarks/results.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import hashlib
 import json
-import time
-from dataclasses import replace
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from torch.profiler import ProfilerActivity
-from torch.profiler import profile as record
 
+from benchmarks.gpu_check.wheels import fetch_wheels
+from benchmarks.packed_scenes import Packed, pack, read, unpack
+from mgsr.bench.scores import report_scores
 from mgsr.config import Config, make_config
 from mgsr.data.backdrop import backdrop
-from mgsr.data.camera import Camera
-from mgsr.data.scene import Scene, Similarity, View
+from mgsr.data.scene import Scene
+from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.mirrored_light import write_mirrored_light
 from mgsr.export.splats import write_splats
 from mgsr.training.evaluate import mean_psnr, surfel_picture, volume_picture
-from mgsr.training.parts import StartingPoints
-from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from mgsr.training.views import prepare_views
 
-BALL = "ball"
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+CPU_ROWS = ROOT / "benchmarks" / "results" / "runs.csv"
+LEARNT = ("splats_2d.ply", "splats_3d.ply", "mirrored_light.npz")
+SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "volumes", "train_seconds")
 
 
-class PackedPoints:
-    """Starting points as `Training` takes them."""
+@dataclass(frozen=True)
+class Checked:
+    """A scene that the check trains: its folder under the data, its preset, and how many of its training photographs
+    are packed, None for all."""
 
-    def __init__(self, arrays: dict[str, np.ndarray]) -> None:
-        self.positions, self.colors = arrays["positions"], arrays["colors"]
-        self.normals = arrays.get("normals")
-        self.shiny = bool(arrays["shiny"]) if "shiny" in arrays else None
-
-
-def pack(path: Path, packed: Path, preset: str) -> None:
-    """Everything that training reads of a scene, in one .npz."""
-    scene, start = ball() if str(path) == BALL else read(path, make_config(preset))
-    arrays: dict[str, Any] = {"positions": start.positions, "colors": start.colors}
-    if start.normals is not None:
-        arrays["normals"] = start.normals
-    if start.shiny is not None:
-        arrays["shiny"] = start.shiny
-    arrays |= {"scale": scene.user_from_scene.scale, "offset": scene.user_from_scene.offset, "name": scene.name}
-    for part, views in (("train", scene.train), ("test", scene.test)):
-        arrays[f"{part}_names"] = np.array([view.name for view in views])
-        arrays[f"{part}_images"] = np.stack([view.image for view in views])
-        arrays[f"{part}_K"] = np.stack([view.camera.K for view in views])
-        arrays[f"{part}_poses"] = np.stack([view.camera.cam_from_world for view in views])
-        for name, images in (("alphas", [view.alpha for view in views]), ("lit", [view.lit for view in views])):
-            if all(image is not None for image in images):
-                arrays[f"{part}_{name}"] = np.stack([image for image in images if image is not None])
-    np.savez_compressed(packed, **arrays)
-    print(f"{packed}: {packed.stat().st_size / 2**20:.1f} MiB")
+    folder: str
+    preset: str
+    views: int | None = None
 
 
-def read(path: Path, config: Config) -> tuple[Scene, StartingPoints]:
-    """A scene and its starting points, as a run has them."""
-    from mgsr.data.readers import load_scene
-    from mgsr.shading.lighting import lit_scene
-    from mgsr.start.starting_points import starting_points
-
-    scene = load_scene(path, config.data)
-    most = max(config.train.surfels.max_start, config.train.volumes.max_start)
-    start = starting_points(scene, most, config.seed, background=config.train.background)
-    return lit_scene(scene, start.lighting if config.train.flash else None), start
+# Half of lego's photographs: all of them, packed, would take as much as everything else together.
+SCENES = {
+    "nefertiti_hdr_800": Checked("scenes/nefertiti_hdr_800", "high"),
+    "spot_soft": Checked("scenes/spot_soft", "standard"),
+    "bunny_flash": Checked("scenes/bunny_flash", "standard"),
+    "lego": Checked("nerf_synthetic/lego", "high", 44),
+}
 
 
-def ball() -> tuple[Scene, StartingPoints]:
-    """The tests' textured ball, for a machine without any scene."""
-    from tests.training.ball import ball_points, ball_scene
-
-    return ball_scene(size=256, train=40, test=4), ball_points(20000)
-
-
-def unpack(packed: Path) -> tuple[Scene, PackedPoints]:
-    """What `pack` wrote."""
-    arrays = dict(np.load(packed))
-    views = {part: _views(arrays, part) for part in ("train", "test")}
-    similarity = Similarity(float(arrays["scale"]), arrays["offset"])
-    name = str(arrays["name"])
-    return Scene(name, packed, "packed", views["train"], views["test"], None, similarity), PackedPoints(arrays)
+def pack_scene(source: Path, file: Path, preset: str, views: int | None = None) -> None:
+    """Read a scene, and write it packed."""
+    pack(read(source, make_config(preset), views), file)
+    print(f"{file}: {file.stat().st_size / 2**20:.1f} MiB", flush=True)
 
 
-def _views(arrays: dict[str, np.ndarray], part: str) -> list[View]:
-    images, alphas, lit = (arrays.get(f"{part}_{name}") for name in ("images", "alphas", "lit"))
-    assert images is not None
-    height, width = images.shape[1:3]
-    return [
-        View(
-            str(name),
-            Camera(arrays[f"{part}_K"][i], arrays[f"{part}_poses"][i], width, height),
-            images[i],
-            None if alphas is None else alphas[i],
-            lit=None if lit is None else lit[i],
-        )
-        for i, name in enumerate(arrays[f"{part}_names"])
-    ]
+def pack_all(folder: Path, data: Path) -> None:
+    """The scenes that the check trains and the wheels that it needs; what is in the folder already stays."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, scene in SCENES.items():
+        if not (folder / f"{name}.npz").is_file():
+            pack_scene(data / scene.folder, folder / f"{name}.npz", scene.preset, scene.views)
+    for wheel in fetch_wheels(folder):
+        print(f"{wheel}: {wheel.stat().st_size / 2**20:.1f} MiB", flush=True)
+    total = sum(file.stat().st_size for file in folder.iterdir())
+    print(f"{folder}: {total / 2**20:.1f} MiB in all")
 
 
-def run(packed: Path, out: Path, config: Config, device: torch.device, profile: int) -> dict[str, Any]:
-    """Train, measure, and write the splats and training.json."""
-    scene, start = unpack(packed)
-    result = Training(scene, start, config, progress=report, device=device).run()
+def run(
+    content: Packed,
+    out: Path,
+    config: Config,
+    device: torch.device,
+    deadline: float | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> dict[str, Any]:
+    """Train, measure, and write what was learnt and training.json. deadline: seconds after which training ends where
+    it is."""
+    scene, start = content.scene, content.start
+    trained = Training(scene, start, config, report, should_stop, deadline=deadline, device=device).run()
     out.mkdir(parents=True, exist_ok=True)
-    for name, model in (("splats_2d.ply", result.surfels), ("splats_3d.ply", result.volumes)):
-        if model is not None:
-            arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
-            write_splats(out / name, arrays, scene.user_from_scene)
-    if result.light is not None:
-        write_mirrored_light(out / "mirrored_light.npz", result.light.maps().numpy())
-    facts = measured(scene, result, config, device)
-    if profile and device.type == "cuda":
-        facts["kernel_share"] = kernel_share(scene, start, as_chosen(config, result), device, profile)
+    for name, found in content.findings.items():
+        (out / name).write_bytes(found)
+    write_learnt(out, trained, scene)
+    facts = measured(scene, trained, config, device) | {"sha256": digests(out)}
     (out / "training.json").write_text(json.dumps(facts, indent=1))
     return facts
 
 
+def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
+    """The branches as splats, and the light, as a run writes them; what is not there leaves none."""
+    for name in LEARNT:
+        (out / name).unlink(missing_ok=True)
+    origin = origin_of_frame(scene.user_from_scene)
+    frame = about_origin(scene.user_from_scene, 1.0, origin)
+    low_pass = None if trained.volumes is None else trained.volumes.low_pass
+    for name, model, blur in ((LEARNT[0], trained.surfels, None), (LEARNT[1], trained.volumes, low_pass)):
+        if model is not None:
+            arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
+            write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
+    if trained.light is not None:
+        write_mirrored_light(out / LEARNT[2], trained.light.maps().numpy())
+
+
+def digests(out: Path) -> dict[str, str]:
+    """A hash of each file of what was learnt."""
+    there = [out / name for name in LEARNT if (out / name).is_file()]
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in there}
+
+
 def report(progress: Progress) -> None:
     """One line now and then."""
-    if progress.iteration % 1000 == 0 or progress.iteration == progress.total:
+    if progress.iteration % 500 == 0 or progress.iteration == progress.total:
         counts = ", ".join(f"{count} {name}" for name, count in progress.counts.items())
+        psnr = "" if progress.psnr is None else f"  {progress.psnr:.2f} dB"
         print(
-            f"{progress.seconds:7.1f} s  {progress.stage} {progress.iteration}/{progress.total}  {counts}", flush=True
+            f"{progress.seconds:7.1f} s  {progress.stage} {progress.iteration}/{progress.total}  {counts}{psnr}",
+            flush=True,
         )
 
 
@@ -159,60 +158,88 @@ def measured(scene: Scene, result: TrainResult, config: Config, device: torch.de
         "scene": scene.name,
         "preset": config.preset,
         "device": torch.cuda.get_device_name() if device.type == "cuda" else "cpu",
+        "memory_mib": torch.cuda.max_memory_allocated() / 2**20 if device.type == "cuda" else None,
+        "photographs": len(scene.train),
         "seconds": result.seconds,
-        "stages": {stage.name: [stage.iterations, stage.seconds] for stage in result.stages},
+        "stages": {stage.name: [stage.iterations, stage.seconds, stage.stop_reason] for stage in result.stages},
         "splats": splats,
         "reflection": {"chosen": result.reflection, "tried": result.tried},
         "psnr": psnr,
+        "incidents": result.incidents,
     }
 
 
-def as_chosen(config: Config, result: TrainResult) -> Config:
-    """The settings with what the training chose in place of a choice."""
-    if result.reflection is None:
-        return config
-    volumes = replace(config.train.volumes, reflection=result.reflection)
-    return replace(config, train=replace(config.train, volumes=volumes))
+def home(results: Path, out: Path, data: Path) -> list[str]:
+    """The table of what the splats of the check's results score here, beside the CPU's rows; as Markdown."""
+    with zipfile.ZipFile(results / "splats.zip") as stored:
+        stored.extractall(out)
+    lines = [f"| scene | preset | device | {' | '.join(SCORES)} |", "|---" * (len(SCORES) + 3) + "|"]
+    for folder in sorted(path.parent for path in out.glob("*/training.json") if path.parent.name in SCENES):
+        facts = json.loads((folder / "training.json").read_text())
+        scene = data / SCENES[folder.name].folder
+        rows = [(facts["device"], scores_at_home(scene, folder, facts)), *cpu_rows(facts["scene"], facts["preset"])]
+        for device, scores in rows:
+            lines.append(f"| {facts['scene']} | {facts['preset']} | {device} | " + " | ".join(cells(scores)) + " |")
+    return lines
 
 
-def kernel_share(scene: Scene, start: PackedPoints, config: Config, device: torch.device, count: int) -> float:
-    """The part of the wall time of `count` iterations of the last stage, from its start, in which kernels ran."""
-    plan = make_plan(scene, start, config, device)
-    stage, background = plan.stages[-1], plan.backdrop.color
+def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
+    """Of the splats in a folder, and of the mesh that is made of them there."""
+    mgsr = [sys.executable, "-m", "program"]
+    there = [str(scene), "-o", str(folder), "--device", "cpu"]
+    subprocess.run([*mgsr, "mesh", *there, "--preset", facts["preset"]], check=True, cwd=ROOT)
+    done = subprocess.run([*mgsr, "evaluate", *there], check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    (folder / "scores.json").write_text(done.stdout)
+    return report_scores(json.loads(done.stdout)) | facts["splats"] | {"train_seconds": facts["seconds"]}
 
-    def iterate(i: int) -> None:
-        step = stage.compute(stage.views[i % len(stage.views)], background, i)
-        torch.stack(list(step.terms.values())).sum().backward()
-        for part in stage.trained:
-            part.step(0.5)
 
-    for i in range(20):
-        iterate(i)
-    torch.cuda.synchronize()
-    with record(activities=[ProfilerActivity.CUDA]) as recorded:
-        begin = time.perf_counter()
-        for i in range(count):
-            iterate(i)
-        torch.cuda.synchronize()
-        wall = time.perf_counter() - begin
-    return sum(event.self_device_time_total for event in recorded.key_averages()) * 1e-6 / wall
+def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:
+    """The plain runs of a scene on the CPU, each with its commit."""
+    with CPU_ROWS.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if (row["scene"], row["preset"]) == (scene, preset)]
+    plain = [row for row in rows if (row["method"], row["variant"], row["device"]) == ("mgsr", "", "cpu")]
+    return [(f"CPU, {row['commit']}, seed {row['seed']}", row) for row in plain]
+
+
+def cells(scores: dict[str, Any]) -> list[str]:
+    """The table's cells of one row."""
+    values = [scores.get(name) for name in SCORES]
+    return ["" if value in (None, "") else f"{float(value):.5g}" for value in values]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("action", choices=("pack", "run"))
-    parser.add_argument("source", type=Path, help="pack: the scene; run: the packed file")
-    parser.add_argument("target", type=Path, help="pack: the file to write; run: the folder of the results")
-    parser.add_argument("--preset", default="high")
-    parser.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--device", default="cuda")
-    parser.add_argument("--profile", type=int, default=0, metavar="ITERATIONS")
+    actions = parser.add_subparsers(dest="action", required=True)
+    packing = actions.add_parser("pack", help="one scene into one file")
+    packing.add_argument("source", type=Path)
+    packing.add_argument("file", type=Path)
+    packing.add_argument("--preset", default="high")
+    packing.add_argument("--views", type=int, help="how many training photographs (all)")
+    everything = actions.add_parser("pack-all", help="what scripts/gpu_check.sh wants on a bare machine")
+    everything.add_argument("folder", type=Path)
+    training = actions.add_parser("run", help="train a packed scene")
+    training.add_argument("file", type=Path)
+    training.add_argument("out", type=Path)
+    training.add_argument("--preset", default="high")
+    training.add_argument("--set", dest="settings", action="append", default=[], metavar="KEY=VALUE")
+    training.add_argument("--device", default="cuda")
+    training.add_argument("--deadline", type=float, metavar="SECONDS")
+    homewards = actions.add_parser("home", help="meshes and scores of the check's splats")
+    homewards.add_argument("results", type=Path)
+    homewards.add_argument("out", type=Path)
+    for action in (everything, homewards):
+        action.add_argument("--data", type=Path, default=DATA)
     args = parser.parse_args()
     if args.action == "pack":
-        pack(args.source, args.target, args.preset)
-        return
-    config = make_config(args.preset, overrides=args.settings)
-    print(json.dumps(run(args.source, args.target, config, torch.device(args.device), args.profile), indent=1))
+        pack_scene(args.source, args.file, args.preset, args.views)
+    elif args.action == "pack-all":
+        pack_all(args.folder, args.data)
+    elif args.action == "run":
+        config = make_config(args.preset, overrides=args.settings)
+        facts = run(unpack(args.file), args.out, config, torch.device(args.device), args.deadline)
+        print(json.dumps(facts, indent=1))
+    else:
+        print("\n".join(home(args.results, args.out, args.data)))
 
 
 if __name__ == "__main__":

@@ -21,15 +21,25 @@ from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
 
+# What torch raises once a card has failed; versions before 2.8 have no name for it.
+CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ())
+
+
 @contextmanager
-def refused_without_memory() -> Iterator[None]:
-    """A card whose memory is too small inside, as a GpuError that says what to do."""
+def card_explained() -> Iterator[None]:
+    """Raise what goes wrong with a card inside as a GpuError that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
         raise GpuError(
             f"the card's memory does not hold this training ({error}): use smaller images (max_side=...) or fewer "
             "splats (max_count=...), or --device cpu"
+        ) from error
+    except CARD_FAILED as error:
+        reason = str(error).strip().splitlines()[0]
+        raise GpuError(
+            f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint with "
+            "--resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place, for a report"
         ) from error
 
 
@@ -61,7 +71,7 @@ class Training:
         device: torch.device = CPU,
         pace: Pace | None = None,
     ) -> None:
-        with one_torch_thread(), refused_without_memory():
+        with one_torch_thread(), card_explained():
             self._trainer = Trainer(
                 make_plan(scene, start, config, device, finish=pace is not None),
                 config.train,
@@ -77,7 +87,7 @@ class Training:
 
     def run(self, finish: bool = True) -> TrainResult:
         """The branches as they are after all stages; without `finish`, before the stage FINISH."""
-        with one_torch_thread(), refused_without_memory():
+        with one_torch_thread(), card_explained():
             self._trainer.run(before=None if finish else FINISH)
         return _result(self._trainer)
 

@@ -77,6 +77,18 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
     assert result.surfels is not None
 
 
+@pytest.mark.skipif(not hasattr(torch, "AcceleratorError"), reason="NEEDS TORCH 2.8: older ones have no such error")
+def test_a_card_that_failed_is_told_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def failed(progress: object, bad: torch.Tensor | None = None) -> None:
+        raise torch.AcceleratorError("CUDA error: an illegal memory access was encountered\nSearch for ...")
+
+    monkeypatch.setattr(trainer, "step_trained", failed)
+    with pytest.raises(
+        GpuError, match=r"the card failed \(CUDA error: an illegal memory access was encountered\), .*--resume"
+    ):
+        Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()
+
+
 def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")

@@ -1,0 +1,38 @@
+"""The arguments that each step's module takes."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.gpu_check.results import Results
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """A parser of what every step is given; `results_of`, `work_of` and the attribute device read it."""
+    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--results", type=Path, required=True, help="the folder of the results")
+    made.add_argument("--work", type=Path, required=True, help="a folder for what is not brought home")
+    made.add_argument("--device", default="cuda", help="cuda, or cpu to try the step without a card")
+    return made
+
+
+def results_of(args: argparse.Namespace) -> Results:
+    """The results that the arguments name."""
+    return Results(args.results)
+
+
+def work_of(args: argparse.Namespace) -> Path:
+    """The folder that the arguments name, made where it is not there."""
+    work: Path = args.work.resolve()
+    work.mkdir(parents=True, exist_ok=True)
+    return work
+
+
+def require_card(device: str) -> None:
+    """End the process with a message, and code 1, where cuda is asked for and torch can use no card."""
+    import torch
+
+    if device == "cuda" and not torch.cuda.is_available():
+        built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
+        raise SystemExit(f"no card: this torch {built}")

@@ -1,0 +1,40 @@
+"""Compiles every family of CUDA kernels for the card, timed; without a card, for one that is named here."""
+
+from __future__ import annotations
+
+import time
+
+from benchmarks.gpu_check.arguments import parser, require_card, results_of
+from benchmarks.gpu_check.results import tell
+
+WITHOUT_CARD = "sm_90"
+
+
+def main() -> None:
+    args = parser(__doc__).parse_args()
+    require_card(args.device)
+    import torch
+
+    from mgsr.errors import GpuError
+    from mgsr.native.cuda.compiler import SOURCES, arch_for, compile_family
+
+    arch = arch_for(*torch.cuda.get_device_capability()) if args.device == "cuda" else WITHOUT_CARD
+    results, seconds, failed = results_of(args), {}, []
+    for path in sorted(SOURCES.glob("kernels/*/*.cu")):
+        begun = time.perf_counter()
+        try:
+            size = len(compile_family(path.stem, arch))
+        except GpuError as error:
+            print(error, flush=True)
+            failed.append(path.stem)
+            continue
+        seconds[path.stem] = time.perf_counter() - begun
+        print(f"{path.stem} for {arch}: {size} bytes, {seconds[path.stem]:.2f} s", flush=True)
+    results.row(step="kernels", arch=arch, seconds=seconds, failed=failed)
+    tell(f"{len(seconds)} families for {arch} in {sum(seconds.values()):.1f} s (near 0: from the cache)")
+    if failed:
+        raise SystemExit(f"these do not compile: {', '.join(failed)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -20,7 +20,6 @@ from mgsr.training.progress import ProgressCallback, TrainResult
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
-
 # What torch raises once a card has failed; versions before 2.8 have no name for it.
 CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ())
 
@@ -38,8 +37,8 @@ def card_explained() -> Iterator[None]:
     except CARD_FAILED as error:
         reason = str(error).strip().splitlines()[0]
         raise GpuError(
-            f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint with "
-            "--resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place, for a report"
+            f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint "
+            "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place, for a report"
         ) from error
 
 

@@ -38,7 +38,7 @@ def card_explained() -> Iterator[None]:
         reason = str(error).strip().splitlines()[0]
         raise GpuError(
             f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint "
-            "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place, for a report"
+            "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place for a report"
         ) from error
 
 

@@ -1,21 +1,27 @@
-"""Where the CUDA kernels run in tests: the host shim with threads in several orders, and a card where there is one."""
+"""Where the CUDA kernels run in tests: the host shim with threads in several orders, the machine for PTX, which is
+slower and sees more, and a card where there is one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 import torch
 
+from mgsr.native.cuda.compiler import SOURCES
 from mgsr.native.cuda.launcher import use_launcher
 from tests.cuda_shim.launcher import Order, ShimLauncher
+from tests.ptx_machine.launcher import PtxLauncher
+from tests.ptx_machine.nvrtc import missing_tools
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A device for tensors, and the order of the shim's threads, or None on a card."""
+    """A device for tensors, and the order in which the threads of the shim or of the machine for PTX run, or None on a
+    card."""
 
     name: str
     device: torch.device
@@ -23,34 +29,64 @@ class Machine:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Within the block, operations on `device` run as CUDA kernels; under the shim, torch.empty gives NaN and the
+        """Within the block, operations on `device` run as CUDA kernels; but on a card, torch.empty gives NaN and the
         largest integers, so that what reads before it writes comes to light."""
         if self.order is None:
             yield
             return
         torch.use_deterministic_algorithms(True)
         try:
-            with use_launcher(ShimLauncher(self.order)):
+            with self._launching(self.order):
                 yield
         finally:
             torch.use_deterministic_algorithms(False)
+
+    @contextmanager
+    def _launching(self, order: Order) -> Iterator[None]:
+        with use_launcher(ShimLauncher(order)):
+            yield
+
+    def ascending(self) -> Machine:
+        """The machine of the same kind whose results those in any other order must have to the bit."""
+        return self if self.order is None else replace(self, order=Order.ASCENDING)
+
+
+@dataclass(frozen=True)
+class PtxMachine(Machine):
+    """Executes what NVRTC emits, and refuses races and stray accesses. Skips, and says so, without NVRTC or g++.
+
+    sources, noise_ulps: as PtxLauncher takes them."""
+
+    sources: Path = SOURCES
+    noise_ulps: int = 0
+
+    @contextmanager
+    def _launching(self, order: Order) -> Iterator[None]:
+        if reason := missing_tools():
+            pytest.skip(reason)
+        launcher = PtxLauncher(order, noise_ulps=self.noise_ulps, sources=self.sources)
+        with launcher.noting_tensors(), use_launcher(launcher):
+            yield
 
 
 CPU = torch.device("cpu")
 SHIM = Machine("shim", CPU, Order.ASCENDING)
 OTHER_ORDERS = (Machine("shim-descending", CPU, Order.DESCENDING), Machine("shim-shuffled", CPU, Order.SHUFFLED))
+PTX = PtxMachine("ptx", CPU, Order.ASCENDING)
+PTX_SHUFFLED = PtxMachine("ptx-shuffled", CPU, Order.SHUFFLED)
 CARD = Machine("cuda", torch.device("cuda"), None)
 PROCESSOR = Machine("processor", CPU, None)  # the CPU kernels, for tests that hold both to the same
 
 
 def _mark(machine: Machine) -> object:
     no_card = pytest.mark.skipif(not torch.cuda.is_available(), reason="NEEDS AN NVIDIA CARD: none is usable by torch")
-    return pytest.param(machine, id=machine.name, marks=[no_card] if machine is CARD else [])
+    marks = {CARD: [no_card], PTX: [pytest.mark.slow], PTX_SHUFFLED: [pytest.mark.slow]}
+    return pytest.param(machine, id=machine.name, marks=marks.get(machine, []))
 
 
-MACHINES = [_mark(machine) for machine in (SHIM, CARD)]
-EVERY_KERNEL = [_mark(machine) for machine in (PROCESSOR, SHIM, CARD)]
-ALL_MACHINES = [_mark(machine) for machine in (SHIM, *OTHER_ORDERS, CARD)]
+MACHINES = [_mark(machine) for machine in (SHIM, PTX, CARD)]
+EVERY_KERNEL = [_mark(machine) for machine in (PROCESSOR, SHIM, PTX, CARD)]
+ALL_MACHINES = [_mark(machine) for machine in (SHIM, *OTHER_ORDERS, PTX, PTX_SHUFFLED, CARD)]
 on_each_machine = pytest.mark.parametrize("machine", MACHINES)
 on_every_kernel = pytest.mark.parametrize("machine", EVERY_KERNEL)
 on_each_machine_and_order = pytest.mark.parametrize("machine", ALL_MACHINES)

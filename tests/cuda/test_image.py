@@ -8,7 +8,7 @@ import torch
 from mgsr.ops.depth_normals import depth_to_normals
 from mgsr.ops.image_loss import image_loss
 from mgsr.ops.tv import edge_aware_tv
-from tests.cuda.machines import SHIM, Machine, on_each_machine, on_each_machine_and_order
+from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops import test_depth_normals, test_image_loss, test_tv
 from tests.ops.test_image_loss import LOSS, assert_gradients_close, pictures, random_mask
 from tests.oracles import depth_normals as normals_oracle
@@ -137,7 +137,7 @@ def test_normals_of_depth(machine: Machine, size: tuple[int, int], with_alpha: b
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
     image, target = pictures(40, 70)
-    reference = machine if machine.order is None else SHIM
+    reference = machine.ascending()
     for mask in (None, random_mask(40, 70)):
         arguments = (test_image_loss.gradients, image_loss, image, target, 0.8, mask)
         before, after = run(reference, *arguments), run(machine, *arguments)

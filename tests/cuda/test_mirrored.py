@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mgsr.ops.mirrored import look_up_mirrored
-from tests.cuda.machines import SHIM, Machine, on_each_machine, on_each_machine_and_order
+from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.test_depth_normals import turned_camera
 from tests.ops.test_mirrored import Scene, assert_close, expected_of, gradients, scene, some_pixels
 
@@ -59,8 +59,8 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of the shim's threads and blocks: a difference would be a race. A cell has many pixels."""
+    """Also in every order of threads and blocks: a difference would be a race. A cell has many pixels."""
     parts = scene(40, 50, 3)
-    reference = machine if machine.order is None else SHIM
+    reference = machine.ascending()
     before, after = run(reference, parts, (40, 50)), run(machine, parts, (40, 50))
     assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))

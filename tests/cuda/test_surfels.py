@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mgsr.ops.surfels import SplatStats, SurfelOptions, rasterize_surfels
-from tests.cuda.machines import SHIM, Machine, on_each_machine, on_each_machine_and_order
+from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_surfels import (
     BACKGROUND,
@@ -143,9 +143,9 @@ def test_stacked_opaque_layers_stop_and_stay_finite(machine: Machine) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of the shim's threads and blocks: a difference would be a race."""
+    """Also in every order of threads and blocks: a difference would be a race."""
     splats = random_splats(200, 2, seed=5)
-    reference = render(machine if machine.order is None else SHIM, splats, camera())
+    reference = render(machine.ascending(), splats, camera())
     again = render(machine, splats, camera())
     for before, after in zip(reference[:2], again[:2], strict=True):
         assert all(torch.equal(before[name], after[name]) for name in before)

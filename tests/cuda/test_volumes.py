@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mgsr.errors import GpuError
 from mgsr.native.cuda import tiles
 from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
-from tests.cuda.machines import SHIM, Machine, on_each_machine, on_each_machine_and_order
+from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_volumes import BACKGROUND, TOLERANCE, assert_close, brute_force, dual_splats, native, run
 
@@ -93,9 +92,9 @@ def test_stacked_opaque_layers_stop_and_stay_finite(machine: Machine) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of the shim's threads and blocks: a difference would be a race."""
+    """Also in every order of threads and blocks: a difference would be a race."""
     splats = dual_splats(200, seed=5)
-    reference = render(machine if machine.order is None else SHIM, splats, camera(), dual=True)
+    reference = render(machine.ascending(), splats, camera(), dual=True)
     again = render(machine, splats, camera(), dual=True)
     for before, after in zip(reference, again, strict=True):
         assert all(torch.equal(before[name], after[name]) for name in before)
@@ -184,8 +183,3 @@ def test_images_without_a_gradient_count_as_zero(machine: Machine) -> None:
         rasterize_volumes(*arguments, VolumeOptions(depth=False)).reflected.sum().backward()
     assert splats["refl_colors"].grad.any() and splats["means"].grad.any()
     assert not splats["colors"].grad.any() and not splats["opacities"].grad.any()
-
-
-def test_too_little_memory_is_refused() -> None:
-    with pytest.raises(GpuError, match="memory does not hold 5 pairs"), tiles.refusing(5):
-        raise torch.OutOfMemoryError("CUDA out of memory")

@@ -39,7 +39,7 @@ struct BlendStep {
 MGSR_HD BlendStep blend_vjp(float alpha, float T, float gain, float& behind) {
   const float share = alpha * T;
   behind = fma(-share, gain, behind);
-  const float v_alpha = fma(T, gain, -behind / (1.0f - alpha));
+  const float v_alpha = fma(T, gain, quick_quotient(-behind, 1.0f - alpha));
   return {share, alpha < kMaxAlpha ? v_alpha * alpha : 0.0f};
 }
 

@@ -39,8 +39,8 @@ MGSR_HD Columns ellipse_columns(const EllipseForm<float>& e, float y0, float y1)
   if (!(low <= high)) return {1.0f, 0.0f};
   const float right = held_between(e.at_right, low, high), left = held_between(-e.at_right, low, high);
   const float to_right2 = e.w2 - e.k * right * right, to_left2 = e.w2 - e.k * left * left;
-  const float to_right = to_right2 > 0.0f ? MGSR_SQRT(to_right2) : 0.0f;
-  const float to_left = to_left2 > 0.0f ? MGSR_SQRT(to_left2) : 0.0f;
+  const float to_right = to_right2 > 0.0f ? quick_sqrt(to_right2) : 0.0f;
+  const float to_left = to_left2 > 0.0f ? quick_sqrt(to_left2) : 0.0f;
   return {e.x + e.slope * left - to_left - kOutlineSlack, e.x + e.slope * right + to_right + kOutlineSlack};
 }
 

@@ -34,4 +34,33 @@ MGSR_HD T select(bool condition, T a, T b) {
 
 MGSR_HD bool any(bool condition) { return condition; }
 
+// Quick forms for where the last two bits don't matter: on a card the hardware's own approximations, to which anything
+// under 2^-126 is zero. Their errors: 2^-23 of the square root, 2^-22 of the power, and 2 ulp of the quotient, whose
+// divisor must be less than 2^126. Elsewhere the exact ones, so that the processor's results don't depend on them.
+// rounded_product: one that no compiler fuses with a sum.
+#if defined(__CUDACC_RTC__)
+#define MGSR_APPROXIMATE(instruction, x) \
+  float y;                               \
+  asm(instruction ".approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+MGSR_HD float quick_quotient(float a, float b) {
+  MGSR_APPROXIMATE("rcp", b)
+  return a * y;
+}
+MGSR_HD float quick_sqrt(float x) {
+  MGSR_APPROXIMATE("sqrt", x)
+  return y;
+}
+MGSR_HD float quick_exp2(float x) {
+  MGSR_APPROXIMATE("ex2", x)
+  return y;
+}
+#undef MGSR_APPROXIMATE
+MGSR_HD float rounded_product(float a, float b) { return __fmul_rn(a, b); }
+#else
+MGSR_HD float quick_quotient(float a, float b) { return a / b; }
+MGSR_HD float quick_sqrt(float x) { return sqrt(x); }
+MGSR_HD float quick_exp2(float x) { return exp2(x); }
+MGSR_HD float rounded_product(float a, float b) { return a * b; }
+#endif
+
 }  // namespace mgsr

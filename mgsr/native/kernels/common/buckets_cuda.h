@@ -1,9 +1,10 @@
-// The backward pass over buckets of 32 splats, one warp each, a splat to each lane.
+// The backward pass over buckets of 32 splats, one warp each.
 //
-// The pixels of the tile that still let light through at the bucket's begin are handed through the warp: a pixel enters at
-// lane 0, and at each step goes on to the next lane, so that it meets the bucket's splats in their order, while each lane
-// adds up the gradient of its own splat in registers. Nothing is summed across lanes and no atomics are needed: a pair's
-// sums go to its own slot.
+// A warp takes the tile's patches one after the other, a pixel to a lane, and walks those of its splats that touch the
+// patch, nearest first. What the pixels say of a splat goes to the warp's own shared memory, and when there are eight
+// splats, the lanes change sides: a splat and a row of eight pixels to a lane, which adds them up in registers. Four lanes
+// have a splat's rows then, which are added and go to the splat's sums. All orders are fixed, and no atomics are needed: a
+// pair's sums go to its own slot.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -11,7 +12,9 @@
 namespace mgsr {
 
 constexpr int kBucketWarps = 2, kBucketThreads = kBucketWarps * kWarp;
-constexpr int kRing = 2 * kWarp;  // pixels in flight, and those that are loaded next
+constexpr int kChunk = 8;  // splats whose pixels are added up at once
+static_assert(kChunk * kPatchHeight == kWarp, "a lane to each row of each splat");
+constexpr int kTermsStride = kWarp + 1;  // of a splat's pixels: spreads what lanes read over the banks
 
 // The bucket of a warp.
 struct Bucket {
@@ -35,38 +38,57 @@ struct Bucket {
   }
 };
 
-// Lists the numbers of the tile's pixels for which is_open(number); returns how many. list: [256], the warp's own.
-template <class IsOpen>
-__device__ inline int list_open_pixels(unsigned char* list, const IsOpen& is_open) {
-  const int lane = threadIdx.x % kWarp;
-  int count = 0;
-  for (int first = 0; first < kTilePixels; first += kWarp) {
-    const bool open = is_open(first + lane);
-    const unsigned all = __ballot_sync(kFullWarp, open);
-    if (open) list[count + __popc(all & ((1u << lane) - 1))] = (unsigned char)(first + lane);
-    count += __popc(all);
-  }
-  __syncwarp();
-  return count;
-}
+// Where a lane stands when it adds up: which of a chunk's splats, and which row of the patch's pixels.
+struct ChunkPlace {
+  int splat, row;
+  __device__ explicit ChunkPlace(int lane) : splat(lane % kChunk), row(lane / kChunk) {}
+  __device__ int pixel(int column) const { return row * kPatchWidth + column; }
+};
 
-// Hands `count` pixels through the warp. load(i, place) puts pixel i into that place of the ring; enter(place) takes a
-// pixel's state from there into lane 0; hand_on() passes states to the next lane; meet(place) lets the lane's splat act.
-template <class Load, class Enter, class HandOn, class Meet>
-__device__ inline void hand_through(int count, const Load& load, const Enter& enter, const HandOn& hand_on, const Meet& meet) {
-  const int lane = threadIdx.x % kWarp;
-  for (int step = 0; step < count + kWarp - 1; ++step) {
-    if (step % kWarp == 0) {
+// Walks a bucket through the tile's patches. patches: those that the lane's splat touches, as bits.
+// walk.enter(patch) makes the lane a pixel of the patch; false, for all lanes, when none of them is open.
+// walk.meet(splat, place) lets the lane's pixel meet a splat of the bucket, and leaves what comes of it at that place.
+// walk.add(splat) adds up, for the lane's row, what the pixels left at the place of its ChunkPlace, where they met that
+// splat: -1, and nothing, if there was none.
+template <class Walk>
+__device__ inline void walk_patches(unsigned patches, Walk& walk) {
+  const ChunkPlace mine(threadIdx.x % kWarp);
+  for (int patch = 0; patch < kPatches; ++patch) {
+    unsigned touching = __ballot_sync(kFullWarp, patches >> patch & 1);
+    if (touching == 0 || !walk.enter(patch)) continue;
+    while (touching) {
+      int place = 0, met = -1;
+      for (; touching && place < kChunk; ++place, touching &= touching - 1) {
+        const int splat = __ffs(touching) - 1;
+        walk.meet(splat, place);
+        met = place == mine.splat ? splat : met;
+      }
       __syncwarp();
-      if (step + lane < count) load(step + lane, (step + lane) % kRing);
+      walk.add(met);
       __syncwarp();
     }
-    hand_on();
-    if (lane == 0) enter(step % kRing);
-    const int i = step - lane;
-    if (i >= 0 && i < count) meet(i % kRing);
   }
 }
+
+// Sums [count] numbers over the rows of each splat of a chunk; a lane keeps a quarter, from count / 4 times its row on, as
+// its first ones.
+template <int count>
+__device__ inline void sum_rows(float* numbers) {
+  const int row = ChunkPlace(threadIdx.x % kWarp).row;
+  const bool lower_half = row < 2, even = row % 2 == 0;
+  for (int k = 0; k < count / 2; ++k) {
+    const float low = numbers[k], high = numbers[count / 2 + k];
+    const float kept = lower_half ? low : high, given = lower_half ? high : low;
+    numbers[k] = kept + __shfl_xor_sync(kFullWarp, given, 2 * kChunk);
+  }
+  for (int k = 0; k < count / 4; ++k) {
+    const float low = numbers[k], high = numbers[count / 4 + k];
+    const float kept = even ? low : high, given = even ? high : low;
+    numbers[k] = kept + __shfl_xor_sync(kFullWarp, given, kChunk);
+  }
+}
+
+__device__ inline void add_scaled(float scale, float x, float& sum) { sum = fmaf(scale, x, sum); }
 
 // fields: [kPairFields]
 __device__ inline void write_pair(float* pairs, int slot, const float* fields) {

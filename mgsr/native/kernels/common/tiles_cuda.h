@@ -15,7 +15,7 @@ constexpr float kCulledDepth = 3e38f;  // sorts behind every splat that is seen
 constexpr int kPairFields = 16;  // floats of a (splat, tile) pair's gradient
 
 // Where a splat can count: inside its ellipse, or inside a circle when it has a radius.
-struct SplatOutline {
+struct alignas(16) SplatOutline {
   EllipseForm<float> ellipse;
   float x, y, radius;
   float unused;  // makes it 48 bytes
@@ -40,15 +40,24 @@ struct Tiles {
 
 __device__ inline int first_bucket(const Tiles& tiles, int tile) { return tile > 0 ? tiles.bucket_ends[tile - 1] : 0; }
 
-// A pixel of a tile by its number. A warp's 32 lie in a block of 8x4: neighbours meet the same splats.
-constexpr int kPatchWidth = 8, kPatchHeight = 4;
+// A pixel within its tile, by its number. A warp's 32 lie in a patch of 8x4: neighbours meet the same splats.
+constexpr int kPatchWidth = 8, kPatchHeight = 4, kPatches = kTilePixels / kWarp;
+struct TilePlace {
+  int x, y;
+
+  __device__ explicit TilePlace(int number) {
+    const int patch = number / kWarp, place = number % kWarp;
+    x = patch % 2 * kPatchWidth + place % kPatchWidth, y = patch / 2 * kPatchHeight + place / kPatchWidth;
+  }
+};
+
+// The same on the image; number 0 is the tile's corner.
 struct TilePixel {
-  int x, y;  // on the image
+  int x, y;
 
   __device__ TilePixel(const Tiles& tiles, int tile, int number) {
-    const int patch = number / kWarp, place = number % kWarp;
-    x = tile % tiles.across * kTile + patch % 2 * kPatchWidth + place % kPatchWidth;
-    y = (tiles.rows.first + tile / tiles.across) * kTile + patch / 2 * kPatchHeight + place / kPatchWidth;
+    const TilePlace place(number);
+    x = tile % tiles.across * kTile + place.x, y = (tiles.rows.first + tile / tiles.across) * kTile + place.y;
   }
   __device__ bool inside(const Tiles& tiles) const { return x < tiles.width && y < tiles.height; }
   __device__ int64_t index(const Tiles& tiles) const { return int64_t(y) * tiles.width + x; }
@@ -63,6 +72,27 @@ __device__ inline Columns outline_columns(const SplatOutline& s, float y0, float
   const float half = sqrtf(half2), x0 = s.x - half, x1 = s.x + half;
   if (c.x1 < c.x0) return {x0, x1};
   return {c.x0 < x0 ? c.x0 : x0, c.x1 > x1 ? c.x1 : x1};
+}
+
+// Which of a tile's patches an outline can hold a pixel's centre of, as bits. (x, y): the tile's first pixel's centre;
+// cut(y0, y1): the columns that the outline takes up between those two rows, in the same coordinates.
+template <class Cut>
+__device__ inline unsigned touched_patches(float x, float y, const Cut& cut) {
+  unsigned patches = 0;
+  for (int row = 0; row < kTile / kPatchHeight; ++row) {
+    const float y0 = y + float(row * kPatchHeight);
+    const Columns c = cut(y0, y0 + (kPatchHeight - 1));
+    if (!(c.x0 <= c.x1)) continue;
+    if (c.x0 <= x + (kPatchWidth - 1) && c.x1 >= x) patches |= 1u << 2 * row;
+    if (c.x0 <= x + (kTile - 1) && c.x1 >= x + kPatchWidth) patches |= 2u << 2 * row;
+  }
+  return patches;
+}
+
+// As bits, of the tile with that corner.
+__device__ inline unsigned touched_patches(const SplatOutline& s, const TilePixel& corner) {
+  return touched_patches(float(corner.x) + 0.5f, float(corner.y) + 0.5f,
+                         [&](float y0, float y1) { return outline_columns(s, y0, y1); });
 }
 
 __device__ inline bool finite(const float* values, int n) {

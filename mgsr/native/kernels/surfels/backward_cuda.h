@@ -26,6 +26,7 @@ struct SurfelPixelParams {
 struct SurfelBackwardParams {
   Tiles tiles;
   const SurfelRecord* records;
+  const SplatOutline* outlines;
   float near, far, low_pass;
   const float* states;   // of the forward pass
   int state_planes;      // in them
@@ -66,125 +67,198 @@ __device__ void prepare_pixel(const SurfelPixelParams& p) {
   out[kBehind * kTilePixels] = total;
 }
 
-// A bucket's pixels in flight: their gradients, coordinates and states at its begin.
-template <bool Distortion>
-struct SurfelRing {
-  float v_color[3][kRing], v_normal[3][kRing], v_depth[kRing], v_median[kRing], v_moment[2][Distortion ? kRing : 1];
-  float light[kRing], behind[kRing];
-  int x[kRing], y[kRing];
-
-  // planes, state: at the pixel's first number of each. Only pixels that let light through are loaded.
-  __device__ void load(const TilePixel& pixel, const float* planes, const float* state, int at) {
-    x[at] = pixel.x, y[at] = pixel.y, light[at] = state[kLightPlane * kTilePixels];
-    float left = planes[kBehind * kTilePixels];
-    for (int k = 0; k < 3; ++k) {
-      v_color[k][at] = planes[(kVColor + k) * kTilePixels], v_normal[k][at] = planes[(kVNormal + k) * kTilePixels];
-      left -= v_color[k][at] * state[(kColorPlane + k) * kTilePixels];
-      left -= v_normal[k][at] * state[(kNormalPlane + k) * kTilePixels];
-    }
-    v_depth[at] = planes[kVDepth * kTilePixels], v_median[at] = planes[kVMedian * kTilePixels];
-    left -= v_depth[at] * state[kDepthPlane * kTilePixels];
-    for (int k = 0; k < 2 && Distortion; ++k) {
-      v_moment[k][at] = planes[(kVMoment + k) * kTilePixels];
-      left -= v_moment[k][at] * state[(kMomentPlane + k) * kTilePixels];
-    }
-    behind[at] = left;
-  }
+// What a pixel says of a splat. share: times the pixel's gradients, those of colour and normal; pull: the exponent's gradient
+// / w^2, times 2 ln 2, 0 where the low-pass rules; v_w: of w.
+struct alignas(16) SurfelTerms {
+  float share, v_exponent, pull, v_w;
 };
 
-// What a lane adds up for its splat: moments (x, y) over the pixels' offsets d, but of a needle over L d.
-// xx, xy, yy, x, y: of the exponent's gradient / w^2; w_x, w_y, w: of w's gradient; blur: where the low-pass rules.
-struct SurfelSums {
-  float xx = 0, xy = 0, yy = 0, x = 0, y = 0, w_x = 0, w_y = 0, w = 0, blur_x = 0, blur_y = 0;
-  float depth = 0, opacity = 0, color[3] = {}, normal[3] = {};
+// A warp's shared memory. sums: of its splats' fields; terms and the depth's gradient times the depth: of a chunk's
+// splats, by pixel; gradients: of the patch's pixels, colour with the normal's x, and its y and z.
+struct SurfelStage {
+  SurfelRecord splats[kBucket];
+  float4 sums[kBucket][kPairFields / 4];
+  SurfelTerms terms[kChunk][kTermsStride];
+  float v_log_depths[kChunk][kTermsStride];
+  float4 gradients[kWarp];
+  float2 more_gradients[kWarp];
+};
 
-  __device__ void write(const SurfelRecord& s, float* fields) const {
-    fields[kXX] = xx, fields[kXY] = xy, fields[kYY] = yy, fields[kSlopeX] = w_x, fields[kSlopeY] = w_y;
-    fields[kMeanX] = x, fields[kMeanY] = y, fields[kW] = w, fields[kDepth] = depth, fields[kOpacity] = opacity;
-    for (int k = 0; k < 3; ++k) fields[kColor + k] = color[k], fields[kNormal + k] = normal[k];
+// A row's sums of a splat: moments over the pixels' offsets (x, y), which are d, but of a needle L d.
+// xx, xy, yy, x, y: of the pull; w_x, w_y, w: of w's gradient; blur: of the exponent's gradient where the low-pass rules.
+struct SurfelMoments {
+  float xx = 0, xy = 0, yy = 0, x = 0, y = 0, w_x = 0, w_y = 0, w = 0, blur_x = 0, blur_y = 0;
+
+  __device__ void add(const SurfelTerms& terms, float at_x, float at_y) {
+    const float vx = terms.pull * at_x, vy = terms.pull * at_y;
+    x += vx, y += vy, w += terms.v_w;
+    add_scaled(vx, at_x, xx), add_scaled(vx, at_y, xy), add_scaled(vy, at_y, yy);
+    add_scaled(terms.v_w, at_x, w_x), add_scaled(terms.v_w, at_y, w_y);
+  }
+
+  // inverse_low_pass: 1/px^2
+  __device__ void write(const SurfelRecord& s, bool needle, float inverse_low_pass, float* fields) const {
+    fields[kXX] = xx, fields[kXY] = xy, fields[kYY] = yy, fields[kSlopeX] = w_x, fields[kSlopeY] = w_y, fields[kW] = w;
+    fields[kMeanX] = x, fields[kMeanY] = y;
     if (s.plain()) return;
     // Moving the centre moves every d the other way.
-    const float a = s.needle() ? x : s.L[0] * x + s.L[1] * y, b = s.needle() ? y : s.L[2] * x + s.L[3] * y;
-    fields[kMeanX] = blur_x + s.L[0] * a + s.L[2] * b - s.g[0] * w;
-    fields[kMeanY] = blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
+    const float a = needle ? x : s.L[0] * x + s.L[1] * y, b = needle ? y : s.L[2] * x + s.L[3] * y;
+    fields[kMeanX] = inverse_low_pass * blur_x + s.L[0] * a + s.L[2] * b - s.g[0] * w;
+    fields[kMeanY] = inverse_low_pass * blur_y + s.L[1] * a + s.L[3] * b - s.g[1] * w;
   }
 };
 
-struct SurfelWalk {
-  float light = 0.0f, behind = 0.0f;
-};
-
-// One splat meets one pixel.
+// What walk_patches needs.
 template <bool Distortion>
-__device__ inline void meet_pixel(const SurfelBackwardParams& p, const SurfelRecord& s, const DepthUnit& unit,
-                                  const SurfelRing<Distortion>& ring, int at, SurfelWalk& walk, SurfelSums& sums) {
-  const SurfelMeeting m = meet(s, ring.x[at], ring.y[at], p.near, p.low_pass);
-  const float T = walk.light, alpha = pass_light(m.alpha, walk.light);
-  if (!(alpha > 0.0f)) return;
-  const float z = s.depth() * m.r, share = alpha * T, v_depth = ring.v_depth[at];
-  float gain = v_depth * z, v_z = share * v_depth;
-  for (int k = 0; k < 3; ++k) gain = fmaf(ring.v_color[k][at], s.color[k], fmaf(ring.v_normal[k][at], s.normal[k], gain));
-  if (T >= 0.5f && T - share < 0.5f) v_z += ring.v_median[at];
-  if (Distortion) {
-    const float from_first = unit.of(z), v_m1 = ring.v_moment[0][at], v_m2 = ring.v_moment[1][at];
-    gain += from_first * (v_m1 + from_first * v_m2);
-    v_z += share * unit.scale * (v_m1 + 2.0f * from_first * v_m2);
+struct SurfelWalk {
+  SurfelStage& stage;
+  const float *state, *planes;  // of the bucket; of the tile
+  TilePixel corner;
+  SurfelLimits limits;
+  float inverse_low_pass;
+  DepthUnit unit;
+  int patch = 0;
+  float x = 0.0f, y = 0.0f;     // of the lane's pixel's centre
+  float light = 0.0f, behind = 0.0f;
+  float v_color[3] = {}, v_normal[3] = {}, v_depth = 0.0f, v_median = 0.0f, v_moment[2] = {};
+
+  __device__ SurfelWalk(const SurfelBackwardParams& p, int tile, int number, SurfelStage& own)
+      : stage(own),
+        state(p.states + int64_t(number) * p.state_planes * kTilePixels),
+        planes(p.planes + int64_t(tile) * (Distortion ? kDistortionPixelPlanes : kPlainPixelPlanes) * kTilePixels),
+        corner(p.tiles, tile, 0),
+        limits(p.near, p.low_pass),
+        inverse_low_pass(1.0f / p.low_pass),
+        unit(depth_unit(p.tiles, p.records, tile, p.near, p.far)) {}
+
+  __device__ float of_state(int plane) const { return state[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
+  __device__ float of_pixel(int plane) const { return planes[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
+
+  __device__ bool enter(int number) {
+    patch = number, light = of_state(kLightPlane);
+    const bool open = light > 0.0f;
+    if (!__any_sync(kFullWarp, open)) return false;
+    const int lane = threadIdx.x % kWarp;
+    const TilePlace place(number * kWarp + lane);
+    x = float(corner.x + place.x) + 0.5f, y = float(corner.y + place.y) + 0.5f;
+    load(open);
+    stage.gradients[lane] = make_float4(v_color[0], v_color[1], v_color[2], v_normal[0]);
+    stage.more_gradients[lane] = make_float2(v_normal[1], v_normal[2]);
+    return true;
   }
-  const BlendStep step = blend_vjp(alpha, T, gain, walk.behind);
-  const float v_log_depth = v_z * z;
-  sums.depth += v_log_depth, sums.opacity += step.v_exponent;
-  for (int k = 0; k < 3; ++k) {
-    sums.color[k] = fmaf(share, ring.v_color[k][at], sums.color[k]);
-    sums.normal[k] = fmaf(share, ring.v_normal[k][at], sums.normal[k]);
+
+  // A closed pixel has no part in anything, and none outside of the image has gradients.
+  __device__ void load(bool open) {
+    behind = open ? of_pixel(kBehind) : 0.0f;
+    for (int k = 0; k < 3; ++k) {
+      take(open, kVColor + k, kColorPlane + k, v_color[k]);
+      take(open, kVNormal + k, kNormalPlane + k, v_normal[k]);
+    }
+    take(open, kVDepth, kDepthPlane, v_depth);
+    v_median = open ? of_pixel(kVMedian) : 0.0f;
+    for (int k = 0; k < 2 && Distortion; ++k) take(open, kVMoment + k, kMomentPlane + k, v_moment[k]);
   }
-  if (m.on_disk) {
+
+  __device__ void take(bool open, int plane, int state_plane, float& gradient) {
+    gradient = open ? of_pixel(plane) : 0.0f;
+    if (open) behind -= gradient * of_state(state_plane);
+  }
+
+  __device__ void meet(int splat, int at) {
+    const SurfelRecord& s = stage.splats[splat];
+    const SurfelMeeting m = mgsr::meet(s, x, y, limits);
+    const float T = light, alpha = pass_light(m.alpha, light);
+    SurfelTerms terms = {};
+    float v_log_depth = 0.0f;
+    // Where the splat does not count, the depth may be anything.
+    if (alpha > 0.0f) take_back(s, m, alpha, T, terms, v_log_depth);
+    stage.terms[at][threadIdx.x % kWarp] = terms, stage.v_log_depths[at][threadIdx.x % kWarp] = v_log_depth;
+  }
+
+  __device__ void take_back(const SurfelRecord& s, const SurfelMeeting& m, float alpha, float T, SurfelTerms& terms,
+                            float& v_log_depth) {
+    const float z = s.depth() * m.r, share = alpha * T;
+    float gain = v_depth * z, v_z = share * v_depth;
+    for (int k = 0; k < 3; ++k) gain = fmaf(v_color[k], s.color[k], fmaf(v_normal[k], s.normal[k], gain));
+    if (T >= 0.5f && T - share < 0.5f) v_z += v_median;
+    if (Distortion) {
+      const float from_first = unit.of(z);
+      gain += from_first * (v_moment[0] + from_first * v_moment[1]);
+      v_z += share * unit.scale * (v_moment[0] + 2.0f * from_first * v_moment[1]);
+    }
+    const BlendStep step = blend_vjp(alpha, T, gain, behind);
+    v_log_depth = v_z * z;
+    terms.share = share, terms.v_exponent = step.v_exponent;
+    if (!m.on_disk) return;
+    const float scaled = 2.0f * kLn2 * step.v_exponent;
+    terms.pull = scaled * m.r * m.r, terms.v_w = (scaled * m.exponent - v_log_depth) * m.r;
+  }
+
+  __device__ void add(int splat) {
+    const ChunkPlace mine(threadIdx.x % kWarp);
+    float fields[kPairFields] = {};
+    if (splat >= 0) add_row(stage.splats[splat], mine, fields);
+    sum_rows<kPairFields>(fields);
+    if (splat < 0) return;
+    float4& sums = stage.sums[splat][mine.row];
+    sums = make_float4(sums.x + fields[0], sums.y + fields[1], sums.z + fields[2], sums.w + fields[3]);
+  }
+
+  __device__ void add_row(const SurfelRecord& s, const ChunkPlace& mine, float* fields) const {
     const bool needle = s.needle();
-    const float scaled = 2.0f * kLn2 * step.v_exponent, v_w = (scaled * m.exponent - v_log_depth) * m.r;
-    const float x = needle ? m.a : m.dx, y = needle ? m.b : m.dy;
-    const float vx = scaled * m.r * m.r * x, vy = scaled * m.r * m.r * y;
-    sums.x += vx, sums.y += vy, sums.w += v_w;
-    sums.xx = fmaf(vx, x, sums.xx), sums.xy = fmaf(vx, y, sums.xy), sums.yy = fmaf(vy, y, sums.yy);
-    sums.w_x = fmaf(v_w, x, sums.w_x), sums.w_y = fmaf(v_w, y, sums.w_y);
-  } else {
-    const float v_blur = step.v_exponent / p.low_pass;
-    sums.blur_x = fmaf(v_blur, m.dx, sums.blur_x), sums.blur_y = fmaf(v_blur, m.dy, sums.blur_y);
+    const float axes[4] = {needle ? s.L[0] : 1.0f, needle ? s.L[1] : 0.0f, needle ? s.L[2] : 0.0f, needle ? s.L[3] : 1.0f};
+    const float left = (float(corner.x + patch % 2 * kPatchWidth) + 0.5f) - s.x;
+    const float dy = (float(corner.y + patch / 2 * kPatchHeight + mine.row) + 0.5f) - s.y;
+    SurfelMoments moments;
+    for (int column = 0; column < kPatchWidth; ++column) {
+      const int pixel = mine.pixel(column);
+      const SurfelTerms terms = stage.terms[mine.splat][pixel];
+      const float4 v = stage.gradients[pixel];
+      const float2 more = stage.more_gradients[pixel];
+      const float dx = left + float(column);
+      fields[kDepth] += stage.v_log_depths[mine.splat][pixel], fields[kOpacity] += terms.v_exponent;
+      add_scaled(terms.share, v.x, fields[kColor]), add_scaled(terms.share, v.y, fields[kColor + 1]);
+      add_scaled(terms.share, v.z, fields[kColor + 2]), add_scaled(terms.share, v.w, fields[kNormal]);
+      add_scaled(terms.share, more.x, fields[kNormal + 1]), add_scaled(terms.share, more.y, fields[kNormal + 2]);
+      moments.add(terms, fmaf(axes[1], dy, axes[0] * dx), fmaf(axes[3], dy, axes[2] * dx));
+      const float v_blur = terms.pull == 0.0f ? terms.v_exponent : 0.0f;
+      add_scaled(v_blur, dx, moments.blur_x), add_scaled(v_blur, dy, moments.blur_y);
+    }
+    moments.write(s, needle, inverse_low_pass, fields);
+  }
+};
+
+// The sums that the lane's splat has in the end.
+template <bool Distortion>
+__device__ inline void walk_splats(const SurfelBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
+                                   SurfelStage& stage, float* fields) {
+  const int lane = threadIdx.x % kWarp;
+  unsigned patches = 0;
+  if (mine) {
+    stage.splats[lane] = p.records[splat];
+    patches = touched_patches(p.outlines[splat], TilePixel(p.tiles, bucket.tile, 0));
+  }
+  for (int k = 0; k < kPairFields / 4; ++k) stage.sums[lane][k] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  __syncwarp();
+  SurfelWalk<Distortion> walk(p, bucket.tile, number, stage);
+  walk_patches(patches, walk);
+  for (int k = 0; k < kPairFields / 4; ++k) {
+    const float4 sums = stage.sums[lane][k];
+    fields[4 * k] = sums.x, fields[4 * k + 1] = sums.y, fields[4 * k + 2] = sums.z, fields[4 * k + 3] = sums.w;
   }
 }
 
 template <bool Distortion>
 __device__ void walk_bucket(const SurfelBackwardParams& p) {
-  __shared__ SurfelRing<Distortion> rings[kBucketWarps];
-  __shared__ unsigned char lists[kBucketWarps][kTilePixels];
+  __shared__ SurfelStage stages[kBucketWarps];
   const int warp = threadIdx.x / kWarp, lane = threadIdx.x % kWarp, number = blockIdx.x * kBucketWarps + warp;
   const Bucket bucket(p.tiles, number);
   if (!bucket.exists) return;
   const bool mine = lane < bucket.count;
   const int2 entry = mine ? p.tiles.entries[bucket.first + lane] : make_int2(0, 0);
   float fields[kPairFields] = {};
-  if (bucket.index * kBucket < p.reached[bucket.tile]) {
-    SurfelRing<Distortion>& ring = rings[warp];
-    unsigned char* list = lists[warp];
-    SurfelRecord s = {};
-    if (mine) s = p.records[entry.x];
-    const DepthUnit unit = depth_unit(p.tiles, p.records, bucket.tile, p.near, p.far);
-    SurfelWalk walk;
-    SurfelSums sums;
-    constexpr int kPlanes = Distortion ? kDistortionPixelPlanes : kPlainPixelPlanes;
-    const float* state = p.states + int64_t(number) * p.state_planes * kTilePixels;
-    const float* planes = p.planes + int64_t(bucket.tile) * kPlanes * kTilePixels;
-    const int open = list_open_pixels(list, [&](int pixel) { return state[kLightPlane * kTilePixels + pixel] > 0.0f; });
-    hand_through(
-        open,
-        [&](int i, int at) { ring.load(TilePixel(p.tiles, bucket.tile, list[i]), planes + list[i], state + list[i], at); },
-        [&](int at) { walk.light = ring.light[at], walk.behind = ring.behind[at]; },
-        [&] {
-          walk.light = __shfl_up_sync(kFullWarp, walk.light, 1), walk.behind = __shfl_up_sync(kFullWarp, walk.behind, 1);
-        },
-        [&](int at) {
-          if (mine) meet_pixel<Distortion>(p, s, unit, ring, at, walk, sums);
-        });
-    sums.write(s, fields);
-  }
+  if (bucket.index * kBucket < p.reached[bucket.tile])
+    walk_splats<Distortion>(p, bucket, number, mine, entry.x, stages[warp], fields);
   if (mine) write_pair(p.pairs, entry.y, fields);
 }
 

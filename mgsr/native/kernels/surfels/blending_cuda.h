@@ -1,7 +1,7 @@
 // Blending the 2D branch's surfels, front to back. A block is a tile, a thread a pixel.
 //
-// The block takes its list 128 splats at a time into shared memory. A warp's pixels are a block of 8x4: for each bucket of
-// 32 splats its lanes test an outline each against that block, and only the splats that touch it are walked.
+// The block takes its list 256 splats at a time into shared memory, a splat a thread, and finds which of the tile's patches
+// of 8x4 pixels each touches. A warp has a patch: of each bucket of 32 splats, it walks those alone that touch it.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -9,8 +9,6 @@
 #include "math/blending.h"
 
 namespace mgsr {
-
-constexpr int kSurfelBatch = 128;
 
 // A pixel's state at the begin of a bucket, [buckets, planes, 256]: its light, and what it has added up.
 enum SurfelPlane { kLightPlane, kColorPlane, kNormalPlane = kColorPlane + 3, kDepthPlane = kNormalPlane + 3, kPlainPlanes,
@@ -52,30 +50,30 @@ struct SurfelMeeting {
   bool on_disk;    // whether the disk, not the low-pass, gives the weight
 };
 
-// Products and fused operations only, so that forward and backward round alike.
-__device__ inline SurfelMeeting meet(const SurfelRecord& s, int x, int y, float near, float low_pass) {
+// What decides beside a splat: the near plane, and the low-pass's exponent at a pixel from the centre.
+struct SurfelLimits {
+  float near, blur;
+  __device__ SurfelLimits(float near_plane, float low_pass) : near(near_plane), blur(kExponentScale / low_pass) {}
+};
+
+// At the pixel's centre (x, y). Products and fused operations, and one quotient, so that forward and backward round alike.
+__device__ inline SurfelMeeting meet(const SurfelRecord& s, float x, float y, const SurfelLimits& limits) {
   SurfelMeeting m;
-  m.dx = (float(x) + 0.5f) - s.x, m.dy = (float(y) + 0.5f) - s.y;
+  m.dx = x - s.x, m.dy = y - s.y;
   m.a = fmaf(s.L[1], m.dy, __fmul_rn(s.L[0], m.dx)), m.b = fmaf(s.L[3], m.dy, __fmul_rn(s.L[2], m.dx));
-  m.r = 1.0f / fmaf(s.g[1], m.dy, fmaf(s.g[0], m.dx, 1.0f));
+  m.r = quick_quotient(1.0f, fmaf(s.g[1], m.dy, fmaf(s.g[0], m.dx, 1.0f)));
   m.exponent = __fmul_rn(fmaf(m.a, m.a, __fmul_rn(m.b, m.b)), __fmul_rn(m.r, m.r));
   m.on_disk = true;
   if (!s.plain()) {
-    const float blur = __fmul_rn(kExponentScale / low_pass, fmaf(m.dx, m.dx, __fmul_rn(m.dy, m.dy)));
-    m.on_disk = m.exponent <= blur && s.depth() * m.r > near;
+    const float blur = __fmul_rn(limits.blur, fmaf(m.dx, m.dx, __fmul_rn(m.dy, m.dy)));
+    m.on_disk = m.exponent <= blur && s.depth() * m.r > limits.near;
     if (!m.on_disk) m.exponent = blur, m.r = 1.0f;
   }
   // Also false for a NaN, where the plane is seen from its edge.
   const float log2_alpha = __fadd_rn(s.log2_opacity, -m.exponent);
   m.alpha = 0.0f;
-  if (log2_alpha >= kLog2MinAlpha) m.alpha = fminf(exp2f(log2_alpha), kMaxAlpha);
+  if (log2_alpha >= kLog2MinAlpha) m.alpha = fminf(quick_exp2(log2_alpha), kMaxAlpha);
   return m;
-}
-
-// Whether an outline can hold a pixel's centre of the block from (x, y) on.
-__device__ inline bool touches_patch(const SplatOutline& s, int x, int y) {
-  const Columns c = outline_columns(s, float(y) + 0.5f, float(y) + (kPatchHeight - 0.5f));
-  return c.x0 <= c.x1 && c.x0 <= float(x) + (kPatchWidth - 0.5f) && c.x1 >= float(x) + 0.5f;
 }
 
 template <bool Distortion>
@@ -125,23 +123,25 @@ struct SurfelPixel {
 
 template <bool Distortion>
 __device__ void blend_surfels(const SurfelBlendParams& p) {
-  __shared__ SurfelRecord batch[kSurfelBatch];
-  __shared__ SplatOutline outlines[kSurfelBatch];
+  __shared__ SurfelRecord batch[kTilePixels];
+  __shared__ unsigned char patches[kTilePixels];
   constexpr int kPlanes = Distortion ? kDistortionPlanes : kPlainPlanes;
-  const int tile = blockIdx.x, thread = threadIdx.x, lane = thread % kWarp;
-  const TilePixel pixel(p.tiles, tile, thread), corner(p.tiles, tile, thread - lane);
+  const int tile = blockIdx.x, thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
+  const TilePixel pixel(p.tiles, tile, thread), corner(p.tiles, tile, 0);
+  const float x = float(pixel.x) + 0.5f, y = float(pixel.y) + 0.5f;
+  const SurfelLimits limits(p.near, p.low_pass);
   const DepthUnit unit = depth_unit(p.tiles, p.records, tile, p.near, p.far);
   const int2 range = p.tiles.ranges[tile];
   float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * kPlanes * kTilePixels : nullptr;
   SurfelPixel<Distortion> sums;
   if (!pixel.inside(p.tiles)) sums.light = -1.0f;
   int begin = range.x;
-  for (; begin < range.y; begin += kSurfelBatch) {
+  for (; begin < range.y; begin += kTilePixels) {
     if (__syncthreads_count(sums.open()) == 0) break;
-    const int count = range.y - begin < kSurfelBatch ? range.y - begin : kSurfelBatch;
+    const int count = range.y - begin < kTilePixels ? range.y - begin : kTilePixels;
     if (thread < count) {
       const int splat = p.tiles.entries[begin + thread].x;
-      batch[thread] = p.records[splat], outlines[thread] = p.outlines[splat];
+      batch[thread] = p.records[splat], patches[thread] = (unsigned char)touched_patches(p.outlines[splat], corner);
     }
     __syncthreads();
     for (int bucket = 0; bucket < count; bucket += kBucket) {
@@ -151,10 +151,10 @@ __device__ void blend_surfels(const SurfelBlendParams& p) {
       }
       const int e = bucket + lane;
       const bool open = __any_sync(kFullWarp, sums.open());
-      unsigned touching = __ballot_sync(kFullWarp, open && e < count && touches_patch(outlines[e], corner.x, corner.y));
+      unsigned touching = __ballot_sync(kFullWarp, open && e < count && (patches[e] >> warp & 1));
       for (; touching; touching &= touching - 1) {
         const SurfelRecord& s = batch[bucket + __ffs(touching) - 1];
-        sums.add(s, meet(s, pixel.x, pixel.y, p.near, p.low_pass), unit);
+        sums.add(s, meet(s, x, y, limits), unit);
       }
     }
   }

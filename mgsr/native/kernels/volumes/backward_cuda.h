@@ -66,117 +66,166 @@ __device__ void prepare_pixel(const VolumePixelParams& p) {
   out[kBehind * kTilePixels] = total;
 }
 
-// A bucket's pixels in flight: their gradients, coordinates and states at its begin.
+// What a pixel says of a splat: what the splat adds to the loss's sums is share times its colour, and the exponent's
+// gradient; the same of the reflected part.
 template <bool Dual>
-struct VolumeRing {
-  float v_color[3][kRing], v_depth[kRing], light[kRing], behind[kRing];
-  float v_weight[Dual ? kRing : 1], v_refl_color[3][Dual ? kRing : 1], refl_light[Dual ? kRing : 1], refl_behind[Dual ? kRing : 1];
-  int x[kRing], y[kRing];
-
-  // planes, state: at the pixel's first number of each.
-  __device__ void load(const TilePixel& pixel, const float* planes, const float* state, int at) {
-    x[at] = pixel.x, y[at] = pixel.y;
-    light[at] = state[kLightPlane * kTilePixels];
-    float left = planes[kBehind * kTilePixels];
-    const bool open = light[at] > 0.0f || (Dual && state[kReflLightPlane * kTilePixels] > 0.0f);
-    for (int k = 0; k < 3; ++k) {
-      v_color[k][at] = planes[(kVColor + k) * kTilePixels];
-      if (open) left -= v_color[k][at] * state[(kColorPlane + k) * kTilePixels];
-    }
-    v_depth[at] = planes[kVDepth * kTilePixels];
-    if (open) left -= v_depth[at] * state[kDepthPlane * kTilePixels];
-    if (Dual) {
-      v_weight[at] = planes[kVWeight * kTilePixels];
-      if (open) left -= v_weight[at] * state[kWeightPlane * kTilePixels];
-      refl_light[at] = state[kReflLightPlane * kTilePixels];
-      float refl_left = planes[kReflBehind * kTilePixels];
-      for (int k = 0; k < 3; ++k) {
-        v_refl_color[k][at] = planes[(kVReflColor + k) * kTilePixels];
-        if (open) refl_left -= v_refl_color[k][at] * state[(kReflColorPlane + k) * kTilePixels];
-      }
-      refl_behind[at] = refl_left;
-    }
-    behind[at] = left;
-  }
+struct VolumeTerms;
+template <>
+struct alignas(8) VolumeTerms<false> {
+  float share, v_exponent;
+};
+template <>
+struct alignas(16) VolumeTerms<true> {
+  float share, v_exponent, refl_share, v_refl_exponent;
 };
 
-// A pixel's state between two splats.
+// A warp's shared memory. sums: of its splats' fields; terms: of a chunk's splats, by pixel; gradients: of the patch's
+// pixels, color and depth, reflected color and weight.
+template <bool Dual>
+struct VolumeStage {
+  static constexpr int kSums = Dual ? 16 : 12;
+  VolumeInTile splats[kBucket];
+  float4 sums[kBucket][kSums / 4];
+  VolumeTerms<Dual> terms[kChunk][kTermsStride];
+  float4 gradients[Dual ? 2 : 1][kWarp];
+};
+
+// What walk_patches needs.
+template <bool Dual>
 struct VolumeWalk {
-  float light = 0.0f, behind = 0.0f, refl_light = 0.0f, refl_behind = 0.0f;
-};
+  VolumeStage<Dual>& stage;
+  const float *state, *planes;  // of the bucket; of the tile
+  int patch = 0;
+  float x = 0.0f, y = 0.0f;     // of the lane's pixel in the tile
+  float light = 0.0f, behind = 0.0f, v_color[3] = {}, v_depth = 0.0f;
+  float refl_light = 0.0f, refl_behind = 0.0f, v_refl_color[3] = {}, v_weight = 0.0f;
 
-// One splat meets one pixel: fields [kPairFields] gets its gradient added.
-template <bool Dual>
-__device__ inline void meet_pixel(const VolumeRecord& r, const VolumeRing<Dual>& ring, int at, VolumeWalk& walk, float* fields) {
-  const float dx = offset(ring.x[at], r.x, r.x_rest), dy = offset(ring.y[at], r.y, r.y_rest);
-  const float w = exp2f(volume_exponent(r, dx, dy)), T = walk.light;
-  const float alpha = pass_light(counted_alpha(r.opacity * w), walk.light);
-  float v_exponent = 0.0f;
-  if (alpha > 0.0f) {
-    float gain = ring.v_depth[at] * r.depth;
-    for (int k = 0; k < 3; ++k) gain = fmaf(ring.v_color[k][at], r.color[k], gain);
-    if (Dual) gain = fmaf(ring.v_weight[at], r.weight, gain);
-    const BlendStep step = blend_vjp(alpha, T, gain, walk.behind);
-    v_exponent = step.v_exponent;
-    fields[kOpacity] += step.v_exponent;
-    for (int k = 0; k < 3; ++k) fields[kColor + k] = fmaf(step.share, ring.v_color[k][at], fields[kColor + k]);
-    fields[kDepth] = fmaf(step.share, ring.v_depth[at], fields[kDepth]);
-    if (Dual) fields[kWeight] = fmaf(step.share, ring.v_weight[at], fields[kWeight]);
+  __device__ VolumeWalk(VolumeStage<Dual>& own, const float* of_bucket, const float* of_tile)
+      : stage(own), state(of_bucket), planes(of_tile) {}
+
+  __device__ float of_state(int plane) const { return state[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
+  __device__ float of_pixel(int plane) const { return planes[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
+
+  __device__ bool enter(int number) {
+    patch = number, light = of_state(kLightPlane);
+    if (Dual) refl_light = of_state(kReflLightPlane);
+    const bool open = light > 0.0f || (Dual && refl_light > 0.0f);
+    if (!__any_sync(kFullWarp, open)) return false;
+    const int lane = threadIdx.x % kWarp;
+    const TilePlace place(number * kWarp + lane);
+    x = float(place.x), y = float(place.y);
+    load(open);
+    stage.gradients[0][lane] = make_float4(v_color[0], v_color[1], v_color[2], v_depth);
+    if (Dual) stage.gradients[Dual ? 1 : 0][lane] = make_float4(v_refl_color[0], v_refl_color[1], v_refl_color[2], v_weight);
+    return true;
   }
-  if (Dual) {
-    const float T_r = walk.refl_light, refl_alpha = pass_light(counted_alpha(r.refl_opacity * w), walk.refl_light);
-    if (refl_alpha > 0.0f) {
-      float gain = 0.0f;
-      for (int k = 0; k < 3; ++k) gain = fmaf(ring.v_refl_color[k][at], r.refl_color[k], gain);
-      const BlendStep step = blend_vjp(refl_alpha, T_r, gain, walk.refl_behind);
-      v_exponent += step.v_exponent;
-      fields[kReflOpacity] += step.v_exponent;
-      for (int k = 0; k < 3; ++k) fields[kReflColor + k] = fmaf(step.share, ring.v_refl_color[k][at], fields[kReflColor + k]);
+
+  // A closed pixel has no part in anything, and none outside of the image has gradients.
+  __device__ void load(bool open) {
+    behind = open ? of_pixel(kBehind) : 0.0f;
+    for (int k = 0; k < 3; ++k) take(open, kVColor + k, kColorPlane + k, v_color[k], behind);
+    take(open, kVDepth, kDepthPlane, v_depth, behind);
+    if (!Dual) return;
+    take(open, kVWeight, kWeightPlane, v_weight, behind);
+    refl_behind = open ? of_pixel(kReflBehind) : 0.0f;
+    for (int k = 0; k < 3; ++k) take(open, kVReflColor + k, kReflColorPlane + k, v_refl_color[k], refl_behind);
+  }
+
+  __device__ void take(bool open, int plane, int state_plane, float& gradient, float& left) const {
+    gradient = open ? of_pixel(plane) : 0.0f;
+    if (open) left -= gradient * of_state(state_plane);
+  }
+
+  __device__ void meet(int splat, int at) {
+    const VolumeInTile& r = stage.splats[splat];
+    VolumeTerms<Dual>& terms = stage.terms[at][threadIdx.x % kWarp];
+    const float w = volume_weight(r, r.x + x, r.y + y), T = light;
+    const float alpha = pass_light(counted_alpha(r.opacity * w), light);
+    float gain = v_depth * r.depth;
+    for (int k = 0; k < 3; ++k) gain = fmaf(v_color[k], r.color[k], gain);
+    if (Dual) gain = fmaf(v_weight, r.weight, gain);
+    const BlendStep step = blend_vjp(alpha, T, gain, behind);
+    if constexpr (Dual) {
+      const float T_r = refl_light, refl_alpha = pass_light(counted_alpha(r.refl_opacity * w), refl_light);
+      float refl_gain = 0.0f;
+      for (int k = 0; k < 3; ++k) refl_gain = fmaf(v_refl_color[k], r.refl_color[k], refl_gain);
+      const BlendStep refl = blend_vjp(refl_alpha, T_r, refl_gain, refl_behind);
+      terms = {step.share, step.v_exponent, refl.share, refl.v_exponent};
+    } else {
+      terms = {step.share, step.v_exponent};
     }
   }
-  const float vx = v_exponent * dx, vy = v_exponent * dy;
-  fields[kDx] += vx, fields[kDy] += vy;
-  fields[kDxx] = fmaf(vx, dx, fields[kDxx]), fields[kDxy] = fmaf(vx, dy, fields[kDxy]), fields[kDyy] = fmaf(vy, dy, fields[kDyy]);
+
+  __device__ void add(int splat) {
+    constexpr int kSums = VolumeStage<Dual>::kSums;
+    const ChunkPlace mine(threadIdx.x % kWarp);
+    float fields[kPairFields] = {};
+    if (splat >= 0) add_row(stage.splats[splat], mine, fields);
+    sum_rows<kSums>(fields);
+    if (splat < 0) return;
+    float* sums = &stage.sums[splat][0].x + mine.row * (kSums / 4);
+    for (int k = 0; k < kSums / 4; ++k) sums[k] += fields[k];
+  }
+
+  // Along a row only dx changes, by one a pixel.
+  __device__ void add_row(const VolumeInTile& r, const ChunkPlace& mine, float* fields) const {
+    const float left = r.x + float(patch % 2 * kPatchWidth), dy = r.y + float(patch / 2 * kPatchHeight + mine.row);
+    float moment = 0.0f;
+    for (int column = 0; column < kPatchWidth; ++column) {
+      const int pixel = mine.pixel(column);
+      const VolumeTerms<Dual> terms = stage.terms[mine.splat][pixel];
+      const float4 v = stage.gradients[0][pixel];
+      const float dx = left + float(column);
+      float v_exponent = terms.v_exponent;
+      fields[kOpacity] += terms.v_exponent;
+      add_scaled(terms.share, v.x, fields[kColor]), add_scaled(terms.share, v.y, fields[kColor + 1]);
+      add_scaled(terms.share, v.z, fields[kColor + 2]), add_scaled(terms.share, v.w, fields[kDepth]);
+      if constexpr (Dual) {
+        const float4 refl = stage.gradients[1][pixel];
+        v_exponent += terms.v_refl_exponent;
+        fields[kReflOpacity] += terms.v_refl_exponent;
+        add_scaled(terms.refl_share, refl.x, fields[kReflColor]), add_scaled(terms.refl_share, refl.y, fields[kReflColor + 1]);
+        add_scaled(terms.refl_share, refl.z, fields[kReflColor + 2]), add_scaled(terms.share, refl.w, fields[kWeight]);
+      }
+      const float vx = v_exponent * dx;
+      moment += v_exponent, fields[kDx] += vx, add_scaled(vx, dx, fields[kDxx]);
+    }
+    fields[kDy] = moment * dy, fields[kDxy] = fields[kDx] * dy, fields[kDyy] = fields[kDy] * dy;
+  }
+};
+
+// The sums that the lane's splat has in the end.
+template <bool Dual>
+__device__ inline void walk_splats(const VolumeBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
+                                   VolumeStage<Dual>& stage, float* fields) {
+  constexpr int kQuads = VolumeStage<Dual>::kSums / 4;
+  const int lane = threadIdx.x % kWarp;
+  unsigned patches = 0;
+  if (mine) {
+    const VolumeInTile r = in_tile(p.records[splat], TilePixel(p.tiles, bucket.tile, 0));
+    stage.splats[lane] = r, patches = touched_patches(r);
+  }
+  for (int k = 0; k < kQuads; ++k) stage.sums[lane][k] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  __syncwarp();
+  VolumeWalk<Dual> walk(stage, p.states + int64_t(number) * (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels,
+                        p.planes + int64_t(bucket.tile) * (Dual ? kDualPixelPlanes : kSinglePixelPlanes) * kTilePixels);
+  walk_patches(patches, walk);
+  for (int k = 0; k < kQuads; ++k) {
+    const float4 sums = stage.sums[lane][k];
+    fields[4 * k] = sums.x, fields[4 * k + 1] = sums.y, fields[4 * k + 2] = sums.z, fields[4 * k + 3] = sums.w;
+  }
 }
 
 template <bool Dual>
 __device__ void walk_bucket(const VolumeBackwardParams& p) {
-  __shared__ VolumeRing<Dual> rings[kBucketWarps];
-  __shared__ unsigned char lists[kBucketWarps][kTilePixels];
+  __shared__ VolumeStage<Dual> stages[kBucketWarps];
   const int warp = threadIdx.x / kWarp, lane = threadIdx.x % kWarp, number = blockIdx.x * kBucketWarps + warp;
   const Bucket bucket(p.tiles, number);
   if (!bucket.exists) return;
   const bool mine = lane < bucket.count;
   const int2 entry = mine ? p.tiles.entries[bucket.first + lane] : make_int2(0, 0);
   float fields[kPairFields] = {};
-  if (bucket.index * kBucket < p.reached[bucket.tile]) {
-    VolumeRing<Dual>& ring = rings[warp];
-    unsigned char* list = lists[warp];
-    VolumeRecord r = {};
-    if (mine) r = p.records[entry.x];
-    VolumeWalk walk;
-    const float* state = p.states + int64_t(number) * (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels;
-    const float* planes = p.planes + int64_t(bucket.tile) * (Dual ? kDualPixelPlanes : kSinglePixelPlanes) * kTilePixels;
-    const int open = list_open_pixels(list, [&](int pixel) {
-      return state[kLightPlane * kTilePixels + pixel] > 0.0f || (Dual && state[kReflLightPlane * kTilePixels + pixel] > 0.0f);
-    });
-    hand_through(
-        open,
-        [&](int i, int at) { ring.load(TilePixel(p.tiles, bucket.tile, list[i]), planes + list[i], state + list[i], at); },
-        [&](int at) {
-          walk.light = ring.light[at], walk.behind = ring.behind[at];
-          if (Dual) walk.refl_light = ring.refl_light[at], walk.refl_behind = ring.refl_behind[at];
-        },
-        [&] {
-          walk.light = __shfl_up_sync(kFullWarp, walk.light, 1), walk.behind = __shfl_up_sync(kFullWarp, walk.behind, 1);
-          if (!Dual) return;
-          walk.refl_light = __shfl_up_sync(kFullWarp, walk.refl_light, 1);
-          walk.refl_behind = __shfl_up_sync(kFullWarp, walk.refl_behind, 1);
-        },
-        [&](int at) {
-          if (mine) meet_pixel<Dual>(r, ring, at, walk, fields);
-        });
-  }
+  if (bucket.index * kBucket < p.reached[bucket.tile]) walk_splats(p, bucket, number, mine, entry.x, stages[warp], fields);
   if (mine) write_pair(p.pairs, entry.y, fields);
 }
 

@@ -1,7 +1,7 @@
 // Blending the 3D branch's splats, front to back. A block is a tile, a thread a pixel.
 //
-// The block takes its list 256 splats at a time into shared memory. A warp's pixels are a block of 8x4: for each bucket of
-// 32 splats its lanes test a splat each against that block, and only those that touch it are walked.
+// The block takes its list 256 splats at a time into shared memory, a splat a thread, and finds which of the tile's patches
+// of 8x4 pixels each touches. A warp has a patch: of each bucket of 32 splats, it walks those alone that touch it.
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
@@ -25,28 +25,37 @@ struct VolumeBlendParams {
   int* reached;                          // [tiles] how many splats of its list were looked at
 };
 
-// 2^this, at most 1, is the splat's weight at (dx, dy) pixels from its centre. Products and fused operations only, so that
-// forward and backward round alike.
-__device__ inline float volume_exponent(const VolumeRecord& r, float dx, float dy) {
-  const float u = fmaf(r.root[1], dy, __fmul_rn(r.root[0], dx)), v = __fmul_rn(r.root[2], dy);
-  return fmaxf(fmaf(-u, u, -__fmul_rn(v, v)), -126.0f);
-}
+// A record as the walks over a tile read it.
+struct alignas(16) VolumeInTile {
+  float x, y;  // from the centre to the tile's first pixel's centre
+  float root[3];
+  float opacity, depth;
+  float color[3];
+  float refl_opacity, weight, refl_color[3];
+  float unused;
+};
 
 __device__ inline float offset(int pixel, int16_t whole, float rest) { return (float(pixel - whole) + 0.5f) - rest; }
 
-// Whether a splat can count anywhere in the block of pixel centres from (x, y) on.
-__device__ inline bool touches_patch(const VolumeRecord& r, int x, int y) {
-  const float x0 = offset(x, r.x, r.x_rest), x1 = x0 + (kPatchWidth - 1), y0 = offset(y, r.y, r.y_rest), y1 = y0 + (kPatchHeight - 1);
-  if (x0 <= 0.0f && x1 >= 0.0f && y0 <= 0.0f && y1 >= 0.0f) return true;
-  const float a = r.root[0], b = r.root[1], c = r.root[2], bc2 = b * b + c * c;
-  // The exponent is largest on the border; on each side, at the point nearest to that of the whole line.
-  float best = -1e30f;
-  for (int side = 0; side < 2; ++side) {
-    const float dy = side ? y1 : y0, dx = side ? x1 : x0;
-    best = fmaxf(best, volume_exponent(r, held_between(-b * dy / a, x0, x1), dy));
-    best = fmaxf(best, volume_exponent(r, dx, held_between(-a * b * dx / bc2, y0, y1)));
-  }
-  return exp2f(best) * fmaxf(r.opacity, r.refl_opacity) >= 0.99f * kMinAlpha;
+__device__ inline VolumeInTile in_tile(const VolumeRecord& r, const TilePixel& corner) {
+  return {offset(corner.x, r.x, r.x_rest), offset(corner.y, r.y, r.y_rest), {r.root[0], r.root[1], r.root[2]},
+          r.opacity, r.depth, {r.color[0], r.color[1], r.color[2]},
+          r.refl_opacity, r.weight, {r.refl_color[0], r.refl_color[1], r.refl_color[2]}, 0.0f};
+}
+
+// A splat's weight at (dx, dy) pixels from its centre. Products and fused operations only, so that forward and backward
+// round alike.
+__device__ inline float volume_weight(const VolumeInTile& r, float dx, float dy) {
+  const float u = fmaf(r.root[1], dy, __fmul_rn(r.root[0], dx)), v = __fmul_rn(r.root[2], dy);
+  return quick_exp2(fmaf(-u, u, -__fmul_rn(v, v)));
+}
+
+// The patches of a tile in which a splat can count, as bits.
+__device__ inline unsigned touched_patches(const VolumeInTile& r) {
+  const float a = r.root[0], b = r.root[1], c = r.root[2], slope = -b / a, k = c * c / (a * a);
+  const float exponent = log2f(fmaxf(r.opacity, r.refl_opacity) / (0.99f * kMinAlpha)), reach = sqrtf(exponent) / c;
+  const EllipseForm<float> e = {0.0f, 0.0f, 0.0f, reach, -b * reach / sqrtf(b * b + c * c), slope, exponent / (a * a), k};
+  return touched_patches(r.x, r.y, [&](float y0, float y1) { return ellipse_columns(e, y0, y1); });
 }
 
 template <bool Dual>
@@ -56,15 +65,14 @@ struct VolumePixel {
 
   __device__ bool open() const { return light > 0.0f || (Dual && refl_light > 0.0f); }
 
-  __device__ void add(const VolumeRecord& r, int x, int y) {
-    const float exponent = volume_exponent(r, offset(x, r.x, r.x_rest), offset(y, r.y, r.y_rest));
-    const float w = exp2f(exponent), T = light, share = pass_light(counted_alpha(r.opacity * w), light) * T;
-    if (share > 0.0f) {
-      for (int k = 0; k < 3; ++k) color[k] = fmaf(share, r.color[k], color[k]);
-      depth = fmaf(share, r.depth, depth);
-      if (Dual) weight = fmaf(share, r.weight, weight);
-    }
+  // (x, y): the pixel's place in the tile.
+  __device__ void add(const VolumeInTile& r, float x, float y) {
+    const float w = volume_weight(r, r.x + x, r.y + y);
+    const float T = light, share = pass_light(counted_alpha(r.opacity * w), light) * T;
+    for (int k = 0; k < 3; ++k) color[k] = fmaf(share, r.color[k], color[k]);
+    depth = fmaf(share, r.depth, depth);
     if (!Dual) return;
+    weight = fmaf(share, r.weight, weight);
     const float T_r = refl_light, refl_share = pass_light(counted_alpha(r.refl_opacity * w), refl_light) * T_r;
     for (int k = 0; k < 3; ++k) refl_color[k] = fmaf(refl_share, r.refl_color[k], refl_color[k]);
   }
@@ -93,28 +101,35 @@ struct VolumePixel {
 
 template <bool Dual>
 __device__ void blend_volumes(const VolumeBlendParams& p) {
-  __shared__ VolumeRecord batch[kTilePixels];
-  const int tile = blockIdx.x, thread = threadIdx.x, lane = thread % kWarp;
-  const TilePixel pixel(p.tiles, tile, thread), corner(p.tiles, tile, thread - lane);
+  __shared__ VolumeInTile batch[kTilePixels];
+  __shared__ unsigned char patches[kTilePixels];
+  constexpr int kPlanes = Dual ? kDualPlanes : kSinglePlanes;
+  const int tile = blockIdx.x, thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
+  const TilePixel pixel(p.tiles, tile, thread), corner(p.tiles, tile, 0);
+  const TilePlace place(thread);
+  const float x = float(place.x), y = float(place.y);
   const int2 range = p.tiles.ranges[tile];
-  float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels : nullptr;
+  float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * kPlanes * kTilePixels : nullptr;
   VolumePixel<Dual> sums;
   if (!pixel.inside(p.tiles)) sums.light = sums.refl_light = -1.0f;
   int begin = range.x;
   for (; begin < range.y; begin += kTilePixels) {
     if (__syncthreads_count(sums.open()) == 0) break;
     const int count = range.y - begin < kTilePixels ? range.y - begin : kTilePixels;
-    if (thread < count) batch[thread] = p.records[p.tiles.entries[begin + thread].x];
+    if (thread < count) {
+      const VolumeInTile splat = in_tile(p.records[p.tiles.entries[begin + thread].x], corner);
+      batch[thread] = splat, patches[thread] = (unsigned char)touched_patches(splat);
+    }
     __syncthreads();
     for (int bucket = 0; bucket < count; bucket += kBucket) {
       if (states) {
         sums.save(states, thread);
-        states += (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels;
+        states += kPlanes * kTilePixels;
       }
       const int e = bucket + lane;
       const bool open = __any_sync(kFullWarp, sums.open());
-      unsigned touching = __ballot_sync(kFullWarp, open && e < count && touches_patch(batch[e], corner.x, corner.y));
-      for (; touching; touching &= touching - 1) sums.add(batch[bucket + __ffs(touching) - 1], pixel.x, pixel.y);
+      unsigned touching = __ballot_sync(kFullWarp, open && e < count && (patches[e] >> warp & 1));
+      for (; touching; touching &= touching - 1) sums.add(batch[bucket + __ffs(touching) - 1], x, y);
     }
   }
   if (thread == 0) p.reached[tile] = (begin < range.y ? begin : range.y) - range.x;

@@ -7,6 +7,7 @@
 #include "kernels/volumes/record.h"
 #include "math/blending.h"
 #include "math/footprint.h"
+#include "math/two_floats.h"
 
 namespace mgsr {
 
@@ -54,31 +55,68 @@ __device__ inline void split(double x, int16_t& whole, float& rest) {
   whole = int16_t(held), rest = float(x - held);
 }
 
-// Fills a splat's record and outline; false when it can't be seen or isn't finite. In float64, as on the CPU: a splat counts
-// for a pixel or not by a threshold, and what float leaves of a centre 256 pixels out flips thousands of those decisions.
-__device__ inline bool project_volume(const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
-  double mean[3], quat[4], scale[3], root[3];
+__device__ inline void split(TwoFloats x, int16_t& whole, float& rest) {
+  float low = floorf(x.high);
+  if ((x.high - low) + x.low < 0.0f) low -= 1.0f;
+  const float held = held_between(low, -32768.0f, 32767.0f);
+  whole = int16_t(held), rest = (x.high - held) + x.low;
+}
+
+// A splat on the image, or why it is not there.
+enum class Sight { kSeen, kUnseen, kUnsure };
+
+// Whether two floats each keep float's digits in all that a record takes from a projection, and decide as float64 does: no
+// number near the end of their range, no splat some thousand times longer than wide, and none at a limit.
+__device__ inline bool sure(const VolumeSplats& in, int64_t i, const ProjectedGaussian<TwoFloats>& g, float det) {
+  const float cxx = g.cxx.high, cyy = g.cyy.high, near_gap = g.depth.high - in.near;
+  if (!(cxx > 1e-6f && cyy > 1e-6f && cxx + cyy < 0.999e12f)) return false;
+  const float reach = fabsf(g.x.high) + fabsf(g.y.high) + fabsf(g.depth.high);
+  if (!(det > 2e-6f * cxx * cyy && reach < 1e9f)) return false;
+  if (!(fabsf(near_gap) > 1e-6f * (fabsf(in.near) + fabsf(g.depth.high)))) return false;
+  if (!in.compensate) return true;
+  // The compensation's square is a determinant without the low-pass, which may be thinner still, over this one.
+  const float opacity = fmaxf(in.opacities[i], in.refl_opacities ? in.refl_opacities[i] : 0.0f);
+  const float kept2 = g.compensation.high * g.compensation.high, spread = cxx * cyy / det;
+  if (sqrtf(kept2 + 1e-12f * spread) * opacity < 0.999f * kMinAlpha) return true;
+  return kept2 > 2e-6f * spread && fabsf(g.compensation.high * opacity - kMinAlpha) > 1e-5f * kMinAlpha;
+}
+__device__ inline bool sure(const VolumeSplats&, int64_t, const ProjectedGaussian<double>&, float) { return true; }
+
+// Fills a splat's record and outline, where it is seen: it can be, and is finite.
+template <class T>
+__device__ inline Sight project_as(const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
+  T mean[3], quat[4], scale[3], root[3];
   for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
   for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
-  const auto g = project_gaussian(camera_as<double>(in.camera), mean, quat, scale, double(in.low_pass));
-  const double det = footprint_root(g, root);
-  if (!(g.depth > double(in.near) && det > 0.0 && g.cxx + g.cyy < 1e12)) return false;
+  const ProjectedGaussian<T> g = project_gaussian(camera_as<T>(in.camera), mean, quat, scale, T(in.low_pass));
+  const T det = footprint_root(g, root);
+  if (!sure(in, i, g, float(det))) return Sight::kUnsure;
+  if (!(g.depth > T(in.near) && det > T(0) && g.cxx + g.cyy < T(1e12))) return Sight::kUnseen;
   const float left = in.compensate ? float(g.compensation) : 1.0f;
   record.opacity = in.opacities[i] * left;
   record.refl_opacity = in.refl_opacities ? in.refl_opacities[i] * left : 0.0f;
   const float strongest = fmaxf(record.opacity, record.refl_opacity);
   // In this form also false for a NaN.
-  if (!(strongest >= kMinAlpha && strongest <= 1e6f && record.opacity >= 0 && record.refl_opacity >= 0)) return false;
-  if (!finite_light(in, i)) return false;
+  if (!(strongest >= kMinAlpha && strongest <= 1e6f && record.opacity >= 0 && record.refl_opacity >= 0)) return Sight::kUnseen;
+  if (!finite_light(in, i)) return Sight::kUnseen;
   split(g.x, record.x, record.x_rest), split(g.y, record.y, record.y_rest);
   for (int k = 0; k < 3; ++k) record.root[k] = float(root[k]), record.color[k] = in.colors[3 * i + k];
   record.depth = float(g.depth);
   record.weight = in.weights ? in.weights[i] : 0.0f;
   for (int k = 0; k < 3; ++k) record.refl_color[k] = in.refl_colors ? in.refl_colors[3 * i + k] : 0.0f;
-  const auto e = make_ellipse(g.x, g.y, g.cxx, g.cxy, g.cyy, double(2.0f * logf(strongest / kMinAlpha)));
+  const auto e = make_ellipse(g.x, g.y, g.cxx, g.cxy, g.cyy, T(2.0f * logf(strongest / kMinAlpha)));
   outline.ellipse = {float(e.x), float(e.y), float(e.hx), float(e.hy), float(e.at_right), float(e.slope), float(e.w2), float(e.k)};
   outline.x = float(e.x), outline.y = float(e.y), outline.radius = 0.0f, outline.unused = 0.0f;
-  return true;
+  return Sight::kSeen;
+}
+
+// Fills a splat's record and outline; false when it can't be seen or isn't finite. A splat counts for a pixel or not by a
+// threshold, and what float leaves of a centre 256 pixels out flips thousands of those decisions, so that the CPU computes
+// in float64. That is slow on most cards: two floats do as well, and the few splats for which they might not are done again.
+__device__ inline bool project_volume(const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
+  Sight sight = project_as<TwoFloats>(in, i, record, outline);
+  if (sight == Sight::kUnsure) sight = project_as<double>(in, i, record, outline);
+  return sight == Sight::kSeen;
 }
 
 // The gradients that need no projection; returns that of the compensation, 0 where there is none.

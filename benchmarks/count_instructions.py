@@ -9,7 +9,7 @@ the package of version 1.5.3 from PyPI, unpacked for the while of the run; witho
 A kernel's loops come from the jumps of its machine code (sass.py). A turn of the innermost one, a step, is one splat at
 a warp's pixels; unrolled steps are told apart by their exponentials, of which each has one. Parts that a branch may
 skip count with the share of steps in which a pixel of the warp blends the splat. How often each loop turns is counted
-on the scene, by default that of 100k splats of benchmarks/cuda.py on 800 x 800 pixels, by doing the walks with whole
+on the scene, by default that of 100k splats of rasterizers.py on 800 x 800 pixels, by doing the walks with whole
 arrays (walks.py). Instructions are no times: waiting for memory, for other units and for atomics is not in them.
 """
 
@@ -30,7 +30,7 @@ import numpy as np
 import torch
 
 from benchmarks import walks
-from benchmarks.cuda import Scene, make_scene
+from benchmarks.rasterizers import Scene, make_scene
 from benchmarks.sass import Loop, Resources, disassemble, loops_of, resources
 from mgsr.data.camera import Camera
 from mgsr.native.cuda.compiler import compile_family

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from benchmarks.cuda import Scene
+from benchmarks.rasterizers import Scene
 from mgsr.native.cuda import tiles, volumes
 from mgsr.native.cuda.tiles import BUCKET, TILE, TILE_PIXELS
 from mgsr.ops.volumes import VolumeOptions

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from benchmarks.cuda import make_scene, our_modes
 from benchmarks.gpu_check.arguments import parser, require_card
+from benchmarks.rasterizers import make_scene, our_modes
 from mgsr.ops.image_loss import image_loss
 
 SIZE = "100k/800"

@@ -16,9 +16,9 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from benchmarks.cuda import Scene, make_scene, our_modes
 from benchmarks.gpu_check.arguments import parser, require_card, results_of
 from benchmarks.gpu_check.results import tell
+from benchmarks.rasterizers import Scene, make_scene, our_modes
 from mgsr.errors import GpuError
 
 SIZES = ("1M/1080p", "3M/1080p", "6M/1080p")

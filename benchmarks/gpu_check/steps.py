@@ -134,7 +134,7 @@ def _benchmark(beside: bool) -> Callable[[Place], list[str]]:
         if built is not None:
             done.touch()
         # As a module: beside a script cuda.py, torch would take that for NVIDIA's package of the same name.
-        words = [place.python, "-m", "benchmarks.cuda", "--runs", os.environ.get("RUNS", "20")]
+        words = [place.python, "-m", "benchmarks.rasterizers", "--runs", os.environ.get("RUNS", "20")]
         words += ["--device", place.device, "--json", str(place.results.folder / ROWS)]
         return [*words, *([] if built else ["--ours"]), *(["--sizes", "2k/64"] if place.device == "cpu" else [])]
 

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 import pytest
 import torch
 
-from benchmarks.cuda import make_scene
 from benchmarks.gpu_check.memory import Outcome, Rendered, rendering, starved, verdict
+from benchmarks.rasterizers import make_scene
 from mgsr.errors import GpuError
 
 WHOLE = 1000  # bytes

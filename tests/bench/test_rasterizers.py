@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks import cuda
+from benchmarks import rasterizers
 
 CPU = torch.device("cpu")
 
@@ -20,13 +20,17 @@ def failing() -> list[torch.Tensor]:
 
 def test_a_mode_that_fails_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        cuda, "gsplat_modes", lambda scene: {"gsplat 3d": cuda.our_modes(scene)["3d"], "gsplat 2d": failing}
+        rasterizers,
+        "gsplat_modes",
+        lambda scene: {"gsplat 3d": rasterizers.our_modes(scene)["3d"], "gsplat 2d": failing},
     )
-    rows, failed = cuda.measure("1k/32", 2, CPU)
+    rows, failed = rasterizers.measure("1k/32", 2, CPU)
     assert [row.mode for row in rows] == ["3d", "2d", "dual", "gsplat 3d"]
     assert failed == {"gsplat 2d": "RuntimeError: no kernel image"}
-    assert cuda.measure("1k/32", 1, CPU, beside=False)[1] == {}
-    ratio = {row.mode: line.split("|")[7].strip() for row, line in zip(rows, cuda.table_lines(rows), strict=True)}
+    assert rasterizers.measure("1k/32", 1, CPU, beside=False)[1] == {}
+    ratio = {
+        row.mode: line.split("|")[7].strip() for row, line in zip(rows, rasterizers.table_lines(rows), strict=True)
+    }
     assert float(ratio["3d"]) == pytest.approx(rows[0].both / rows[3].both, abs=0.006)
     assert ratio["2d"] == ratio["dual"] == ""
 
@@ -35,19 +39,19 @@ def test_rows_come_size_by_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What was measured before the run was cut off is there."""
-    measure, seen = cuda.measure, list[str]()
+    measure, seen = rasterizers.measure, list[str]()
 
-    def cut_off(size: str, *arguments: object, **more: object) -> tuple[list[cuda.Row], dict[str, str]]:
+    def cut_off(size: str, *arguments: object, **more: object) -> tuple[list[rasterizers.Row], dict[str, str]]:
         if size == "2k/32":
             seen.extend([capsys.readouterr().out, (tmp_path / "rows.jsonl").read_text()])
             raise KeyboardInterrupt
         return measure(size, *arguments, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(cuda, "measure", cut_off)
+    monkeypatch.setattr(rasterizers, "measure", cut_off)
     words = ["--device", "cpu", "--runs", "1", "--sizes", "1k/32", "2k/32", "--json", str(tmp_path / "rows.jsonl")]
-    monkeypatch.setattr(sys, "argv", ["cuda.py", *words])
+    monkeypatch.setattr(sys, "argv", ["rasterizers.py", *words])
     with pytest.raises(KeyboardInterrupt):
-        cuda.main()
+        rasterizers.main()
     printed, written = seen
     assert printed.count("| 1k/32 |") == 3
     rows = [json.loads(line) for line in written.splitlines()]

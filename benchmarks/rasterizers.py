@@ -1,6 +1,6 @@
 """Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported:
 
-    python -m benchmarks.cuda [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
+    python -m benchmarks.rasterizers [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
 
 Each row is one size and mode: median milliseconds of forward, of backward and of both through autograd, by the card's
 own clock, with the modes of one size alternating; and the memory at its highest. `3d` and `2d` send a gradient to the

@@ -61,4 +61,4 @@ def test_rows_come_size_by_size(
 
 
 def test_the_size_of_the_targets_comes_first() -> None:
-    assert cuda.SIZES[0] == "100k/800" and cuda.parse("100k/800") == (100_000, (800, 800))
+    assert rasterizers.SIZES[0] == "100k/800" and rasterizers.parse("100k/800") == (100_000, (800, 800))

@@ -62,14 +62,14 @@ def render_small(device: str, package: str | None) -> None:
     import torch
 
     try:
-        from benchmarks import cuda
+        from benchmarks import rasterizers
     except ImportError as error:
         raise SystemExit(f"the benchmark can't be imported: {error}") from error
-    modes = cuda.gsplat_modes(cuda.make_scene(SMALL, torch.device(device)))
+    modes = rasterizers.gsplat_modes(rasterizers.make_scene(SMALL, torch.device(device)))
     if not modes:
         raise SystemExit("gsplat can't be imported, and no wheel of it was brought (scripts/gpu_pack.sh)")
     for mode, render in modes.items():
-        spent = cuda.time_once(render, torch.device(device))
+        spent = rasterizers.time_once(render, torch.device(device))
         print(f"{mode}: {sum(spent):.1f} ms for the first time", flush=True)
 
 

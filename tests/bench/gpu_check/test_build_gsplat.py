@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from benchmarks import cuda
+from benchmarks import rasterizers
 from benchmarks.gpu_check import build_gsplat, steps
 from benchmarks.gpu_check.results import Results
 from benchmarks.gpu_check.runner import LeftOutError, Place
@@ -36,9 +36,9 @@ def test_the_benchmark_goes_beside_what_was_built(place: Place, monkeypatch: pyt
         beside.command(place)
 
     rendered = list[str]()
-    scene = cuda.make_scene("1k/32", torch.device("cpu"))
-    mode = {"gsplat 3d": lambda: rendered.append("3d") or cuda.our_modes(scene)["3d"]()}
-    monkeypatch.setattr(cuda, "gsplat_modes", lambda scene: mode)
+    scene = rasterizers.make_scene("1k/32", torch.device("cpu"))
+    mode = {"gsplat 3d": lambda: rendered.append("3d") or rasterizers.our_modes(scene)["3d"]()}
+    monkeypatch.setattr(rasterizers, "gsplat_modes", lambda scene: mode)
     monkeypatch.setattr(sys, "argv", words[2:])
     monkeypatch.setattr(sys, "path", sys.path.copy())
     monkeypatch.setattr("os.environ", {})
@@ -59,7 +59,7 @@ def test_the_benchmark_goes_beside_what_was_built(place: Place, monkeypatch: pyt
 
 
 def test_a_build_that_fails_leaves_nothing(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda, "gsplat_modes", lambda scene: {})
+    monkeypatch.setattr(rasterizers, "gsplat_modes", lambda scene: {})
     monkeypatch.setattr(sys, "argv", step("gsplat", 1).command(place)[2:])
     monkeypatch.setattr(sys, "path", sys.path.copy())
     monkeypatch.setattr("os.environ", {})

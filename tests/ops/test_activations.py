@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from mgsr.errors import TensorError
 from mgsr.ops.activations import LARGEST_LOG_SCALE, activate, shares
 from tests.cuda.machines import Machine, on_every_kernel
 
@@ -60,3 +61,10 @@ def test_extreme_logits(machine: Machine) -> None:
         result.sum().backward()
     assert result.tolist() == pytest.approx([0.0, 0.5, 1.0], abs=1e-30)
     assert torch.isfinite(leaf.grad).all()
+
+
+def test_gradients_of_gradients_are_refused() -> None:
+    """Torch would else take them for zero."""
+    leaf = torch.zeros(3, requires_grad=True)
+    with pytest.raises(TensorError, match="create_graph: expected False, got True"):
+        torch.autograd.grad(shares(leaf).sum(), leaf, create_graph=True)

@@ -108,6 +108,17 @@ def refine_by_shading(
     return Refined(vertices, light, shading)
 
 
+def mirroring_ratio(
+    vertices: np.ndarray, faces: np.ndarray, views: Sequence[View], threads: int | None = None
+) -> float:
+    """The share of what differs between the photographs of a surface [V,3] that mirrored surroundings leave
+    unexplained: small where the surface is right and mirrors them, about 1 where it is wrong or mirrors nothing."""
+    pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
+    shot = Shot(linear_photographs(views), pixel, threads)
+    readings, normals = shot.read(*coarser(vertices, faces, RATIO_EDGE * pixel))
+    return mirrored_surroundings(readings, normals).ratio
+
+
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:
     """The kind of light that leaves least unexplained on the mesh as it is, if that is little enough."""
     readings, normals = shot.read(vertices, faces)

@@ -18,7 +18,7 @@ from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, Refined, refine_by_shading
+from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratio, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.view_colors import seen_colors
@@ -32,6 +32,9 @@ MASK_SIDE = 400
 # rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
 # small shape once parallax has put the large one right.
 SHADING_RATIO = 0.85
+# What mirrored surroundings leave unexplained on the hull, as a share of that on the carved surface, under which the
+# surface is a mirror that must not be carved: 0.81 on polished chrome, 0.95 and more on coats of gloss with hollows.
+CLEARLY = 0.9
 FAR_PASSES = {
     Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0), Pass(edge=1.5, rounds=3, reach=60.0)),
     Light.SURROUNDINGS: (
@@ -205,7 +208,8 @@ def _carved_points(
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
     vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
     progress(HULL_CARVED)
-    vertices = carve_by_color(vertices, faces, views, _between(progress, HULL_CARVED, COLOR_CARVED))
+    carved = carve_by_color(vertices, faces, views, _between(progress, HULL_CARVED, COLOR_CARVED))
+    vertices = _better_explained(vertices, carved, faces, views)
     rims = [find_outline(outline) for outline in outlines]
 
     def bent(vertices: np.ndarray, passes: Mapping[Light, Sequence[Pass]], begin: float, end: float) -> Refined:
@@ -222,6 +226,14 @@ def _carved_points(
     positions, normals = _sample(vertices, faces, count, generator)
     lighting = None if refined.shading is None else refined.shading.lighting(vertices, faces)
     return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=lighting)
+
+
+def _better_explained(hull: np.ndarray, carved: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
+    """The hull's vertices where mirrored surroundings explain the photographs on it, and clearly better than on the
+    carved surface; else those of the carved one: what a surface mirrors moves across it as a pattern behind it would,
+    and colours alone cannot tell the two apart."""
+    left = mirroring_ratio(hull, faces, views)
+    return hull if left <= min(SHADING_RATIO, CLEARLY * mirroring_ratio(carved, faces, views)) else carved
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:

@@ -12,12 +12,18 @@ from scipy.spatial import cKDTree
 from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import carve, signed_field
+from mgsr.data.images import linear_to_srgb
 from mgsr.data.readers import load_scene
-from mgsr.data.scene import PointCloud
+from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.open3d_library import load_open3d
-from mgsr.start.starting_points import StartSource, hull_surface, starting_points
+from mgsr.shading.refine import Light, Refined, mirroring_ratio
+from mgsr.start import starting_points as module
+from mgsr.start.photo_carving import carve_by_color
+from mgsr.start.starting_points import MASK_SIDE, StartSource, hull_surface, starting_points
 from tests.data.captures import BallCapture
+from tests.mesh.shapes import ball, cameras_around, views_of
 
 
 @pytest.fixture
@@ -138,3 +144,53 @@ def test_the_example_under_its_flash_begins_beside_its_surface():
     surface = load_open3d().t.geometry.RaycastingScene()
     surface.add_triangles(truth.vertices.astype(np.float32), truth.faces.astype(np.uint32))
     assert np.median(surface.compute_distance(places.astype(np.float32)).numpy()) < 0.0005
+
+
+def room(directions: np.ndarray) -> np.ndarray:
+    """Coloured light [...,3] from directions [...,3]."""
+    axes = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6]])
+    return (0.5 + 0.45 * np.sin(7 * directions @ axes.T + np.arange(3))) ** 2
+
+
+@pytest.fixture(scope="module")
+def mirror() -> Scene:
+    """A ball that mirrors a coloured room, and nothing else."""
+    views = []
+    for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=128))):
+        rays = pixel_rays(seen.camera)
+        mirrored = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
+        mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
+        image = (255 * linear_to_srgb(room(mirrored)) * seen.alpha[..., None]).round().astype(np.uint8)
+        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
+    return Scene("mirror", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
+
+
+def off_the_ball(positions: np.ndarray) -> float:
+    return float(np.abs(np.linalg.norm(positions, axis=1) - 0.7).mean())
+
+
+def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the
+    hull is."""
+    vertices, faces = hull_surface(carve(silhouettes(mirror.train, MASK_SIDE), np.zeros(3), 1.05, 64))
+    carved = carve_by_color(vertices, faces, mirror.train)
+    assert off_the_ball(carved) > 3 * off_the_ball(vertices), "colours alone dig into it"
+    assert mirroring_ratio(vertices, faces, mirror.train) < 0.8 * mirroring_ratio(carved, faces, mirror.train)
+    # The hull alone, neither bent nor moved.
+    monkeypatch.setattr(module, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, Light.UNKNOWN))
+    monkeypatch.setattr(module, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+    assert off_the_ball(starting_points(mirror, 2000, seed=0).positions) < 1.2 * off_the_ball(vertices)
+
+
+def test_what_mirrors_nothing_is_carved(ball_scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    deeper: list[np.ndarray] = []
+
+    def pressed(vertices: np.ndarray, *rest: object, **more: object) -> np.ndarray:
+        deeper.append(0.9 * vertices)
+        return deeper[-1]
+
+    monkeypatch.setattr(module, "carve_by_color", pressed)
+    monkeypatch.setattr(module, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, Light.UNKNOWN))
+    monkeypatch.setattr(module, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+    radius = np.linalg.norm(starting_points(ball_scene, 2000, seed=0).positions, axis=1)
+    assert abs(np.median(radius) - np.median(np.linalg.norm(deeper[0], axis=1))) < 0.01

@@ -16,8 +16,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _surfels
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.native.cuda.surfels import SurfelKernels
-from mgsr.ops.arrays import once_differentiable, plain
-from mgsr.ops.volumes import SplatStats
+from mgsr.ops.raster import Rasterize, SplatStats
 
 
 @dataclass(frozen=True)
@@ -91,29 +90,8 @@ def rasterize_surfels(
     tensors = (means, quats, scales, opacities, colors, background)
     differentiable = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     pass_ = SurfelPass(camera, options, launcher_for(means), differentiable)
-    color, alpha, depth, median_depth, normal, distortion = _Rasterize.apply(pass_, *tensors)
+    color, alpha, depth, median_depth, normal, distortion = Rasterize.apply(pass_, *tensors)
     return SurfelRaster(color, alpha, depth, median_depth, normal, distortion, pass_.stats)
-
-
-class _Rasterize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, pass_: SurfelPass, *tensors: Tensor) -> tuple[Tensor | None, ...]:
-        splats = [plain(t) for t in tensors]
-        images = pass_.forward(splats)
-        ctx.pass_, ctx.splats = pass_, splats
-        ctx.save_for_backward(*images)
-        ctx.set_materialize_grads(False)
-        return images
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
-        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
-        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
-        v_background = None
-        if ctx.needs_input_grad[6] and v_images[0] is not None:
-            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
-        return None, *v_splats, v_background
 
 
 class SurfelPass:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from mgsr.data.camera import Camera
 from mgsr.native import _volumes
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.native.cuda.volumes import VolumeKernels
-from mgsr.ops.arrays import once_differentiable, plain
+from mgsr.ops.raster import Rasterize, SplatStats
 
 
 class Reflected(NamedTuple):
@@ -36,20 +36,6 @@ class VolumeOptions:
     low_pass: float = 0.3
     compensate: bool = False
     depth: bool = True
-
-
-@dataclass
-class SplatStats:
-    """Per-splat facts of one render: radii [N] pixels (0 where culled), and, once backward has run, v_means2d
-    [N,2], the gradient of the loss to each projected centre in pixels."""
-
-    radii: Tensor
-    v_means2d: Tensor | None = field(default=None)
-
-    @property
-    def visible(self) -> Tensor:
-        """Which splats were not culled, [N] bool."""
-        return self.radii > 0
 
 
 @dataclass(frozen=True)
@@ -101,29 +87,8 @@ def rasterize_volumes(
     tensors = (means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background)
     differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
     pass_ = VolumePass(camera, options, launcher_for(means), differentiable)
-    color, alpha, depth, refl, weight = _Rasterize.apply(pass_, *tensors)
+    color, alpha, depth, refl, weight = Rasterize.apply(pass_, *tensors)
     return VolumeRaster(color, alpha, depth, refl, weight, pass_.stats)
-
-
-class _Rasterize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, pass_: VolumePass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
-        splats = [t if t is None else plain(t) for t in tensors]
-        images = pass_.forward(splats)
-        ctx.pass_, ctx.splats = pass_, splats
-        ctx.save_for_backward(*images)
-        ctx.set_materialize_grads(False)
-        return images
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
-        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
-        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
-        v_background = None
-        if ctx.needs_input_grad[9] and v_images[0] is not None:
-            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
-        return None, *v_splats, v_background
 
 
 class VolumePass:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from mgsr.ops.surfels import SplatStats, SurfelOptions, rasterize_surfels
+from mgsr.ops.raster import SplatStats
+from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_surfels import (

@@ -1,0 +1,62 @@
+"""What both rasterizers share: a rendering as one node of torch's graph, and what is known of each splat in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from mgsr.ops.arrays import once_differentiable, plain
+
+
+@dataclass
+class SplatStats:
+    """Per-splat facts of one render: radii [N] pixels (0 where culled), and, once backward has run, v_means2d
+    [N,2], the gradient of the loss to each projected centre in pixels."""
+
+    radii: Tensor
+    v_means2d: Tensor | None = field(default=None)
+
+    @property
+    def visible(self) -> Tensor:
+        """Which splats were not culled, [N] bool."""
+        return self.radii > 0
+
+
+class RasterPass(Protocol):
+    """One rendering, forward and back, outside the graph. splats: its tensors, contiguous, the background last."""
+
+    def forward(self, splats: Sequence[Any]) -> tuple[Tensor | None, ...]:
+        """The images: colour and alpha, then others."""
+
+    def backward(
+        self, splats: Sequence[Any], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
+    ) -> Sequence[Tensor | None]:
+        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
+        None."""
+
+
+class Rasterize(torch.autograd.Function):
+    """A pass over tensors as its `forward` takes them, with gradients, also of the background."""
+
+    @staticmethod
+    def forward(ctx: Any, pass_: RasterPass, *tensors: Tensor | None) -> tuple[Tensor | None, ...]:
+        splats = [t if t is None else plain(t) for t in tensors]
+        images = pass_.forward(splats)
+        ctx.pass_, ctx.splats = pass_, splats
+        ctx.save_for_backward(*images)
+        ctx.set_materialize_grads(False)
+        return images
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Any, ...]:
+        images, v_images = ctx.saved_tensors, [v if v is None else plain(v) for v in v_outputs]
+        v_splats = ctx.pass_.backward(ctx.splats, images, v_images)
+        v_background = None
+        if ctx.needs_input_grad[-1] and v_images[0] is not None:
+            v_background = (v_images[0] * (1 - images[1])[..., None]).sum((0, 1))
+        return None, *v_splats, v_background

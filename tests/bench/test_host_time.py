@@ -17,7 +17,7 @@ def rows(*overrides: str) -> list[Row]:
 
 @pytest.mark.parametrize("reflection", ["shared", "both"])
 def test_an_iteration_has_few_operations(reflection: str) -> None:
-    """Counted, so that one that creeps in shows: with both lights 23 in the mutual phase, of which 9 make the tiles'
+    """Counted, so that one that creeps in shows: with both lights 22 in the mutual phase, of which 9 make the tiles'
     lists. None waits for a number, which would be called item."""
     surfels, volumes, mutual = rows(f"reflection={reflection}")
     assert (surfels.stage, volumes.stage, mutual.stage) == ("warmup_surfels", "warmup_volumes", "mutual")

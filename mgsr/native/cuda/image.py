@@ -129,8 +129,6 @@ class ImageKernels:
         of_depth = NormalsParams(*inputs, pointer(from_depth), pointer(normals), pointer(v_depth))
         params = AgreementParams(of_depth, pointer(normals), pointer(sums))
         self._launcher.launch("image", "image_normal_agreement", blocks, PIXEL_THREADS, params)
-        if v_depth is not None:
-            self._launcher.launch("image", "image_depth_normals_vjp", blocks, PIXEL_THREADS, of_depth)
         return Sums(sums, 1.0, counted=True)
 
     def depth_normals(

@@ -20,7 +20,7 @@ struct DepthNormalsParams {
 };
 
 // The mean over the covered pixels of 1 - n . n_depth: the normals of the depth are written, each as long as alpha times
-// covered, and so are the sums.
+// covered, the depth's gradient by v_normals = n where there is room for it, and the sums.
 struct AgreementParams {
   DepthNormalsParams of_depth;
   const float* normal;  // [height, width, 3]
@@ -55,20 +55,6 @@ __device__ inline void write_normal(const DepthNormalsParams& p, int x, int y) {
   for (int k = 0; k < 3; ++k) p.normals[3 * i + k] = scale * (R[3 * k] * n[0] + R[3 * k + 1] * n[1] + R[3 * k + 2] * n[2]);
 }
 
-__device__ inline void normal_agreement(const AgreementParams& p) {
-  const int64_t i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x;
-  const DepthNormalsParams& d = p.of_depth;
-  double total = 0.0, count = 0.0;
-  if (i < int64_t(d.height) * d.width) {
-    write_normal(d, int(i % d.width), int(i / d.width));
-    float agreement = 0.0f;
-    for (int k = 0; k < 3; ++k) agreement += p.normal[3 * i + k] * d.normals[3 * i + k];
-    count = d.covered ? d.covered[i] : 1.0f;
-    total = count - double(agreement);
-  }
-  write_block_sums(total, count, &p.sums[blockIdx.x]);
-}
-
 // What the normal at a pixel says of its neighbours' depths; zero where it has none.
 __device__ inline DepthNeighbours<float> neighbour_gradients(const DepthNormalsParams& p, int x, int y) {
   DepthNeighbours<float> d;
@@ -84,6 +70,21 @@ __device__ inline void write_depth_gradient(const DepthNormalsParams& p, int x, 
   const float across = neighbour_gradients(p, x - 1, y).right + neighbour_gradients(p, x + 1, y).left;
   const float upright = neighbour_gradients(p, x, y - 1).down + neighbour_gradients(p, x, y + 1).up;
   p.v_depth[int64_t(y) * p.width + x] = across + upright;
+}
+
+__device__ inline void normal_agreement(const AgreementParams& p) {
+  const int64_t i = int64_t(blockIdx.x) * blockDim.x + threadIdx.x;
+  const DepthNormalsParams& d = p.of_depth;
+  double total = 0.0, count = 0.0;
+  if (i < int64_t(d.height) * d.width) {
+    write_normal(d, int(i % d.width), int(i / d.width));
+    if (d.v_depth) write_depth_gradient(d, int(i % d.width), int(i / d.width));
+    float agreement = 0.0f;
+    for (int k = 0; k < 3; ++k) agreement += p.normal[3 * i + k] * d.normals[3 * i + k];
+    count = d.covered ? d.covered[i] : 1.0f;
+    total = count - double(agreement);
+  }
+  write_block_sums(total, count, &p.sums[blockIdx.x]);
 }
 
 }  // namespace mgsr

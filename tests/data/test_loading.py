@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 
 import numpy as np
 import pytest
@@ -213,7 +214,14 @@ def test_bad_photographs_stop_the_others_once_they_are_the_most(tmp_path, monkey
     """Nobody wants to wait for a thousand photographs to hear that they are damaged."""
     decoded = []
     read = loading.read_picture
-    monkeypatch.setattr(loading, "read_picture", lambda *given: (decoded.append(given), read(*given))[1])
+
+    def noted(path, *rest):
+        decoded.append(path)
+        if path.name == "good.png":
+            time.sleep(0.01)  # as long as one takes, so that who counts the bad ones has time to say stop
+        return read(path, *rest)
+
+    monkeypatch.setattr(loading, "read_picture", noted)
     Image.new("RGB", (60, 40)).save(tmp_path / "good.png")
     (tmp_path / "bad.png").write_text("hello")
     with pytest.raises(SceneError, match=r"bad\.png"):

@@ -89,7 +89,7 @@ class Row:
 
 
 def read_kernels(cubin: Path, args: argparse.Namespace) -> dict[str, Kernel]:
-    """The kernels of a cubin, by name."""
+    """Return the kernels of a cubin, by name."""
     taken = resources(cubin, args.cuobjdump)
     return {name: Kernel(name, loops_of(text), taken[name]) for name, text in disassemble(cubin, args.nvdisasm).items()}
 
@@ -174,7 +174,7 @@ def gsplat_row(kernels: dict[str, Kernel], name: str, passes: list[Counter[str]]
 
 
 def read_scene(path: Path | None) -> Scene:
-    """The scene of a file, with some reflected light; by default that of 100k splats."""
+    """Return the scene of a file, with some reflected light; by default that of 100k splats."""
     scene = make_scene("100k/800", torch.device("cpu"))
     if path is None:
         return scene
@@ -188,7 +188,7 @@ def read_scene(path: Path | None) -> Scene:
 
 
 def totals(kernels: dict[str, Kernel], gsplat: dict[str, Kernel], scene: Scene) -> list[str]:
-    """The scene's instructions as lines of Markdown."""
+    """Return the scene's instructions as lines of Markdown."""
     lines = [
         "| pass | forward | backward | both | of gsplat's | steps |",
         "|---|---|---|---|---|---|",
@@ -208,7 +208,7 @@ def totals(kernels: dict[str, Kernel], gsplat: dict[str, Kernel], scene: Scene) 
 
 
 def table(kernels: dict[str, Kernel], arch: str) -> list[str]:
-    """What each kernel takes, as lines of Markdown."""
+    """Return what each kernel takes, as lines of Markdown."""
     lines = [
         "| kernel | a step | of which may be skipped | around it, outwards | registers | shared bytes | stack "
         "| warps/SM | float64 always | float64 else |",

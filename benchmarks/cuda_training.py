@@ -76,7 +76,7 @@ def pack_scene(source: Path, file: Path, preset: str, views: int | None = None) 
 
 
 def pack_all(folder: Path, data: Path) -> None:
-    """The scenes that the check trains and the wheels that it needs; what is in the folder already stays."""
+    """Pack the scenes that the check trains and the wheels that it needs; what is in the folder already stays."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, scene in SCENES.items():
         if not (folder / f"{name}.npz").is_file():
@@ -109,7 +109,7 @@ def run(
 
 
 def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
-    """The branches as splats, and the light, as a run writes them; what is not there leaves none."""
+    """Write the branches as splats, and the light, as a run does; what is not there leaves none."""
     for name in LEARNT:
         (out / name).unlink(missing_ok=True)
     origin = origin_of_frame(scene.user_from_scene)
@@ -124,7 +124,7 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
 
 
 def digests(out: Path) -> dict[str, str]:
-    """A hash of each file of what was learnt."""
+    """Return a hash of each file of what was learnt."""
     there = [out / name for name in LEARNT if (out / name).is_file()]
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in there}
 
@@ -170,7 +170,7 @@ def measured(scene: Scene, result: TrainResult, config: Config, device: torch.de
 
 
 def home(results: Path, out: Path, data: Path) -> list[str]:
-    """The table of what the splats of the check's results score here, beside the CPU's rows; as Markdown."""
+    """Return the table of what the splats of the check's results score here, beside the CPU's rows; as Markdown."""
     with zipfile.ZipFile(results / "splats.zip") as stored:
         stored.extractall(out)
     lines = [f"| scene | preset | device | {' | '.join(SCORES)} |", "|---" * (len(SCORES) + 3) + "|"]
@@ -194,7 +194,7 @@ def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str
 
 
 def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:
-    """The plain runs of a scene on the CPU, each with its commit."""
+    """Return the plain runs of a scene on the CPU, each with its commit."""
     with CPU_ROWS.open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if (row["scene"], row["preset"]) == (scene, preset)]
     plain = [row for row in rows if (row["method"], row["variant"], row["device"]) == ("mgsr", "", "cpu")]
@@ -202,7 +202,7 @@ def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:
 
 
 def cells(scores: dict[str, Any]) -> list[str]:
-    """The table's cells of one row."""
+    """Return the table's cells of one row."""
     values = [scores.get(name) for name in SCORES]
     return ["" if value in (None, "") else f"{float(value):.5g}" for value in values]
 

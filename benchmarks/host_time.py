@@ -1,11 +1,11 @@
 """What an iteration of training on a card costs the host, measured without a card:
 
-    python benchmarks/host_time.py [--iterations 100] [--reflection shared|both|own|off] [--profile]
+    python benchmarks/host_time.py [--iterations 100] [--reflection shared|both|own|off] [--operations] [--profile]
 
 Kernels that do nothing stand in for the card's, and images are tiny, so that what is left is Python, torch's dispatch
 and the packing of parameters: the whole iteration, with the guard, the optimisers and the statistics. Each stage's row
 is the median processor time of an iteration, its launches, and the torch operations that are no views and make no
-memory. Of each launch the driver's own share, some 2 to 4 us, is missing.
+memory. Of each launch the driver's own share is missing.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Row:
 
 
 def measure(plan: Plan, config: Config, iterations: int) -> list[Row]:
-    """A row for each stage."""
+    """Return a row for each stage."""
     launcher, rows = IdleLauncher(), []
     with use_launcher(launcher), pairs_made_up():
         for stage in plan.stages:

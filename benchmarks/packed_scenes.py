@@ -49,8 +49,8 @@ class Packed:
 
 
 def read(path: Path, config: Config, views: int | None = None) -> Packed:
-    """A scene as a run has it before it trains; `ball` is the tests' textured ball. views: so many of its training
-    photographs, at even distances, None for all."""
+    """Return a scene as a run has it before it trains; `ball` is the tests' textured ball. views: so many of its
+    training photographs, at even distances, None for all."""
     if str(path) == BALL:
         scene, start = ball()
         return Packed(scene, start, {})
@@ -70,7 +70,7 @@ def read(path: Path, config: Config, views: int | None = None) -> Packed:
 
 
 def ball(size: int = 256, train: int = 40, points: int = 20000) -> tuple[Scene, StartingPoints]:
-    """The tests' textured ball, for a machine without any scene: its photographs' side and number."""
+    """Return the tests' textured ball, for a machine without any scene: its photographs' side and number."""
     from tests.training.ball import ball_points, ball_scene
 
     return ball_scene(size, train, test=4), ball_points(points)
@@ -102,7 +102,7 @@ def pack(content: Packed, file: Path) -> None:
 
 
 def unpack(file: Path) -> Packed:
-    """What `pack` wrote."""
+    """Return what `pack` wrote."""
     with np.load(file) as stored:
         arrays = dict(stored)
     views = {part: list(_views(arrays, part)) for part in PARTS}
@@ -114,7 +114,7 @@ def unpack(file: Path) -> Packed:
 
 
 def packed_or_ball(name: str, config: Config) -> Packed:
-    """What is in a packed file; of the name `ball`, the ball."""
+    """Return what is in a packed file; of the name `ball`, the ball."""
     return read(Path(BALL), config) if name == BALL else unpack(Path(name))
 
 
@@ -162,7 +162,7 @@ def _views(arrays: dict[str, np.ndarray], part: str) -> Iterator[View]:
 
 
 def _coded(image: np.ndarray) -> bytes:
-    """A lossless WebP; of higher efforts, method 6 saves another 5% in 15 times the time."""
+    """Return a lossless WebP; of higher efforts, method 6 saves another 5% in 15 times the time."""
     coded = io.BytesIO()
     Image.fromarray(image).save(coded, "WEBP", lossless=True, exact=True, quality=80, method=4)
     return coded.getvalue()

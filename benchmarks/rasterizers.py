@@ -152,8 +152,8 @@ def time_once(render: Render, device: torch.device) -> tuple[float, float]:
 
 
 def measure(size: str, runs: int, device: torch.device, beside: bool = True) -> tuple[list[Row], dict[str, str]]:
-    """The rows of one size, and what the modes that failed said; two runs of each mode are not counted. beside: whether
-    gsplat is measured too."""
+    """Return the rows of one size, and what the modes that failed said; two runs of each mode are not counted. beside:
+    whether gsplat is measured too."""
     scene = make_scene(size, device)
     modes = our_modes(scene) | (gsplat_modes(scene) if beside else {})
     times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in modes}
@@ -191,7 +191,7 @@ HEAD = (
 
 
 def table_lines(rows: list[Row]) -> Iterator[str]:
-    """The rows of one size as lines of Markdown, under HEAD."""
+    """Return the rows of one size as lines of Markdown, under HEAD."""
     yardsticks = {"3d": "gsplat 3d", "2d": "gsplat 2d", "dual": "gsplat 3d twice"}
     found = {row.mode: row.both for row in rows}
     for row in rows:
@@ -231,7 +231,7 @@ def main() -> None:
 
 
 def card(device: str) -> str:
-    """What is measured."""
+    """Return the name of the device that is measured."""
     return torch.cuda.get_device_name() if device == "cuda" else "the CPU"
 
 

@@ -46,7 +46,7 @@ class Loop:
     inner: list[Loop]
 
     def all_inner(self) -> list[Loop]:
-        """This loop and all inside it."""
+        """Return this loop and all inside it."""
         return [self, *(deeper for loop in self.inner for deeper in loop.all_inner())]
 
     def at(self, share: float) -> float:
@@ -64,7 +64,7 @@ class Resources:
 
 
 def disassemble(cubin: Path, nvdisasm: str) -> dict[str, str]:
-    """The machine code's text, by kernel."""
+    """Return the machine code's text, by kernel."""
     text = subprocess.run([nvdisasm, "-c", str(cubin)], check=True, capture_output=True, text=True).stdout
     kernels: dict[str, list[str]] = {}
     lines: list[str] = []
@@ -76,14 +76,15 @@ def disassemble(cubin: Path, nvdisasm: str) -> dict[str, str]:
 
 
 def resources(cubin: Path, cuobjdump: str) -> dict[str, Resources]:
-    """What each kernel of a cubin takes."""
+    """Return what each kernel of a cubin takes."""
     text = subprocess.run([cuobjdump, "--dump-resource-usage", str(cubin)], check=True, capture_output=True, text=True)
     return {name: Resources(*map(int, numbers)) for name, *numbers in RESOURCES.findall(text.stdout)}
 
 
 def loops_of(text: str) -> Loop:
-    """A kernel's loops, from the jumps of its machine code. Left out: parts that nothing but a call or a jump for
-    diverged warps leads to, and parts that call (slow ways of division and roots, for numbers that hardly occur)."""
+    """Return a kernel's loops, from the jumps of its machine code. Left out: parts that nothing but a call or a jump
+    for diverged warps leads to, and parts that call (slow ways of division and roots, for numbers that hardly
+    occur)."""
     blocks = _blocks(text)
     rulers = _dominators(blocks)
     members: dict[int, set[int]] = {0: set(rulers)}
@@ -97,7 +98,7 @@ def loops_of(text: str) -> Loop:
 
 
 def _blocks(text: str) -> list[Block]:
-    """The kernel's blocks in their order, with what follows each."""
+    """Return the kernel's blocks in their order, with what follows each."""
     blocks, starts = [Block([])], {}
     for line in text.splitlines():
         if label := LABEL.match(line):

@@ -56,7 +56,7 @@ class Lists:
         return len(self.begins) - 1
 
     def each(self) -> Iterator[tuple[np.ndarray, int, int]]:
-        """The splats of each tile that has any, and the tile's first pixel."""
+        """Return the splats of each tile that has any, and the tile's first pixel."""
         across = -(-self.width // TILE)
         for tile in np.flatnonzero(np.diff(self.begins)):
             chosen = self.splats[self.begins[tile] : self.begins[tile + 1]]
@@ -73,7 +73,7 @@ class View:
 
 
 def project(scene: Scene, dual: bool) -> View:
-    """A scene's splats and lists, as the CUDA kernels make them (on this machine's processor)."""
+    """Return a scene's splats and lists, as the CUDA kernels make them (on this machine's processor)."""
     launcher, options, camera = ShimLauncher(), VolumeOptions(), scene.camera
     reflected = tuple(scene.reflected) if dual else (None, None, None)
     given = [None if t is None else t.detach() for t in (*scene.leaves, *reflected)]
@@ -92,7 +92,7 @@ def project(scene: Scene, dual: bool) -> View:
 
 
 def gsplat_lists(view: View, opacity: int) -> Lists:
-    """The lists that gsplat makes: all tiles of a splat's box. opacity: 0 transmitted, 1 reflected."""
+    """Return the lists that gsplat makes: all tiles of a splat's box. opacity: 0 transmitted, 1 reflected."""
     splats, order, ours = view.splats, view.order, view.lists
     a, b, c = (splats.roots[order, k].astype(np.float64) for k in range(3))
     half = np.log2(np.e) / 2  # root^T root is the inverse covariance times this

@@ -46,7 +46,7 @@ def check_tensors(sizes: dict[str, int] | None = None, **specs: tuple[torch.Tens
 
 @cache
 def _parts(shape: str) -> tuple[int, tuple[tuple[int, str], ...], tuple[tuple[int, int], ...]]:
-    """A shape's number of axes, and the places of its letters and of its numbers."""
+    """Return a shape's number of axes, and the places of its letters and of its numbers."""
     parts = list(enumerate(shape.lstrip("?").split()))
     numbers = tuple((place, int(part)) for place, part in parts if part.isdigit())
     return len(parts), tuple((place, part) for place, part in parts if not part.isdigit()), numbers

@@ -49,8 +49,8 @@ def _named_by_nvml() -> list[str]:
 
 
 def _named_by(visible: str) -> list[str]:
-    """What CUDA_VISIBLE_DEVICES names, up to the first that is no name, where CUDA stops too. Of a card in MIG mode,
-    its instances; NVML need not be there for the others."""
+    """Return what CUDA_VISIBLE_DEVICES names, up to the first that is no name, where CUDA stops too. Of a card in MIG
+    mode, its instances; NVML need not be there for the others."""
     names = [name.strip() for name in visible.split(",")]
     names = list(takewhile(lambda name: name and not name.startswith("-"), names))
     try:
@@ -66,8 +66,9 @@ def _resolve(name: str, cards: list[Card]) -> tuple[str, ...]:
 
 
 def _find(name: str, cards: list[Card]) -> Card | None:
-    """The card of a number or of the beginning of a uuid. NVML counts cards by their places on the bus, and CUDA by
-    their speed unless CUDA_DEVICE_ORDER says otherwise: a number means the same to both where all are of one model."""
+    """Return the card of a number or of the beginning of a uuid. NVML counts cards by their places on the bus, and CUDA
+    by their speed unless CUDA_DEVICE_ORDER says otherwise: a number means the same to both where all are of one
+    model."""
     if not name.isdecimal():
         return next((card for card in cards if card.uuid.startswith(name)), None)
     same = os.environ.get("CUDA_DEVICE_ORDER") == "PCI_BUS_ID" or len({card.model for card in cards}) == 1
@@ -79,7 +80,8 @@ def _devices(card: Card) -> tuple[str, ...]:
 
 
 def ask_nvml() -> list[Card]:
-    """The cards of this machine or container. Raises SetupError where NVML or its package is missing or fails."""
+    """Return the cards of this machine or container. Raises SetupError where NVML or its package is missing or
+    fails."""
     try:
         import pynvml
     except ImportError as error:

@@ -9,7 +9,7 @@ from benchmarks.gpu_check.results import Results
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """A parser of what every step is given; `results_of`, `work_of` and the attribute device read it."""
+    """Return a parser of what every step is given; `results_of`, `work_of` and the attribute device read it."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--results", type=Path, required=True, help="the folder of the results")
     made.add_argument("--work", type=Path, required=True, help="a folder for what is not brought home")
@@ -18,12 +18,12 @@ def parser(description: str | None) -> argparse.ArgumentParser:
 
 
 def results_of(args: argparse.Namespace) -> Results:
-    """The results that the arguments name."""
+    """Return the results that the arguments name."""
     return Results(args.results)
 
 
 def work_of(args: argparse.Namespace) -> Path:
-    """The folder that the arguments name, made where it is not there."""
+    """Return the folder that the arguments name, made where it is not there."""
     work: Path = args.work.resolve()
     work.mkdir(parents=True, exist_ok=True)
     return work

@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def rounds(size: str, device: torch.device) -> Callable[[], None]:
-    """What launches each of the kernels once."""
+    """Return what launches each of the kernels once."""
     scene = make_scene(size, device)
     modes = our_modes(scene)
     height, width = scene.camera.height, scene.camera.width

@@ -35,7 +35,7 @@ def main() -> None:
 
 
 def answer(words: tuple[str, ...]) -> str:
-    """What a program prints; nothing where it is not there or fails."""
+    """Return what a program prints; nothing where it is not there or fails."""
     try:
         return subprocess.run(words, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
     except (OSError, subprocess.SubprocessError):
@@ -43,12 +43,12 @@ def answer(words: tuple[str, ...]) -> str:
 
 
 def versions() -> str:
-    """The packages that matter, by their versions."""
+    """Return the packages that matter, by their versions."""
     return ", ".join(f"{name} {version(name) or 'is not there'}" for name in PACKAGES)
 
 
 def version(name: str) -> str | None:
-    """A package's version, None without it."""
+    """Return a package's version, None without it."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

@@ -57,7 +57,7 @@ def read_nobodys_memory() -> None:
 
 
 def judge(code: int | None, error: str) -> str | None:
-    """What is wrong with what a person saw; None where nothing is. code: None where the process did not end."""
+    """Return what is wrong with what a person saw; None where nothing is. code: None where the process did not end."""
     if code is None:
         return "the training did not end by itself"
     if code == 0:
@@ -89,7 +89,8 @@ def main() -> None:
 
 
 def ended(words: list[str], limit: float = LIMIT) -> tuple[int | None, str]:
-    """A process's exit code, None where it had to be killed after so many seconds, and what it said on stderr."""
+    """Return a process's exit code, None where it had to be killed after so many seconds, and what it said on
+    stderr."""
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, errors="replace")
     try:
         _, error = process.communicate(timeout=limit)

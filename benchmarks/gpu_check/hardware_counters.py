@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def shown(lines: Iterable[str]) -> Iterator[str]:
-    """The lines, printed as they come."""
+    """Print the lines as they come."""
     for line in lines:
         print(line, end="", flush=True)
         yield line

@@ -41,7 +41,7 @@ class Memory(Protocol):
     """A card's memory."""
 
     def peak_of(self, render: Callable[[], Rendered]) -> tuple[Rendered, int]:
-        """What `render` gives, and the most bytes that it takes beside what is held already."""
+        """Return what `render` gives, and the most bytes that it takes beside what is held already."""
 
     def leaving(self, count: int) -> AbstractContextManager[None]:
         """Within the block, so many bytes are free."""
@@ -80,8 +80,8 @@ class CardMemory:
 
 
 def starved(render: Callable[[], Rendered], memory: Memory, shares: Sequence[float] = SHARES) -> Iterator[Outcome]:
-    """The rendering with shares of the memory that it takes, the largest first, each beside the one that had enough.
-    After one that failed, nothing more is tried: the card may be unusable."""
+    """Return the rendering with shares of the memory that it takes, the largest first, each beside the one that had
+    enough. After one that failed, nothing more is tried: the card may be unusable."""
     whole, peak = memory.peak_of(render)
     for share in shares:
         free = round(share * peak)
@@ -105,13 +105,13 @@ def _attempt(render: Callable[[], Rendered], whole: Rendered) -> tuple[str, str]
 
 
 def _difference(found: Tensor, expected: Tensor) -> float:
-    """The largest, relative to the largest number; infinite where there is a NaN."""
+    """Return the largest difference relative to the largest number expected; infinite where there is a NaN."""
     largest = float((found - expected).abs().max()) / max(float(expected.abs().max()), 1e-30)
     return largest if largest == largest else float("inf")
 
 
 def verdict(outcomes: Sequence[Outcome]) -> str | None:
-    """What is wrong with the outcomes; None where nothing is."""
+    """Return what is wrong with the outcomes; None where nothing is."""
     bad = [outcome for outcome in outcomes if outcome.state in ("other", "failed")]
     if bad:
         return f"with {bad[0].share:.2f} of its memory: {bad[0].state}, {bad[0].detail}"

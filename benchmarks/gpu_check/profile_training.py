@@ -143,7 +143,7 @@ class Watch:
 def profiled(
     content: Packed, config: Config, device: torch.device, count: int, after: float, work: Path
 ) -> Profile | None:
-    """The profile of `count` iterations in the middle of a training; None where it ended too early for that."""
+    """Return the profile of `count` iterations in the middle of a training; None where it ended too early for that."""
     watch = Watch(config, device, count, after, work)
     with closing(watch), suppress(Cancelled):
         Training(content.scene, content.start, config, watch.progress, watch.should_stop, device=device).run()
@@ -151,7 +151,7 @@ def profiled(
 
 
 def lines(profile: Profile) -> Iterator[str]:
-    """The profile, as Markdown."""
+    """Return the profile, as Markdown."""
     where, plain, card, whole = profile.where, profile.plain, profile.card, profile.all
     counts = ", ".join(f"{count} {name}" for name, count in where.counts.items())
     yield f"\n### Profile from iteration {where.iteration} of {where.total} of {where.stage}, {counts}\n"
@@ -173,8 +173,11 @@ def lines(profile: Profile) -> Iterator[str]:
 
 
 def numbers(profile: Profile) -> dict[str, float]:
-    """What is aimed at. The card's times are of the stretch in which it alone is recorded, the wall's and the host's of
-    the one in which nothing is."""
+    """Return the figures that the targets are about, by name.
+
+    The card's times are of the stretch in which it alone is recorded, the wall's and the host's of the one in which
+    nothing is.
+    """
     plain, card, whole = profile.plain, profile.card, profile.all
     busy = trace.busy(card.events) / card.iterations
     idle = trace.gaps(card.events)
@@ -193,7 +196,7 @@ def numbers(profile: Profile) -> dict[str, float]:
 
 
 def row(profile: Profile) -> dict[str, Any]:
-    """The profile for results.jsonl."""
+    """Return the profile for results.jsonl."""
     kernels = trace.kernel_rows(profile.card.events, profile.card.iterations)
     return {
         "stage": profile.where.stage,

@@ -39,7 +39,7 @@ class Results:
         self.add(ROWS, json.dumps(facts) + "\n")
 
     def rows(self, step: str) -> list[dict[str, Any]]:
-        """What steps of that name have appended, oldest first."""
+        """Return what steps of that name have appended, oldest first."""
         path = self.folder / ROWS
         lines = path.read_text().splitlines() if path.is_file() else []
         return [row for row in map(json.loads, lines) if row["step"] == step]

@@ -89,7 +89,7 @@ class Running:
         self._followers = [self._follow(stream, file) for stream, file in streams if stream is not None]
 
     def wait(self, seconds: float) -> str | None:
-        """What went wrong, None where nothing did; after so many seconds the process is ended."""
+        """Return what went wrong, None where nothing did, and end the process after so many seconds."""
         try:
             code = self.process.wait(max(0.0, seconds))
         except subprocess.TimeoutExpired:
@@ -170,7 +170,7 @@ def run_part(steps: list[Step], place: Place, limit: float, skip: frozenset[str]
 
 
 def say(results: Results, line: str) -> None:
-    """A line into the summary, and to whoever looks on."""
+    """Write a line into the summary, and to whoever looks on."""
     results.add(SUMMARY, f"{line}\n")
     print(line, flush=True)
 
@@ -193,7 +193,7 @@ def cut_off_by_signals() -> Iterator[None]:
 
 
 def _begin(step: Step, place: Place, left: float, skip: frozenset[str]) -> Running | bool:
-    """The step at work; else whether that it is not is well."""
+    """Start a step and return it; where it is not started, return whether that counts as well."""
     if step.name in skip:
         say(place.results, f"- {step.name}: left out by SKIP")
         return True
@@ -211,7 +211,7 @@ def _begin(step: Step, place: Place, left: float, skip: frozenset[str]) -> Runni
 
 
 def _report(running: Running, place: Place, wrong: str | None) -> bool:
-    """Say how a step ended; whether it ended well."""
+    """Say how a step ended, and return whether it ended well."""
     state = "ok" if wrong is None else f"FAILED, {wrong}"
     say(place.results, f"- {running.step.name}: {state}, {running.seconds:.0f} s, {running.step.file}")
     if wrong is not None:

@@ -22,7 +22,7 @@ MEMCHECKED = ("volumes", "surfels", "image")
 
 
 def parts() -> dict[int, list[Step]]:
-    """Steps by the part's number."""
+    """Return steps by the part's number."""
     return {1: _first(), 2: _second(), 3: _third()}
 
 
@@ -63,7 +63,7 @@ def _third() -> list[Step]:
 
 
 def _own(name: str, limit: float, file: str, module: str) -> Step:
-    """A step that is a module of this package."""
+    """Return a step that is a module of this package."""
     return Step(name, limit, file, lambda place: [*_module(place, module), *_standard(place)], _environment)
 
 
@@ -90,7 +90,7 @@ def _settings() -> list[str]:
 
 
 def packed_scene(place: Place, name: str) -> Path:
-    """The packed scene of that name among what was brought. Raises LeftOutError where it is not there."""
+    """Return the packed scene of that name among what was brought. Raises LeftOutError where it is not there."""
     files = [file for each in place.brought for file in ([each] if each.is_file() else sorted(each.glob("*.npz")))]
     found = next((file for file in files if file.stem == name), None)
     if found is None:
@@ -99,7 +99,7 @@ def packed_scene(place: Place, name: str) -> Path:
 
 
 def packed_or_ball(place: Place, name: str) -> str:
-    """The packed scene of that name, or, where it was not brought, the ball."""
+    """Return the packed scene of that name, or, where it was not brought, the ball."""
     try:
         return str(packed_scene(place, name))
     except LeftOutError:
@@ -157,14 +157,14 @@ def _build_gsplat(name: str, limit: float, behind: bool = False) -> Step:
 
 
 def _built_gsplat(place: Place) -> dict[str, str] | None:
-    """What a process needs of the environment to import gsplat as it was built; None where it was not."""
+    """Return what a process needs of the environment to import gsplat as it was built; None where it was not."""
     built = place.work / "gsplat.json"
     return json.loads(built.read_text()) if built.is_file() else None
 
 
 def _environment(place: Place) -> dict[str, str]:
-    """The project and the packages that were brought; the interpreter's cmake and ninja, and the toolkit's programs,
-    which images leave out of the path."""
+    """Return the project and the packages that were brought; the interpreter's cmake and ninja, and the toolkit's
+    programs, which images leave out of the path."""
     path = (str(Path(place.python).parent), os.environ.get("PATH", ""), "/usr/local/cuda/bin")
     return {"PYTHONPATH": _joined([str(ROOT), *sites(place)]), "PATH": os.pathsep.join(path)}
 
@@ -183,7 +183,7 @@ def _with_gsplat(place: Place) -> dict[str, str]:
 
 
 def sites(place: Place) -> list[str]:
-    """The folders of packages that were brought and that the interpreter lacks (see `bring_packages`)."""
+    """Return the folders of packages that were brought and that the interpreter lacks (see `bring_packages`)."""
     return [str(folder) for folder in sorted(place.work.glob("site-*"))]
 
 

@@ -57,7 +57,7 @@ class Gap:
 
 
 def read_trace(path: Path) -> list[Event]:
-    """The events of a trace that took time, by their begin."""
+    """Return the events of a trace that took time, by their begin."""
     with path.open() as file:
         entries = json.load(file)["traceEvents"]
     events = [
@@ -69,7 +69,7 @@ def read_trace(path: Path) -> list[Event]:
 
 
 def kernel_rows(events: Iterable[Event], iterations: int) -> list[KernelRow]:
-    """What runs on the card, by its name, the longest first."""
+    """Return what runs on the card, by its name, the longest first."""
     runs = defaultdict[str, list[float]](list)
     for event in on_card(events):
         runs[event.name].append(event.duration)
@@ -102,7 +102,7 @@ def busy(events: Iterable[Event]) -> float:
 
 
 def gaps(events: Iterable[Event]) -> list[Gap]:
-    """What lies between, the longest first."""
+    """Return the gaps between events on the card, the longest first."""
     found, last = list[Gap](), None
     for event in on_card(events):
         if last is not None and event.begin > last.end:

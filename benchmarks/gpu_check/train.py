@@ -41,7 +41,7 @@ def main() -> None:
 
 
 def line(facts: dict[str, Any]) -> str:
-    """What matters most of a training."""
+    """Return one line that sums up a training."""
     psnr = ", ".join(f"{name} {value:.2f} dB" for name, value in facts["psnr"].items())
     counts = ", ".join(f"{count} {name}" for name, count in facts["splats"].items())
     stopped = "" if finished(facts) else "; ENDED BY ITS LIMIT OF TIME"

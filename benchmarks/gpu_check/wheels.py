@@ -34,13 +34,13 @@ WANTED = (
 
 
 def fetch_wheels(folder: Path, wanted: Sequence[Wanted] = WANTED) -> list[Path]:
-    """The wheels in a folder, by pip, slimmed; a package that is there stays. Raises CalledProcessError where pip finds
-    none."""
+    """Put the wheels into a folder, by pip, slimmed; a package that is there stays. Raises CalledProcessError where pip
+    finds none."""
     return [find_wheel([folder], _name(each)) or _fetch(folder, each) for each in wanted]
 
 
 def find_wheel(places: Sequence[Path], name: str) -> Path | None:
-    """The wheel of a package among files and in folders, None where there is none."""
+    """Return the wheel of a package among files and in folders, None where there is none."""
     files = [file for place in places for file in (sorted(place.iterdir()) if place.is_dir() else [place])]
     stem = name.replace("-", "_")
     return next((file for file in files if file.suffix == ".whl" and file.name.split("-")[0] == stem), None)

@@ -25,7 +25,7 @@ class Device(StrEnum):
 
 
 def pick_device(name: str) -> Device:
-    """The device to use, cpu or cuda; torch's allocator is prepared for a card.
+    """Return the device to use, cpu or cuda; torch's allocator is prepared for a card.
 
     Raises ConfigError for an unknown name, and where cuda is asked for and torch sees no card; GpuError for a card that
     can't be used (auto falls back to the processor then).

@@ -43,7 +43,7 @@ class MirroredLight:
         return round((len(self) / 2) ** 0.5)
 
     def texels(self) -> Tensor:
-        """The light [2,S,S,3]."""
+        """Return the light [2,S,S,3]."""
         return shares(self.logits).view(2, self.side, self.side, 3)
 
     def maps(self) -> Tensor:

@@ -19,7 +19,7 @@ class Loss:
         self._others = others
 
     def plus(self, name: str, term: Tensor) -> Loss:
-        """The same with one more term []."""
+        """Return the same with one more term []."""
         return Loss(self._found, self._names, self._others | {name: term})
 
     def backward(self) -> None:

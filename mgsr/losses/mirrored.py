@@ -12,9 +12,9 @@ from mgsr.ops.pixels import squares_term, steps_term
 
 
 def light_terms(maps: Tensor, volumes: VolumeModel, config: TrainConfig) -> Terms:
-    """The smoothness of the light's maps [2,S,S,3], the mean square of differences between neighbours; and a pull of
-    each splat's reflection weight to where it began, so that a place where no photograph saw a highlight stays as
-    glossy as the rest."""
+    """Return the smoothness of the light's maps [2,S,S,3], the mean square of differences between neighbours; and a
+    pull of each splat's reflection weight to where it began, so that a place where no photograph saw a highlight stays
+    as glossy as the rest."""
     settings = config.mirror
     terms: Terms = {"light.smooth": settings.smoothness * steps_term(maps)}
     if volumes.weight_logits is not None:

@@ -27,7 +27,7 @@ Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentia
 
 
 def total(terms: Mapping[str, Term | Tensor]) -> Loss:
-    """The sum of the terms."""
+    """Return the sum of the terms."""
     names = [name for name, term in terms.items() if isinstance(term, Term)]
     others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
     return Loss(evaluate([term for term in terms.values() if isinstance(term, Term)]), names, others)
@@ -93,8 +93,8 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
 
 
 def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered: Tensor, config: TrainConfig) -> Terms:
-    """What shapes the surface where it is covered [H,W]: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth), the
-    smoothness guided by an image [H,W,3], and 2DGS's distortion where it has a weight."""
+    """Return what shapes the surface where it is covered [H,W]: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth),
+    the smoothness guided by an image [H,W,3], and 2DGS's distortion where it has a weight."""
     settings, depth = config.surfels, surface_depth(outputs, config)
     terms: Terms = {}
     if settings.normal_weight:

@@ -28,7 +28,7 @@ def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
 
 
 def shares(logits: Tensor) -> Tensor:
-    """The sigmoid of logits of any shape; gradients flow."""
+    """Return the sigmoid of logits of any shape; gradients flow."""
     used: Tensor = _Activate.apply((Activation.SIGMOID,), logits)[0]
     return used
 
@@ -50,7 +50,7 @@ class _Activate(torch.autograd.Function):
 
 
 def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Sequence[Tensor]) -> list[Tensor]:
-    """The used numbers of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
+    """Return the used numbers of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
     processor."""
     if launcher is None:
         return [
@@ -65,7 +65,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
 def activated_vjp(
     launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
 ) -> list[Tensor | None]:
-    """The gradients of the stored numbers; None for some without one."""
+    """Return the gradients of the stored numbers; None for some without one."""
     if launcher is None:
         return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
     v_stored = [torch.empty_like(each) for each in used]

@@ -26,8 +26,8 @@ def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
 
 
 def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = None) -> None:
-    """A step of optimisers of one device, on a card in one launch. bad [] bool, on a card: whether all gradients count
-    as zero (see `any_bad`)."""
+    """Take a step of optimisers of one device, on a card in one launch. bad [] bool, on a card: whether all gradients
+    count as zero (see `any_bad`)."""
     launcher = launcher_for(next(iter(optimizers[0].params.values())))
     if launcher is None:
         for optimizer in optimizers:
@@ -160,7 +160,7 @@ class FusedAdam:
         self._groups.pop(name, None)
 
     def due(self) -> list[tuple[str, torch.Tensor]]:
-        """The parameters that a step changes, by name, with their gradients."""
+        """Return the parameters that a step changes, by name, with their gradients."""
         return [(name, p.grad.contiguous()) for name, p in self.params.items() if p.grad is not None and p.numel()]
 
     def step_on_processor(self, due: Sequence[tuple[str, torch.Tensor]]) -> None:
@@ -174,13 +174,13 @@ class FusedAdam:
         batch.update()
 
     def groups(self, due: Sequence[tuple[str, torch.Tensor]]) -> list[tuple[Group, torch.Tensor, float, int]]:
-        """What a card's kernel takes for one step along the gradients that are due, which counts as taken."""
+        """Return what a card's kernel takes for one step along the gradients that are due, which counts as taken."""
         for name, _ in due:
             self._steps[name] += 1
         return [(self._group(name), gradients, self.lrs[name], self._steps[name]) for name, gradients in due]
 
     def _group(self, name: str) -> Group:
-        """The parameter as a card's kernel takes it."""
+        """Return the parameter as a card's kernel takes it."""
         group = self._groups.get(name)
         if group is None:
             arrays = (*self._packed[name], self._scales.get(name))

@@ -39,7 +39,7 @@ def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | 
 def normal_agreement_term(
     normals: torch.Tensor, depth: torch.Tensor, camera: Camera, alpha: torch.Tensor, covered: torch.Tensor
 ) -> Term:
-    """The mean over the covered pixels of 1 - n . n_depth, 0 where nothing is covered.
+    """Return the mean over the covered pixels of 1 - n . n_depth, 0 where nothing is covered.
 
     normals: [H, W, 3], world frame, as long as alpha; gradients flow. depth: [H, W], camera z; gradients flow. alpha:
     [H, W], the length of the depth's normals (2DGS, Eq. 13); no gradient. covered: [H, W], 0 or 1.

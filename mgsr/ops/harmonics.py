@@ -65,7 +65,7 @@ class _Harmonics(torch.autograd.Function):
 def harmonics(
     launcher: Launcher | None, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int
 ) -> torch.Tensor:
-    """The colours [N,3] of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
+    """Return the colours [N,3] of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
     processor."""
     rgb = torch.empty_like(means)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
@@ -83,7 +83,8 @@ def harmonics_vjp(
     v_rgb: torch.Tensor,
     v_means: torch.Tensor | None,
 ) -> torch.Tensor:
-    """The gradient of the coefficients [N,K,3]; that of the means is added to v_means [N,3], where it is given."""
+    """Return the gradient of the coefficients [N,K,3]; that of the means is added to v_means [N,3], where it is
+    given."""
     v_coeffs = torch.empty_like(coeffs)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
     kernels.backward(coeffs, means, center, degree, rgb, v_rgb, v_coeffs, v_means)

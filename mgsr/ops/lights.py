@@ -17,8 +17,8 @@ OFFSET = 0.055
 
 
 def lit_up(launcher: Launcher | None, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor) -> Tensor:
-    """The image [H,W,3], in sRGB, of an object whose image under even light is `even` [H,W,3], with alpha [H,W] before
-    `background` [3].
+    """Return the image [H,W,3], in sRGB, of an object whose image under even light is `even` [H,W,3], with alpha [H,W]
+    before `background` [3].
 
     lit [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on the object alone. Where that is nearly black,
     the result may lie below 0.
@@ -38,7 +38,7 @@ def lit_up(launcher: Launcher | None, even: Tensor, alpha: Tensor, background: T
 def lit_up_vjp(
     launcher: Launcher | None, v_image: Tensor, background: Tensor, lit: Tensor, v_alpha: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """The gradients of even [H,W,3] and alpha [H,W]; v_alpha: what is added to the latter."""
+    """Return the gradients of even [H,W,3] and alpha [H,W]; v_alpha: what is added to the latter."""
     v_even = torch.empty_like(v_image)
     if launcher is not None:
         total = torch.empty_like(lit)
@@ -53,8 +53,8 @@ def lit_up_vjp(
 def with_reflection(
     launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, mirrored: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """The image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored; weight [H,W].
-    Of own and mirrored one may be None."""
+    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored; weight
+    [H,W]. Of own and mirrored one may be None."""
     if launcher is not None:
         color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
         LightKernels(launcher).add_reflection(transmitted, weight, own, mirrored, color, reflected)
@@ -74,7 +74,7 @@ def with_reflection_vjp(
     weight: Tensor,
     before: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The gradients of transmitted, weight, own and mirrored. before: what is added to the first three."""
+    """Return the gradients of transmitted, weight, own and mirrored. before: what is added to the first three."""
     if launcher is not None:
         v_transmitted, v_own, v_mirrored = (torch.empty_like(v_color) for _ in range(3))
         v_weight = torch.empty_like(weight)

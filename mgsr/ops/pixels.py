@@ -19,7 +19,8 @@ LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
 def composite(
     image: Tensor, mask: Tensor, background: Tensor, off_edge: Tensor | None = None, region: Region | None = None
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """A photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W] as numbers 0 or 1.
+    """Return a photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W] as numbers 0 or
+    1.
 
     image [H,W,3] uint8, straight colours; mask [H,W] uint8; background [3]; off_edge [H,W] bool; region (y0, y1, x0,
     x1), ends excluded: the mask is 0 outside.
@@ -53,7 +54,8 @@ def covered(alpha: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, entropy: bool = False) -> Term:
-    """The mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy, alpha kept 1e-4 from 0 and 1.
+    """Return the mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy, alpha kept 1e-4 from 0
+    and 1.
 
     alpha [H,W] in 0..1, gradients flow; mask [H,W] in 0..1; weights [H,W] multiply both before they are compared.
     Raises TensorError for wrong shapes or dtypes.
@@ -80,7 +82,7 @@ def squares_term(
     offset: float = 0.0,
     by: float | Tensor = 1.0,
 ) -> Term:
-    """The sum of the squares of (a - b) * weights - offset, divided by `by`.
+    """Return the sum of the squares of (a - b) * weights - offset, divided by `by`.
 
     a and b, of one shape: gradients flow. weights: two, of that shape, each 0 or 1; None is 1 everywhere, as both must
     be beside an offset. by: a number, or one in a tensor [] float32, which is not read. Raises TensorError for wrong
@@ -105,8 +107,8 @@ def squares_term(
 
 
 def product_term(weight: Tensor, color: Tensor) -> Term:
-    """The mean over pixels and channels of weight [H,W] times color [H,W,3]; gradients flow to both. Raises TensorError
-    for wrong shapes or dtypes."""
+    """Return the mean over pixels and channels of weight [H,W] times color [H,W,3]; gradients flow to both. Raises
+    TensorError for wrong shapes or dtypes."""
     check_tensors(weight=(weight, "H W"), color=(color, "H W 3"))
     factor, image = plain(weight), plain(color)
     launcher = launcher_for(factor)
@@ -122,8 +124,8 @@ def product_term(weight: Tensor, color: Tensor) -> Term:
 
 
 def steps_term(maps: Tensor) -> Term:
-    """The mean square of the steps from line to line plus that from column to column in maps [M,S,S,C]; gradients flow.
-    0 for maps of one texel. Raises TensorError for a wrong shape or dtype."""
+    """Return the mean square of the steps from line to line plus that from column to column in maps [M,S,S,C];
+    gradients flow. 0 for maps of one texel. Raises TensorError for a wrong shape or dtype."""
     sizes = check_tensors(maps=(maps, "M S S C"))
     values, by = plain(maps), sizes["M"] * sizes["S"] * (sizes["S"] - 1) * sizes["C"]
     launcher = launcher_for(values)

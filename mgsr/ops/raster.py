@@ -30,13 +30,13 @@ class RasterPass(Protocol):
     """One rendering, forward and back, outside the graph. splats: its tensors, contiguous, the background last."""
 
     def forward(self, splats: Sequence[Any]) -> tuple[Tensor | None, ...]:
-        """The images: colour and alpha, then others."""
+        """Return the images: colour and alpha, then others."""
 
     def backward(
         self, splats: Sequence[Any], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> Sequence[Tensor | None]:
-        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
-        None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images, each
+        contiguous or None."""
 
 
 class Rasterize(torch.autograd.Function):

@@ -129,8 +129,8 @@ class SurfelPass:
     def backward(
         self, splats: Sequence[Tensor], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor]:
-        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
-        None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images, each
+        contiguous or None."""
         # A card's kernels write all of it.
         new_like = torch.zeros_like if self._kernels is _surfels else torch.empty_like
         v_splats = [new_like(t) for t in splats[:-1]]

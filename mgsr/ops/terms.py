@@ -61,12 +61,12 @@ def wanted(*tensors: Tensor) -> list[bool]:
 
 
 def scalar(term: Term) -> Tensor:
-    """The term's value, weighted; gradients flow to its images."""
+    """Return the term's value, weighted; gradients flow to its images."""
     return evaluate([term])[0]
 
 
 def evaluate(terms: Sequence[Term]) -> Tensor:
-    """The values [T] of terms, weighted; gradients flow to their images. All must be of one device."""
+    """Return the values [T] of terms, weighted; gradients flow to their images. All must be of one device."""
     images: dict[int, Tensor] = {id(slope.image): slope.image for term in terms for slope in term.slopes}
     values: Tensor = _Evaluate.apply(tuple(terms), list(images), *images.values())
     return values

@@ -126,8 +126,8 @@ class VolumePass:
     def backward(
         self, splats: Sequence[Tensor | None], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor | None]:
-        """The gradients of the splats' tensors without the background's, from those of the images, each contiguous or
-        None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images, each
+        contiguous or None."""
         # A card's kernels write all of it.
         new_like = torch.zeros_like if self._kernels is _volumes else torch.empty_like
         v_splats = [t if t is None else new_like(t) for t in splats[:-1]]

@@ -7,7 +7,7 @@ others 2005), and the masks' outlines hold the surface where they touch it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -108,15 +108,17 @@ def refine_by_shading(
     return Refined(vertices, light, shading)
 
 
-def mirroring_ratio(
-    vertices: np.ndarray, faces: np.ndarray, views: Sequence[View], threads: int | None = None
-) -> float:
-    """The share of what differs between the photographs of a surface [V,3] that mirrored surroundings leave
-    unexplained: small where the surface is right and mirrors them, about 1 where it is wrong or mirrors nothing."""
-    pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-    shot = Shot(linear_photographs(views), pixel, threads)
-    readings, normals = shot.read(*coarser(vertices, faces, RATIO_EDGE * pixel))
-    return mirrored_surroundings(readings, normals).ratio
+def mirroring_ratios(
+    surfaces: Iterable[np.ndarray], faces: np.ndarray, views: Sequence[View], threads: int | None = None
+) -> Iterator[float]:
+    """Yield, of each of several places [V,3] of a mesh's vertices, the share of what differs between the photographs
+    that mirrored surroundings leave unexplained: small where the surface is right and mirrors them, about 1 where it is
+    wrong or mirrors nothing. A ratio is found when it is asked for."""
+    photographs = linear_photographs(views)
+    for vertices in surfaces:
+        pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
+        shot = Shot(photographs, pixel, threads)
+        yield mirrored_surroundings(*shot.read(*coarser(vertices, faces, RATIO_EDGE * pixel))).ratio
 
 
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:

@@ -18,7 +18,7 @@ from mgsr.errors import SceneError
 from mgsr.geometry.outlines import find_outline
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratio, refine_by_shading
+from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratios, refine_by_shading
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.view_colors import seen_colors
@@ -229,11 +229,14 @@ def _carved_points(
 
 
 def _better_explained(hull: np.ndarray, carved: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
-    """The hull's vertices where mirrored surroundings explain the photographs on it, and clearly better than on the
-    carved surface; else those of the carved one: what a surface mirrors moves across it as a pattern behind it would,
-    and colours alone cannot tell the two apart."""
-    left = mirroring_ratio(hull, faces, views)
-    return hull if left <= min(SHADING_RATIO, CLEARLY * mirroring_ratio(carved, faces, views)) else carved
+    """Return the hull's vertices where mirrored surroundings explain the photographs on it, and clearly better than on
+    the carved surface; else those of the carved one.
+
+    What a surface mirrors moves across it as a pattern behind it would, and colours alone cannot tell the two apart.
+    """
+    ratios = mirroring_ratios((hull, carved), faces, views)
+    left = next(ratios)
+    return hull if left <= SHADING_RATIO and left <= CLEARLY * next(ratios) else carved
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:

@@ -145,7 +145,7 @@ class WhatIsMirrored:
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
     def shown(self, view: TrainingView, texels: Tensor) -> Tensor:
-        """What each pixel of a view mirrors, [H,W,3], of the light's texels [2,S,S,3]."""
+        """Return what each pixel of a view mirrors, [H,W,3], of the light's texels [2,S,S,3]."""
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:

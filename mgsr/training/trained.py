@@ -41,10 +41,6 @@ class Trained(ABC, Generic[Model]):
         """Where the parameters are."""
         return next(iter(self.optimizer.params.values())).device
 
-    def step(self, progress: float) -> None:
-        """One step of the optimiser along the gradients that backward has left; `progress` 0..1 of the run."""
-        step_trained({self: progress})
-
     def skip_step(self) -> None:
         """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
         for tensor in self.optimizer.params.values():

@@ -45,7 +45,7 @@ class TrainingView:
         return None if self.lit is None else self.lit / 255
 
     def target(self, behind: Tensor) -> Target:
-        """The photograph on a background [3], for the losses."""
+        """Return the photograph on a background [3], for the losses."""
         if self.mask is None:
             return Target(self.image / 255, None, self.camera, unknown=self.unknown)
         color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge, self.region)

@@ -6,6 +6,7 @@ import pytest
 
 from benchmarks.host_time import IdleLauncher, Row, measure
 from mgsr.config import make_config
+from mgsr.native.cuda.tiles import ListParams
 from mgsr.training.plan import make_plan
 from tests.training.ball import ball_points, ball_scene
 
@@ -30,5 +31,5 @@ def test_an_iteration_has_few_operations(reflection: str) -> None:
 
 def test_the_idle_launcher_counts() -> None:
     launcher = IdleLauncher()
-    launcher.launch("tiles", "tiles_list", 1, 1, None)  # type: ignore[arg-type]
+    launcher.launch("tiles", "tiles_list", 1, 1, ListParams())
     assert launcher.launched == 1

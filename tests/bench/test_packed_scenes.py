@@ -21,7 +21,7 @@ CONFIG = make_config("draft", overrides=SETTINGS)
 
 
 def littered(view: View) -> View:
-    """The view with some colours or other where its mask is zero."""
+    """Return the view with some colours or other where its mask is zero."""
     litter = np.random.default_rng(0).integers(0, 256, view.image.shape, np.uint8)
     return replace(view, image=np.where((view.alpha > 0)[..., None], view.image, litter))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -41,11 +42,11 @@ def test_rows_come_size_by_size(
     """What was measured before the run was cut off is there."""
     measure, seen = rasterizers.measure, list[str]()
 
-    def cut_off(size: str, *arguments: object, **more: object) -> tuple[list[rasterizers.Row], dict[str, str]]:
+    def cut_off(size: str, *arguments: Any, **more: Any) -> tuple[list[rasterizers.Row], dict[str, str]]:
         if size == "2k/32":
             seen.extend([capsys.readouterr().out, (tmp_path / "rows.jsonl").read_text()])
             raise KeyboardInterrupt
-        return measure(size, *arguments, **more)  # type: ignore[arg-type]
+        return measure(size, *arguments, **more)
 
     monkeypatch.setattr(rasterizers, "measure", cut_off)
     words = ["--device", "cpu", "--runs", "1", "--sizes", "1k/32", "2k/32", "--json", str(tmp_path / "rows.jsonl")]

@@ -31,7 +31,7 @@ MAPS_NOT: Any = Card(maps=False)
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The settings that are made; the user's are out of the way, and the system is Linux."""
+    """Return the settings that are made; the user's are out of the way, and the system is Linux."""
     for name in OF_USER:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(platform, "release", lambda: "6.8.0-45-generic")

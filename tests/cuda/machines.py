@@ -47,7 +47,7 @@ class Machine:
             yield
 
     def ascending(self) -> Machine:
-        """The machine of the same kind whose results those in any other order must have to the bit."""
+        """Return the machine of the same kind whose results those in any other order must have to the bit."""
         return self if self.order is None else replace(self, order=Order.ASCENDING)
 
 

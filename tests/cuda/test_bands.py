@@ -61,7 +61,7 @@ def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torc
 
 @pytest.fixture
 def worked(monkeypatch: pytest.MonkeyPatch) -> list[list[Band]]:
-    """The bands of each forward and backward pass, as they come."""
+    """Return the bands of each forward and backward pass, as they come."""
     passes: list[list[Band]] = []
     work_bands = bands.work_bands
 
@@ -132,7 +132,7 @@ class Places:
             yield
 
     def around(self, work: Callable[[Band], Any]) -> Callable[[Band], Any]:
-        """A band's work, with its places."""
+        """Return a band's work, with its places."""
 
         def counted(band: Band) -> Any:
             self._band, self._place = band, 0
@@ -145,7 +145,7 @@ class Places:
         return counted
 
     def reach(self) -> None:
-        """The next place. Raises torch.OutOfMemoryError."""
+        """Return the next place. Raises torch.OutOfMemoryError."""
         if self._band is None:
             return
         place, self._place = self._place, self._place + 1
@@ -154,7 +154,7 @@ class Places:
             raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
 
     def alive(self) -> list[torch.Size]:
-        """The shapes of what was made and still lives."""
+        """Return the shapes of what was made and still lives."""
         return [tensor.shape for held in self.made if (tensor := held()) is not None]
 
 
@@ -182,7 +182,7 @@ class _Launcher(ShimLauncher):
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch, worked: list[list[Band]]) -> Callable[..., Places]:
-    """Makes Places. When a band is halved, nothing of what was made for it lives, nor the states kept for backward."""
+    """Make Places. When a band is halved, nothing of what was made for it lives, nor the states kept for backward."""
     attempt, halves, places = bands._try, bands._halves, list[Places]()
 
     def with_places(work: Callable[[Band], Any], band: Band) -> Any:

@@ -17,7 +17,7 @@ CODE = b"\x7fELF" + bytes(range(256))
 
 
 def only_entry(folder: Path) -> Path:
-    """The one file that is kept."""
+    """Return the one file that is kept."""
     (entry,) = (path for path in (folder / "entries").rglob("*") if path.is_file())
     return entry
 

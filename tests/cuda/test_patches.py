@@ -41,7 +41,7 @@ def kernels() -> None:
 
 
 def project(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Records [N,16] and outlines [N,12] of seen splats, round ones and needles, all over the image."""
+    """Return records [N,16] and outlines [N,12] of seen splats, round ones and needles, all over the image."""
     g = torch.Generator().manual_seed(3)
     splats = (
         torch.rand(count, 3, generator=g) * 2 - 1,
@@ -58,7 +58,7 @@ def project(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def touched(records: np.ndarray, outlines: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
-    """What the kernels find for a tile, [N,8] of each patch: by records, and by outlines."""
+    """Return what the kernels find for a tile, [N,8] of each patch: by records, and by outlines."""
     across = -(-WIDTH // TILE)
     rows = -(-HEIGHT // TILE)
     found = [torch.empty(len(records), dtype=torch.int32) for _ in range(2)]

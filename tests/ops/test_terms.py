@@ -37,7 +37,7 @@ def some(*shape: int, seed: int = 0) -> Tensor:
 def compare(
     machine: Machine, term: Callable[..., Term], oracle: Callable[..., Tensor], *inputs: Tensor, tolerance: float = 1e-5
 ) -> None:
-    """A term of inputs on a machine, and its gradients, against a function of torch's in float64."""
+    """Compare a term of inputs on a machine, and its gradients, with a function of torch's in float64."""
     leaves = [each.clone().to(machine.device).requires_grad_() for each in inputs]
     twins = [each.double().requires_grad_() for each in inputs]
     with machine.running():

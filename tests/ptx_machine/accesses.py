@@ -77,7 +77,7 @@ def convert_address(instruction: Instruction, scope: Scope) -> str:
 
 
 def prefetch(instruction: Instruction, scope: Scope) -> str:
-    """It changes nothing that can be seen."""
+    """Translate to nothing: it changes nothing that can be seen."""
     return ";"
 
 

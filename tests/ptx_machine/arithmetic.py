@@ -21,7 +21,7 @@ class Integer:
     result: str = "T"
 
     def kind(self, code: str, own: str) -> str:
-        """The type that a letter means in an instruction of the type `own`."""
+        """Return the type that a letter means in an instruction of the type `own`."""
         return {"T": own, "U": "u32", "W": f"{own[0]}{2 * int(own[1:])}" if own[1:].isdigit() else own}[code]
 
 
@@ -84,7 +84,7 @@ FLOATS: dict[str, Collection[str]] = {
 
 
 def assign(instruction: Instruction, scope: Scope, kind: str, value: str) -> str:
-    """The destination's register takes a value of a PTX type."""
+    """Give the destination's register a value of a PTX type."""
     return f"write<{CPP[kind]}>({scope.place(instruction, instruction.operands[0])}, {value});"
 
 

@@ -8,7 +8,7 @@ from tests.ptx_machine.ptx import BranchTargets, Instruction
 
 
 def label_name(name: str) -> str:
-    """A label as C++ takes it."""
+    """Return a label as C++ takes it."""
     return "label_" + name.replace("$", "_S")
 
 

@@ -115,7 +115,7 @@ def explain(message: str, library: Library) -> str:
 
 
 def pointers_in(params: ctypes.Structure) -> Iterator[int]:
-    """The addresses in a struct, its structs and arrays; null pointers left out."""
+    """Return the addresses in a struct, its structs and arrays; null pointers left out."""
     for name, kind, *_ in params._fields_:
         yield from _pointers(getattr(params, name), kind)
 

@@ -34,18 +34,18 @@ class Library:
 
 @cache
 def load_library(source: Path, sources: Path, arch: str = ARCH) -> Library:
-    """The kernels of a .cu file, whose headers lie in the folder `sources`. Raises GpuError where NVRTC rejects it, and
-    PtxError where the machine doesn't know an instruction."""
+    """Return the kernels of a .cu file, whose headers lie in the folder `sources`. Raises GpuError where NVRTC rejects
+    it, and PtxError where the machine doesn't know an instruction."""
     return load_ptx(ptx_of(source, sources, arch), source.stem)
 
 
 def load_ptx(ptx: str, name: str) -> Library:
-    """The kernels of a PTX text. name: what its library is called."""
+    """Return the kernels of a PTX text. name: what its library is called."""
     return Library(ctypes.CDLL(str(library_of(ptx, name)), mode=os.RTLD_LOCAL), Places.of(ptx))
 
 
 def ptx_of(source: Path, sources: Path, arch: str = ARCH) -> str:
-    """The file's PTX, compiled unless build/ has that of the same source, headers, options and NVRTC."""
+    """Return the file's PTX, compiled unless build/ has that of the same source, headers, options and NVRTC."""
     headers = [(path.relative_to(sources).as_posix(), path.read_text()) for path in sorted(sources.rglob("*.h"))]
     compiler = (compiler_version(), options(Path("sources"), arch), (HERE / "nvrtc.py").read_text())
     digest = _digest(source.read_text(), headers, compiler)
@@ -56,7 +56,7 @@ def ptx_of(source: Path, sources: Path, arch: str = ARCH) -> str:
 
 
 def library_of(ptx: str, name: str) -> Path:
-    """A shared library of a PTX text's kernels, compiled unless build/ has that of the same PTX and machine."""
+    """Return a shared library of a PTX text's kernels, compiled unless build/ has that of the same PTX and machine."""
     machine = [(path.name, path.read_text()) for path in _machine_files()]
     library = BUILD / f"{name}-{_digest(ptx, machine, FLAGS)}.so"
     if not library.exists():
@@ -66,7 +66,7 @@ def library_of(ptx: str, name: str) -> Path:
 
 
 def _machine_files() -> list[Path]:
-    """What decides over the library that a PTX text becomes."""
+    """Return what decides over the library that a PTX text becomes."""
     return sorted([*(HERE / f"{name}.py" for name in TRANSLATOR), *HERE.glob("machine/*.h")])
 
 
@@ -82,7 +82,7 @@ def _compile(code: str, library: Path) -> None:
 
 
 def _write_whole(path: Path, write) -> None:
-    """The file appears under its name complete or not at all: other processes may make the same one."""
+    """Write a file that appears under its name complete or not at all: other processes may make the same one."""
     BUILD.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:
         partial = Path(folder) / path.name

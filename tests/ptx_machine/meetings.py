@@ -45,7 +45,7 @@ def shuffle(instruction: Instruction, scope: Scope) -> str:
 
 
 def _places(instruction: Instruction, scope: Scope, operand: str) -> tuple[str, str]:
-    """The addresses of d and p in d|p."""
+    """Return the addresses of d and p in d|p."""
     place, _, flag = (part.strip() for part in operand.partition("|"))
     return scope.place_or_null(instruction, place), scope.place_or_null(instruction, flag or None)
 

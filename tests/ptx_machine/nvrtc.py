@@ -13,7 +13,7 @@ ARCH = "sm_90"
 
 
 def missing_tools() -> str | None:
-    """What this machine lacks for compiling and executing PTX; None where nothing is."""
+    """Return what this machine lacks for compiling and executing PTX; None where nothing is."""
     if shutil.which("g++") is None:
         return "NEEDS g++: install a C++ compiler"
     try:
@@ -24,7 +24,7 @@ def missing_tools() -> str | None:
 
 
 def options(sources: Path, arch: str) -> list[str]:
-    """A card's options, and line numbers, which change no instruction."""
+    """Return a card's options, and line numbers, which change no instruction."""
     return [
         f"-arch={arch}",
         f"--include-path={sources}",
@@ -35,8 +35,8 @@ def options(sources: Path, arch: str) -> list[str]:
 
 
 def compile_to_ptx(source: Path, sources: Path, arch: str = ARCH) -> str:
-    """The PTX of a .cu file that includes headers from the folder `sources`; in it, files are named from there on.
-    Raises GpuError with NVRTC's log."""
+    """Return the PTX of a .cu file that includes headers from the folder `sources`; in it, files are named from there
+    on. Raises GpuError with NVRTC's log."""
     from cuda.bindings import nvrtc
 
     program = _ask(nvrtc.nvrtcCreateProgram(source.read_bytes(), source.name.encode(), 0, [], []))

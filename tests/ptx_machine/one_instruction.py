@@ -82,7 +82,7 @@ def _register(kind: str, number: int) -> str:
 
 
 def _place(name: str, field: int, number: int, kind: str) -> list[str]:
-    """The address of the thread's element in the array of a field, in %rd2<number>."""
+    """Return the address of the thread's element in the array of a field, in %rd2<number>."""
     return [
         f"ld.param.u64 %rd1{number}, [{name}_param+{field}];",
         f"mul.wide.u32 %rd2{number}, %r10, {DTYPES[kind].itemsize};",
@@ -102,7 +102,7 @@ def library(cases: tuple[Case, ...]) -> Library:
 
 
 def execute(cases: tuple[Case, ...], number: int, noise_ulps: int = 0) -> np.ndarray:
-    """What the machine makes of a case's values."""
+    """Return what the machine makes of a case's values."""
     case = cases[number]
     arguments = [torch.from_numpy(values.view(_signed(values.dtype))) for values in case.arguments()]
     count = len(arguments[0])
@@ -117,5 +117,5 @@ def execute(cases: tuple[Case, ...], number: int, noise_ulps: int = 0) -> np.nda
 
 
 def _signed(dtype: Any) -> Any:
-    """The type of the same width that torch has on every version."""
+    """Return the type of the same width that torch has on every version."""
     return np.dtype(f"int{8 * dtype.itemsize}") if dtype.kind == "u" else dtype

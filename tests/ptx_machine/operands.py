@@ -74,7 +74,7 @@ class Scope:
         return max((offset + size for offset, size in self.local.values()), default=0)
 
     def register(self, operand: str) -> tuple[str, Registers] | None:
-        """The C++ place of a register and its declaration; None for what is no register."""
+        """Return the C++ place of a register and its declaration; None for what is no register."""
         registers = self.kernel.registers
         if operand in registers and registers[operand].count is None:
             return f"R.{member_name(operand)}", registers[operand]
@@ -87,18 +87,18 @@ class Scope:
         return None
 
     def place(self, instruction: Instruction, operand: str) -> str:
-        """A register as what can be assigned to."""
+        """Return a register as what can be assigned to."""
         found = self.register(operand)
         if found is None:
             raise instruction.refuse(f"`{operand}` is no register")
         return found[0]
 
     def place_or_null(self, instruction: Instruction, operand: str | None) -> str:
-        """A register's address; of none, or the sink `_`, a null pointer."""
+        """Return a register's address; of none, or the sink `_`, a null pointer."""
         return "nullptr" if operand in (None, "_") else f"&{self.place(instruction, str(operand))}"
 
     def value(self, instruction: Instruction, operand: str, kind: str) -> str:
-        """An operand read as a PTX type."""
+        """Return an operand read as a PTX type."""
         cpp = CPP[kind]
         if operand in SPECIAL:
             return f"read<{cpp}>(uint32_t({SPECIAL[operand]}))"
@@ -116,7 +116,7 @@ class Scope:
         return f"{cpp}({self.symbol(instruction, operand)})"
 
     def symbol(self, instruction: Instruction, name: str) -> str:
-        """The address of a variable or of the parameters, in its own space."""
+        """Return the address of a variable or of the parameters, in its own space."""
         if name in self.shared:
             return f"uint64_t({self.shared[name][0]})"
         if name == self.kernel.parameter:
@@ -137,15 +137,15 @@ class Scope:
 
 
 def member_name(register: str) -> str:
-    """A register's name as C++ takes it."""
+    """Return a register's name as C++ takes it."""
     return re.sub(r"\W", "_", register.removeprefix("%")) + ("_" if register[-1] not in "0123456789" else "")
 
 
 def variable_name(name: str) -> str:
-    """A module's variable as C++ takes it."""
+    """Return a module's variable as C++ takes it."""
     return "variable_" + name.replace("$", "_S")
 
 
 def vector(operand: str) -> list[str]:
-    """The registers of `{%f1, %f2}`, or the one there is."""
+    """Return the registers of `{%f1, %f2}`, or the one there is."""
     return [part.strip() for part in operand.strip("{}").split(",")]

@@ -29,7 +29,7 @@ class Instruction:
     operands: tuple[str, ...]
 
     def refuse(self, why: str) -> PtxError:
-        """The error to raise for what is not executed."""
+        """Return the error to raise for what is not executed."""
         return PtxError(f"PTX line {self.line}, `{self.text}`: {why}; tests/ptx_machine does not execute it")
 
 
@@ -108,7 +108,7 @@ class Places:
 
 
 def parse(text: str) -> Module:
-    """The module's kernels and variables. Raises PtxError for what it can't read."""
+    """Return the module's kernels and variables. Raises PtxError for what it can't read."""
     code = _without_comments(text)
     variables = dict(_variables(_outside_of_braces(code)))
     kernels = [_kernel(code, match) for match in re.finditer(r"\.visible\s+\.entry\s+([\w$]+)\s*\(", code)]
@@ -116,7 +116,8 @@ def parse(text: str) -> Module:
 
 
 def _without_comments(text: str) -> str:
-    """The code, each character in its line: comments, and the lines of directives that no `;` ends, are blank."""
+    """Return the code, each character in its line: comments, and the lines of directives that no `;` ends, are
+    blank."""
 
     def blank(match: re.Match[str]) -> str:
         return re.sub(r"[^\n]", " ", match[0])
@@ -126,7 +127,7 @@ def _without_comments(text: str) -> str:
 
 
 def _outside_of_braces(code: str) -> str:
-    """The module's own declarations. Braces of initialisers stay; those of functions and sections go."""
+    """Return the module's own declarations. Braces of initialisers stay; those of functions and sections go."""
     kept, depth, body = [], 0, 0
     for position, character in enumerate(code):
         if character == "{":
@@ -156,7 +157,7 @@ def _variables(code: str) -> Iterator[tuple[str, Variable]]:
 
 
 def _initial_bytes(values: str, kind: str, name: str) -> bytes:
-    """What `{1, 2, 3}` or a single number holds, as little-endian bytes."""
+    """Return what `{1, 2, 3}` or a single number holds, as little-endian bytes."""
     numbers = [value.strip() for value in values.strip().strip("{}").split(",") if value.strip()]
     try:
         return b"".join(_number(n).to_bytes(16, "little", signed=True)[: BYTES[kind]] for n in numbers)
@@ -165,7 +166,7 @@ def _initial_bytes(values: str, kind: str, name: str) -> bytes:
 
 
 def _number(text: str) -> int:
-    """An integer, or the bits of a float's literal such as 0f3F800000."""
+    """Return an integer, or the bits of a float's literal such as 0f3F800000."""
     return int(text[2:], 16) if text[:2] in ("0f", "0F", "0d", "0D") else int(text.rstrip("U"), 0)
 
 

@@ -12,8 +12,8 @@ FORMATS = {"f32": (24, -149, np.float32), "f64": (53, -1074, np.float64)}
 
 
 def rounded(exact: Fraction, kind: str, direction: str = "rn") -> float:
-    """The float of type f32 or f64 that an exact number is rounded to: rn nearest and even, rz towards zero, rm down,
-    rp up. Of numbers within the format's range."""
+    """Return the float of type f32 or f64 that an exact number is rounded to: rn nearest and even, rz towards zero, rm
+    down, rp up. Of numbers within the format's range."""
     if exact == 0:
         return 0.0
     digits, least, _ = FORMATS[kind]
@@ -28,7 +28,7 @@ def rounded(exact: Fraction, kind: str, direction: str = "rn") -> float:
 
 
 def exactly(operation: Callable[..., Fraction], kind: str, direction: str = "rn") -> Callable[..., np.ndarray]:
-    """The operation on arrays of finite floats, without an error but the last rounding."""
+    """Return the operation on arrays of finite floats, without an error but the last rounding."""
 
     def apply(*arrays: np.ndarray) -> np.ndarray:
         rows = zip(*(array.tolist() for array in arrays), strict=True)

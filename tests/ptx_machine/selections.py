@@ -13,7 +13,8 @@ TO_WHOLE = ("rni", "rzi", "rmi", "rpi")
 
 
 def compared(instruction: Instruction, scope: Scope, modifiers: list[str], kind: str) -> tuple[str, str]:
-    """What `.lt.and.ftz` makes of operands a, b and the predicate c, and what it makes of the opposite comparison."""
+    """Return what `.lt.and.ftz` makes of operands a, b and the predicate c, and what it makes of the opposite
+    comparison."""
     comparison, *rest = modifiers
     combined = [modifier for modifier in rest if modifier in COMBINED]
     if comparison not in COMPARISONS or set(rest) - {*COMBINED, "ftz"}:

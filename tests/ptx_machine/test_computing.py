@@ -32,7 +32,7 @@ FIRST = np.arange(64) - LANE
 
 class Results:
     def __init__(self, kernel: str, threads: int = 64, blocks: int = 1, order: Order = Order.ASCENDING) -> None:
-        """What a kernel of computing.cu makes of NUMBERS."""
+        """Return what a kernel of computing.cu makes of NUMBERS."""
         out, counts = torch.full((512,), torch.nan), torch.full((512,), -1, dtype=torch.int32)
         doubles = torch.full((4,), torch.nan, dtype=torch.float64)
         arguments = (out, torch.from_numpy(NUMBERS), counts, doubles)
@@ -86,7 +86,7 @@ def bits(which: np.ndarray) -> int:
 @pytest.mark.parametrize("order", list(Order))
 def test_votes_and_reductions(order: Order) -> None:
     def of_warps(function) -> np.ndarray:
-        """A function of a warp's threads, for each thread."""
+        """Return a function of a warp's threads, for each thread."""
         return np.concatenate([np.broadcast_to(function(np.arange(w, w + 32)), 32) for w in (0, 32)]).astype(np.int32)
 
     def words(values) -> np.ndarray:

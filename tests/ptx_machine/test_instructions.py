@@ -49,7 +49,7 @@ BOUNDS |= {"s16": (-(2**15), 2**15 - 1), "u8": (0, 255)}
 
 
 def whole(function, kind):
-    """A function of Python's integers on arrays, wrapped around to the type."""
+    """Return a function of Python's integers on arrays, wrapped around to the type."""
 
     def apply(*arrays):
         bits = 8 * DTYPES[kind].itemsize
@@ -102,7 +102,7 @@ def reversed_bits(n):
 
 
 def highest(n):
-    """The place of the highest bit that differs from the sign, or all ones."""
+    """Return the place of the highest bit that differs from the sign, or all ones."""
     n = ~n if n < 0 else n
     return n.bit_length() - 1
 
@@ -330,7 +330,7 @@ ARITHMETIC = [
 
 
 def to_whole(round_, kind, wide=False):
-    """A float as an integer, with PTX's values for what doesn't fit."""
+    """Return a float as an integer, with PTX's values for what doesn't fit."""
     low, high = BOUNDS[kind]
 
     def convert(value):

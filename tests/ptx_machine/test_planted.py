@@ -65,7 +65,7 @@ def barriers() -> Iterator[object]:
 
 
 def planted(folder: Path, file: str, change: Callable[[str], str]) -> Machine:
-    """A machine for the kernels with one file changed."""
+    """Return a machine for the kernels with one file changed."""
     sources = folder / "native"
     for part in ("kernels", "math"):
         shutil.copytree(SOURCES / part, sources / part)

@@ -31,7 +31,7 @@ MOST_LINES = 2**16 - 1  # that an access of machine/shadow.h can name
 
 
 def translate(text: str) -> str:
-    """The C++ of a PTX module. Raises PtxError for an instruction that is not known, with its line."""
+    """Return the C++ of a PTX module. Raises PtxError for an instruction that is not known, with its line."""
     if text.count("\n") >= MOST_LINES:
         raise PtxError(f"the PTX has {text.count(chr(10))} lines: expected less than {MOST_LINES}")
     module = parse(text)
@@ -44,7 +44,7 @@ def translate(text: str) -> str:
 
 
 def _variables(module: Module) -> list[str]:
-    """The module's variables in global and constant memory, and the table of them."""
+    """Return the module's variables in global and constant memory, and the table of them."""
     kept = {name: v for name, v in module.variables.items() if v.space in ("global", "const")}
     made = [f"alignas(16) static unsigned char {variable_name(name)}[] = {{{_bytes(v)}}};" for name, v in kept.items()]
     rows = [f"  {{uint64_t({variable_name(name)}), {v.size}}}," for name, v in kept.items()]
@@ -114,7 +114,7 @@ class _Translation:
         return f"{go} thread.resume = {self._meetings}; return true; case {self._meetings}:;"
 
     def _handled(self, handler: Handler, instruction: Instruction) -> str:
-        """An instruction of another form than its handler reads is refused as well."""
+        """Translate an instruction; one of another form than its handler reads is refused as well."""
         try:
             return handler(instruction, self._scope)
         except (KeyError, IndexError, ValueError) as error:

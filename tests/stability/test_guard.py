@@ -70,7 +70,7 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
         twin, _, _ = first_stage()
         for each in (stage, twin):
             step_of(each)
-            each.branches[0].step(0.5)
+            step_trained({each.branches[0]: 0.5})
         step = step_of(stage)
         (branch,), (expected,) = stage.branches, twin.branches
         branch.optimizer.params[name].grad.view(-1)[5] = bad
@@ -79,7 +79,7 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
         branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
         for tensor in expected.optimizer.params.values():
             tensor.grad = torch.zeros_like(tensor)
-        expected.step(0.5)
+        step_trained({expected: 0.5})
         for _ in range(3):
             guard.look_back(torch.tensor(0.1))
     assert all(torch.equal(values(branch)[each], tensor) for each, tensor in values(expected).items())
@@ -108,7 +108,7 @@ def test_the_branches_go_back_to_the_last_good_look(what: str, caplog: pytest.Lo
     before, first, steps = values(branch), branch.optimizer.state_dict()["first"]["means"].clone(), branch.steps
     for _ in range(2):
         step_of(stage)
-        branch.step(0.5)
+        step_trained({branch: 0.5})
         guard.look_back(torch.tensor(0.1 if what == "parameter" else 5.0))
     if what == "parameter":
         branch.optimizer.params["means"].data[0, 0] = float("nan")
@@ -130,7 +130,7 @@ def test_what_was_kept_survives_being_gone_back_to() -> None:
     for _ in range(2):
         for _ in range(3):
             step_of(stage)
-            branch.step(0.5)
+            step_trained({branch: 0.5})
             branch.optimizer.params["means"].data[0] = float("inf")
             guard.look_back(torch.tensor(0.1))
         assert all(torch.equal(tensor, before[name]) for name, tensor in values(branch).items())

@@ -19,7 +19,7 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.pixels import back_project
 from mgsr.open3d_library import load_open3d
-from mgsr.shading.refine import Light, Refined, mirroring_ratio
+from mgsr.shading.refine import Light, Refined, mirroring_ratios
 from mgsr.start import starting_points as module
 from mgsr.start.photo_carving import carve_by_color
 from mgsr.start.starting_points import MASK_SIDE, StartSource, hull_surface, starting_points
@@ -156,7 +156,7 @@ def room(directions: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def mirror() -> Scene:
-    """A ball that mirrors a coloured room, and nothing else."""
+    """Return a ball that mirrors a coloured room, and nothing else."""
     views = []
     for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=128))):
         rays = pixel_rays(seen.camera)
@@ -177,7 +177,8 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     vertices, faces = hull_surface(carve(silhouettes(mirror.train, MASK_SIDE), np.zeros(3), 1.05, 64))
     carved = carve_by_color(vertices, faces, mirror.train)
     assert off_the_ball(carved) > 3 * off_the_ball(vertices), "colours alone dig into it"
-    assert mirroring_ratio(vertices, faces, mirror.train) < 0.8 * mirroring_ratio(carved, faces, mirror.train)
+    on_hull, on_carved = mirroring_ratios((vertices, carved), faces, mirror.train)
+    assert on_hull < 0.8 * on_carved
     # The hull alone, neither bent nor moved.
     monkeypatch.setattr(module, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, Light.UNKNOWN))
     monkeypatch.setattr(module, "refine_by_parallax", lambda vertices, *rest, **more: vertices)

@@ -12,6 +12,7 @@ from mgsr.errors import Cancelled
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
+from mgsr.training.trained import step_trained
 from mgsr.training.trial import Candidate, simplest
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
@@ -111,7 +112,7 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
     branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.volumes
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.rand_like(tensor)
-    branch.step(0.0)
+    step_trained({branch: 0.0})
     values, before = branch.model.sh.detach().clone(), branch.optimizer.state_dict()
     branch.narrow("sh", 4)
     after = branch.optimizer.state_dict()
@@ -120,7 +121,7 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
         assert torch.equal(after[kind]["sh"], before[kind]["sh"][:, :4])
         assert torch.equal(after[kind]["means"], before[kind]["means"])
     branch.optimizer.params["sh"].grad = torch.ones_like(branch.model.sh)
-    branch.step(0.0)
+    step_trained({branch: 0.0})
     assert not torch.equal(branch.model.sh, values[:, :4])
 
 
@@ -131,7 +132,7 @@ def test_widening_keeps_what_the_optimiser_knows() -> None:
         tensor.grad = None
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.ones_like(tensor)
-    branch.step(0.0)
+    step_trained({branch: 0.0})
     before = branch.optimizer.state_dict()
     branch.widen({"weight_logits": torch.zeros(len(branch.model))})
     after = branch.optimizer.state_dict()

@@ -138,7 +138,7 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The devices that `--gpus all` starts workers for."""
+    """Return the devices that `--gpus all` starts workers for."""
     seen: list[str] = []
     monkeypatch.setattr(start, "_one_for_each", seen.extend)
     start.start_workers("all")

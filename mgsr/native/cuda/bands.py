@@ -46,9 +46,9 @@ def most_pairs(device: torch.device, wanted: int) -> int:
 
 
 def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
-    """The image as bands of `most_pairs` at most, or of one row of tiles, in their order: one, unless there are too
-    many pairs for that. Then rows are halved until they fit, and for each part its count is waited for. Raises GpuError
-    where a single row of tiles has more than MAX_PAIRS."""
+    """Return the image as bands of `most_pairs` at most, or of one row of tiles, in their order: one, unless there are
+    too many pairs for that. Then rows are halved until they fit, and for each part its count is waited for. Raises
+    GpuError where a single row of tiles has more than MAX_PAIRS."""
     most = most_pairs(projected.records.device, projected.whole.pairs)
     return list(_cut(launcher, projected, projected.whole, most))
 
@@ -85,7 +85,7 @@ def blend_bands(
 
 
 def add_bands(launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Tensor]) -> Tensor:
-    """The sum [N,16] of what `work` makes of each band, in their order. Raises GpuError as `work_bands`."""
+    """Return the sum [N,16] of what `work` makes of each band, in their order. Raises GpuError as `work_bands`."""
     parts = work_bands(launcher, projected, bands, work)
     _, total = next(parts)
     for _, part in parts:
@@ -119,8 +119,8 @@ def _cut(launcher: Launcher, projected: Projected, band: Band, most: int) -> Ite
 
 
 def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) -> tuple[Band, Band]:
-    """The halves of a band that the memory did not hold, once all that can be is given back to the driver, which has
-    needs of its own beside torch's."""
+    """Return the halves of a band that the memory did not hold, once all that can be is given back to the driver, which
+    has needs of its own beside torch's."""
     if projected.records.is_cuda:
         torch.cuda.empty_cache()
     if band.end - band.first > 1:

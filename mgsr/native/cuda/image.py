@@ -79,7 +79,7 @@ class ImageKernels:
         v_target: Tensor | None,
         mask_sum: float | None,
     ) -> Sums:
-        """The mean loss, and the gradients of its sum inside the region."""
+        """Return the mean loss, and the gradients of its sum inside the region."""
         height, width = image.shape[:2]
         maps = _grown(region, height, width)
         count = 0 if v_image is None else 3 if v_target is None else 4
@@ -101,7 +101,7 @@ class ImageKernels:
         return Sums(sums, 3.0, divisor=mask.sum())
 
     def tv(self, values: Tensor, guide: Tensor, mask: Tensor | None, v_values: Tensor | None) -> Sums:
-        """The mean over pairs and channels, and the gradient of its sum."""
+        """Return the mean over pairs and channels, and the gradient of its sum."""
         height, width, channels = values.shape
         blocks = -(-height * width // PIXEL_THREADS)
         sums = values.new_empty(blocks, 2, dtype=torch.float64)
@@ -121,8 +121,8 @@ class ImageKernels:
         from_depth: Tensor,
         v_depth: Tensor | None,
     ) -> Sums:
-        """The mean of 1 - n . n_depth. Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times -1, of
-        its sum."""
+        """Return the mean of 1 - n . n_depth. Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times
+        -1, of its sum."""
         shape, blocks = depth.shape, -(-depth.numel() // PIXEL_THREADS)
         sums = depth.new_empty(blocks, 2, dtype=torch.float64)
         inputs = (*shape, *addresses(depth, alpha, covered), *intrinsics, (Float * 9)(*world_from_cam))

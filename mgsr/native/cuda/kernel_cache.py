@@ -15,7 +15,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 @cache
 def kernel_cache(folder: Path | None) -> KernelCache:
-    """The cache in a folder, made once a process: it knows whether it has told that the folder can't be used."""
+    """Return the cache in a folder, made once a process: it knows whether it has told that the folder can't be used."""
     return KernelCache(folder)
 
 
@@ -34,7 +34,7 @@ class KernelCache:
         self._lock = threading.Lock()
 
     def get(self, key: bytes) -> bytes | None:
-        """The machine code of a key; None where there is none that is whole."""
+        """Return the machine code of a key; None where there is none that is whole."""
         from cuda.core.utils import FileStreamProgramCache
 
         if self._folder is None:

@@ -125,8 +125,8 @@ class CudaLauncher:
 
 
 def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
-    """What the driver says, as the error to raise. Memory is short for it where torch keeps it all; whoever can do with
-    less takes torch's error for that."""
+    """Return what the driver says, as the error to raise. Memory is short for it where torch keeps it all; whoever can
+    do with less takes torch's error for that."""
     return torch.OutOfMemoryError(text) if "CUDA_ERROR_OUT_OF_MEMORY" in text else GpuError(text)
 
 

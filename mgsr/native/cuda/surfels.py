@@ -103,7 +103,7 @@ class Frame:
     blended: Blended | None = None
 
     def take_blended(self) -> Blended | None:
-        """What is kept, which then lives no longer than its user: memory may be short."""
+        """Return what is kept, which then lives no longer than its user: memory may be short."""
         blended, self.blended = self.blended, None
         return blended
 

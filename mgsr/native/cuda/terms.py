@@ -170,21 +170,21 @@ class TermKernels:
         divisor: Tensor | None,
         differences: Tensor,
     ) -> Sums:
-        """The sum of the squares of (a - b) * weights - offset, over `by` and the divisor."""
+        """Return the sum of the squares of (a - b) * weights - offset, over `by` and the divisor."""
         count, partial = a.numel(), _partial(a)
         inputs = (pointer(a), pointer(b), *addresses(*weights), offset)
         self._run("terms_squares", count, SquaresParams(count, *inputs, pointer(differences), pointer(partial)))
         return Sums(partial, by, divisor=divisor)
 
     def product(self, weight: Tensor, color: Tensor, v_weight: Tensor) -> Sums:
-        """The mean of weight [H,W] times color [H,W,3]."""
+        """Return the mean of weight [H,W] times color [H,W,3]."""
         count, partial = weight.numel(), _partial(weight)
         arrays = (weight, color, v_weight, partial)
         self._run("terms_product", count, ProductParams(count, *addresses(*arrays)))
         return Sums(partial, 3.0 * count)
 
     def steps(self, maps: Tensor, by: float, v_maps: Tensor | None) -> Sums:
-        """The sum of the squared steps between neighbours in maps [M,S,S,C], over `by`."""
+        """Return the sum of the squared steps between neighbours in maps [M,S,S,C], over `by`."""
         partial = _partial(maps)
         sizes = (maps.shape[0], maps.shape[1], maps.shape[3])
         params = StepsParams(*sizes, pointer(maps), pointer(v_maps), pointer(partial))
@@ -192,7 +192,7 @@ class TermKernels:
         return Sums(partial, by)
 
     def totals(self, terms: Sequence[tuple[Sums, float]]) -> tuple[Tensor, Tensor]:
-        """The terms' values [T], times their weights, and what their slopes must be multiplied by [T]."""
+        """Return the terms' values [T], times their weights, and what their slopes must be multiplied by [T]."""
         values, scales = terms[0][0].partial.new_empty(2, len(terms), dtype=torch.float32).unbind()
         first_value, first_scale = values.data_ptr(), scales.data_ptr()
         for begin in range(0, len(terms), MOST_TERMS):
@@ -232,7 +232,7 @@ def _partial(like: Tensor) -> Tensor:
 
 
 def _at_most(parts: int, image: Image) -> list[Image]:
-    """The same image with its parts dealt out to several."""
+    """Return the same image with its parts dealt out to several."""
     if len(image.parts) <= parts:
         return [image]
     return [Image(image.shape, image.parts[begin : begin + parts]) for begin in range(0, len(image.parts), parts)]

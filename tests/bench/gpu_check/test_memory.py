@@ -35,7 +35,7 @@ class PretendedMemory:
 
 
 def pretended(memory: PretendedMemory, banded: Callable[[], Rendered] | None) -> Callable[[], Rendered]:
-    """A rendering that goes in bands, by `banded`, where it does not fit; where that is None, it never does."""
+    """Return a rendering that goes in bands, by `banded`, where it does not fit; where that is None, it never does."""
 
     def render() -> Rendered:
         if memory.free >= WHOLE:

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,8 +33,8 @@ def place(tmp_path: Path) -> Place:
     return Place(Results(tmp_path / "results"), tmp_path / "work", sys.executable, "cpu")
 
 
-def step(name: str, program: str, limit: float = 60, **more: object) -> Step:
-    return Step(name, limit, "log.txt", lambda place: [place.python, "-c", program], **more)  # type: ignore[arg-type]
+def step(name: str, program: str, limit: float = 60, **more: Any) -> Step:
+    return Step(name, limit, "log.txt", lambda place: [place.python, "-c", program], **more)
 
 
 def read(place: Place, file: str = "log.txt") -> str:
@@ -126,6 +127,7 @@ def test_tables_are_kept_apart_from_messages(place: Place, capsys: pytest.Captur
 PROGRAM = """
 import sys
 from pathlib import Path
+from typing import Any
 from benchmarks.gpu_check.results import Results
 from benchmarks.gpu_check.runner import *
 place = Place(Results(Path(sys.argv[1])), Path(sys.argv[1]), sys.executable, "cpu")

@@ -47,7 +47,7 @@ def place(tmp_path: Path) -> Place:
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as `scripts/gpu_pack.sh` makes it, with small balls for the scenes."""
+    """Return a folder as `scripts/gpu_pack.sh` makes it, with small balls for the scenes."""
     folder = tmp_path_factory.mktemp("packed")
     for name in SCENES:
         pack(Packed(ball_scene(size=32, train=8, test=2), ball_points(300), {}), folder / f"{name}.npz")

@@ -25,11 +25,9 @@ struct ActivationParams {
 
 // The array of this block, and the block's first number in it.
 __device__ inline const ActivatedArray& block_array(const ActivationParams& p, int64_t& begin) {
-  const int block = blockIdx.x;
-  int index = 0;
-  while (index + 1 < p.arrays && block >= p.array[index].end) ++index;
-  begin = int64_t(block - (index > 0 ? p.array[index - 1].end : 0)) * kActivationFloats;
-  return p.array[index];
+  const BlockInArrays at(p.arrays, [&](int i) { return p.array[i].end; });
+  begin = int64_t(at.block) * kActivationFloats;
+  return p.array[at.array];
 }
 
 }  // namespace mgsr

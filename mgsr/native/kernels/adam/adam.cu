@@ -45,11 +45,9 @@ __device__ inline void update_number(const AdamGroup& g, int64_t i, float rate, 
 
 MGSR_KERNEL(adam_update, mgsr::AdamParams, mgsr::kAdamThreads) {
   using namespace mgsr;
-  const int block = blockIdx.x;
-  int index = 0;
-  while (index + 1 < p.groups && block >= p.ends[index]) ++index;
-  const AdamGroup& g = p.group[index];
-  const int64_t begin = int64_t(block - (index > 0 ? p.ends[index - 1] : 0)) * kAdamFloats;
+  const BlockInArrays at(p.groups, [&](int i) { return p.ends[i]; });
+  const AdamGroup& g = p.group[at.array];
+  const int64_t begin = int64_t(at.block) * kAdamFloats;
   const int64_t left = g.rows * g.columns - begin;
   const int count = left < kAdamFloats ? int(left) : kAdamFloats;
   const int column = int(begin % g.columns);
@@ -61,11 +59,9 @@ MGSR_KERNEL(adam_update, mgsr::AdamParams, mgsr::kAdamThreads) {
 
 MGSR_KERNEL(adam_squares, mgsr::SquaresParams, mgsr::kAdamThreads) {
   using namespace mgsr;
-  const int block = blockIdx.x;
-  int index = 0;
-  while (index + 1 < p.arrays && block >= p.array[index].end) ++index;
-  const JudgedArray& array = p.array[index];
-  const int64_t begin = int64_t(block - (index > 0 ? p.array[index - 1].end : 0)) * kAdamFloats;
+  const BlockInArrays at(p.arrays, [&](int i) { return p.array[i].end; });
+  const JudgedArray& array = p.array[at.array];
+  const int64_t begin = int64_t(at.block) * kAdamFloats;
   double total = 0.0;
   for (int64_t i = begin + threadIdx.x; i < begin + kAdamFloats && i < array.count; i += kAdamThreads)
     total += double(array.values[i] * array.values[i]);

@@ -73,11 +73,9 @@ __device__ inline float gradient_at(const GradientsParams& p, const ImageGradien
 }
 
 __device__ inline void add_up_gradients(const GradientsParams& p) {
-  const int block = blockIdx.x;
-  int index = 0;
-  while (index + 1 < p.images && block >= p.image[index].end) ++index;
-  const ImageGradient& image = p.image[index];
-  const int64_t begin = int64_t(block - (index > 0 ? p.image[index - 1].end : 0)) * kGradientFloats;
+  const BlockInArrays at(p.images, [&](int i) { return p.image[i].end; });
+  const ImageGradient& image = p.image[at.array];
+  const int64_t begin = int64_t(at.block) * kGradientFloats;
   for (int i = threadIdx.x; i < kGradientFloats && begin + i < image.count; i += kGradientThreads)
     image.out[begin + i] = gradient_at(p, image, begin + i);
 }

@@ -18,7 +18,7 @@ LAYERS = (
     ("native",),
     ("data",),
     ("geometry",),
-    ("shading",),
+    ("shading", "stereo"),
     ("start", "ops"),
     ("gaussians",),
     ("render",),

@@ -11,6 +11,7 @@ from scipy import ndimage
 from mgsr.data.camera import Camera
 from mgsr.data.known import known_at
 from mgsr.data.silhouettes import Silhouette
+from mgsr.errors import SceneError
 from mgsr.parallel import map_ahead
 
 # A part of space is judged only if this share of the views tells whether it is the object's: what lies outside nearly
@@ -63,6 +64,18 @@ def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resol
         active = _children(active[near | ~judged])
         field = np.repeat(np.repeat(np.repeat(field, 2, 0), 2, 1), 2, 2)
         size *= 2
+
+
+def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [V,3] and outward faces [F,3] of the hull. Raises SceneError if it is empty."""
+    from skimage.measure import marching_cubes
+
+    if not (hull.field > 0).any():
+        raise SceneError("the masks of the training views have no part of space in common; run with masks=off")
+    # One layer of outside, so that the surface closes where the grid ends.
+    padded = np.pad(hull.field, 1, constant_values=-hull.voxel)
+    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
+    return (vertices - 1) * hull.voxel + hull.origin, faces
 
 
 def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

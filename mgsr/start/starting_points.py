@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -11,15 +11,12 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import Background
 from mgsr.data.backdrop import backdrop, without_backdrop
-from mgsr.data.hull import Hull, carve, signed_field
+from mgsr.data.hull import carve, hull_surface, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
-from mgsr.errors import SceneError
-from mgsr.geometry.outlines import find_outline
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratios, refine_by_shading
-from mgsr.start.photo_carving import carve_by_color
+from mgsr.shading.refine import Light
+from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
 from mgsr.start.view_colors import seen_colors
 
@@ -27,26 +24,6 @@ RESOLUTION = 128
 
 # Masks are reduced to this side: a grid of RESOLUTION voxels then has about two pixels a voxel.
 MASK_SIDE = 400
-
-# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
-# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
-# small shape once parallax has put the large one right.
-SHADING_RATIO = 0.85
-# What mirrored surroundings leave unexplained on the hull, as a share of that on the carved surface, under which the
-# surface is a mirror that must not be carved: 0.81 on polished chrome, 0.95 and more on coats of gloss with hollows.
-CLEARLY = 0.9
-FAR_PASSES = {
-    Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0), Pass(edge=1.5, rounds=3, reach=60.0)),
-    Light.SURROUNDINGS: (
-        *[Pass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
-        Pass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
-        Pass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
-    ),
-}
-NEAR_PASSES = {Light.SURROUNDINGS: (Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
-
-# Pixels over which what the photographs' parallax tells spreads.
-PARALLAX_REACH = 12.0
 
 # With fewer points than this, a masked scene does better with its hull, and another with the whole ball.
 MIN_POINTS = 500
@@ -57,10 +34,6 @@ BACKGROUND, BALL = 0.25, 1.25
 
 # A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
 LONELY = 8.0
-
-# Shares of the time to the hull's points at which its parts are done: the first three measured under a flash, 40 views
-# of 256 x 256 pixels; the others are guesses for what mirrors its surroundings.
-HULL_CARVED, COLOR_CARVED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.2, 0.65, 0.75, 0.85
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
 FARTHEST = 50.0
@@ -102,8 +75,7 @@ def starting_points(
     that is done, 0..1; background: the setting, which tells whether a plain backdrop is looked for.
 
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
-    on the visual hull, carved deeper where the photographs agree on it, bent to their shading and moved by their
-    parallax, spread evenly.
+    on the surface that stereo, shading and parallax find inside the visual hull, spread evenly.
     Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
     plain places too, a quarter of them behind it, none on a plain backdrop; `count` points anywhere in the ball where
     there are hardly any.
@@ -113,7 +85,7 @@ def starting_points(
     own = _own_points(scene.points, outlines) if scene.points is not None else None
     if outlines:
         if own is None or len(own) < MIN_POINTS:
-            return _carved_points(scene.train, outlines, count, generator, progress)
+            return _surface_points(scene.train, outlines, count, seed, generator, progress)
         kept = own.rows(np.sort(_some(np.arange(len(own)), count, generator)))
         return StartingPoints(kept.positions, kept.colors, StartSource.CAPTURE)
     return _unmasked_points(scene, own, count, seed, progress, background)
@@ -134,18 +106,6 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
     vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution))
     positions, normals = _sample(vertices, faces, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution)
-
-
-def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V,3] and outward faces [F,3] of the hull. Raises SceneError if it is empty."""
-    from skimage.measure import marching_cubes
-
-    if not (hull.field > 0).any():
-        raise SceneError("the masks of the training views have no part of space in common; run with masks=off")
-    # One layer of outside, so that the surface closes where the grid ends.
-    padded = np.pad(hull.field, 1, constant_values=-hull.voxel)
-    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent")
-    return (vertices - 1) * hull.voxel + hull.origin, faces
 
 
 def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointCloud:
@@ -197,57 +157,26 @@ def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.nd
     return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
-def _carved_points(
+def _surface_points(
     views: Sequence[View],
     outlines: Sequence[Silhouette],
     count: int,
+    seed: int,
     generator: np.random.Generator,
     progress: Callable[[float], None],
 ) -> StartingPoints:
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
-    vertices, faces = hull_surface(carve(outlines, np.zeros(3), 1.05, resolution))
-    progress(HULL_CARVED)
-    carved = carve_by_color(vertices, faces, views, _between(progress, HULL_CARVED, COLOR_CARVED))
-    vertices = _better_explained(vertices, carved, faces, views)
-    rims = [find_outline(outline) for outline in outlines]
-
-    def bent(vertices: np.ndarray, passes: Mapping[Light, Sequence[Pass]], begin: float, end: float) -> Refined:
-        tell = _between(progress, begin, end)
-        refined = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, passes, progress=tell)
-        moved = refine_by_parallax(refined.vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
-        return replace(refined, vertices=moved)
-
-    refined = bent(vertices, FAR_PASSES, COLOR_CARVED, FAR_SHADED)
-    if refined.light in NEAR_PASSES:
-        refined = bent(refined.vertices, NEAR_PASSES, NEAR_BEGUN, NEAR_SHADED)
-    progress(1.0)
-    vertices, shiny = refined.vertices, refined.light is not Light.UNKNOWN
-    positions, normals = _sample(vertices, faces, count, generator)
-    lighting = None if refined.shading is None else refined.shading.lighting(vertices, faces)
-    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=lighting)
-
-
-def _better_explained(hull: np.ndarray, carved: np.ndarray, faces: np.ndarray, views: Sequence[View]) -> np.ndarray:
-    """Return the hull's vertices where mirrored surroundings explain the photographs on it, and clearly better than on
-    the carved surface; else those of the carved one.
-
-    What a surface mirrors moves across it as a pattern behind it would, and colours alone cannot tell the two apart.
-    """
-    ratios = mirroring_ratios((hull, carved), faces, views)
-    left = next(ratios)
-    return hull if left <= SHADING_RATIO and left <= CLEARLY * next(ratios) else carved
+    found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
+    positions, normals = _sample(found.vertices, found.faces, count, generator)
+    shiny = found.light is not Light.UNKNOWN
+    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=found.lighting)
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:
     # Voxels below this size can't hide each other: the hull is only known to a voxel.
     colors = seen_colors(views, positions, normals, tolerance=4 * 1.05 / resolution)
     return StartingPoints(positions, colors, StartSource.HULL, normals)
-
-
-def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:
-    """What a part of the work calls that goes from `begin` to `end` of the whole."""
-    return lambda done: progress(begin + (end - begin) * done)
 
 
 def _sample(

@@ -1,0 +1,69 @@
+"""Photographs as stereo compares them: reduced to a size that pays, with the share of each pixel that is the object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import reduce_area
+from mgsr.data.known import filled, known_mean
+from mgsr.data.scene import View
+from mgsr.parallel import map_ahead
+
+MOST_VIEWS = 64  # photographs that are matched, spread over all; more tell little more
+MOST_PIXELS = 1_200_000  # of the object in all of them together; larger photographs are reduced
+APART, FARTHEST = 20.0, 60.0  # degrees; neighbours are best so far apart, and at most
+
+
+@dataclass(frozen=True)
+class StereoPhotographs:
+    """images: for each view [h,w,4] float32, sRGB 0..1 and the share of the pixel that shows the object, 0 where the
+    photograph does not show the pixel; cameras: of the same sizes."""
+
+    images: list[np.ndarray]
+    cameras: list[Camera]
+
+    @cached_property
+    def packed_cameras(self) -> np.ndarray:
+        """[N,16] float32: fx, fy, cx, cy, then the rotation, row by row, and the translation of the pose."""
+        rows = [
+            [c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], *c.cam_from_world[:3, :3].ravel(), *c.cam_from_world[:3, 3]]
+            for c in self.cameras
+        ]
+        return np.array(rows, np.float32)
+
+    def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
+        """Return the views, at most `count`, that look at the scene's centre from about `apart` degrees beside."""
+        away = np.array([camera.center for camera in self.cameras])
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        angles = np.degrees(np.arccos(np.clip(away @ away[view], -1, 1)))
+        angles[view] = np.inf
+        order = np.argsort(np.abs(angles - apart), kind="stable")[:count]
+        return [int(each) for each in order if angles[each] < FARTHEST]
+
+
+def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
+    """Prepare the views of a scene: at most MOST_VIEWS of them, reduced until MOST_PIXELS show the object."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, MOST_VIEWS).round().astype(int))
+    some = [views[index] for index in chosen]
+    area = sum(float((view.alpha > 127).sum()) if view.alpha is not None else view.image[..., 0].size for view in some)
+    shrink = min(1.0, (MOST_PIXELS / max(area, 1)) ** 0.5)
+    images, cameras = zip(*map_ahead(lambda view: _prepared(view, shrink), some, None), strict=True)
+    return StereoPhotographs(list(images), list(cameras))
+
+
+def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
+    camera, known = view.camera, view.known
+    alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
+    pixels = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
+    if shrink < 1:
+        camera = camera.resized(max(2, round(camera.width * shrink)), max(2, round(camera.height * shrink)))
+        pixels, known = known_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
+    pixels = filled(pixels, known).astype(np.float32) / 255
+    if known is not None:
+        pixels[..., 3] *= known
+    return np.ascontiguousarray(pixels, np.float32), camera

@@ -65,6 +65,7 @@ def run_report(
             "light": str(mesh.light),
             "parallax": mesh.parallax,
             "opened": mesh.opened,
+            "start_kept": mesh.start_kept,
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {
                 "chosen": None if trained.volumes is None else trained.volumes.sh_degree,

@@ -24,6 +24,7 @@ from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_notes, origin_of_frame
+from mgsr.geometry.triangles import Triangles
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
@@ -74,7 +75,7 @@ def run_scene(
     if budget is not None:
         config = replace(config, mesh=budget.mesh_settings())
     with step("mesh", "extracting the surface"):
-        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on)
+        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on, start.surface)
         outputs.write_mesh(out, mesh, scene, config.output)
     with step("evaluate", "measuring the surface"):
         truth = find_truth(scene)
@@ -137,12 +138,21 @@ def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> Surface
     return draw_surface(mesh, truth, near)
 
 
-def make_mesh(models: Models, scene: Scene, config: Config, go_on: Callable[[], bool] = always) -> SurfaceMesh:
-    """The surface in the user's frame; go_on: whether there is time for another round of refinement. Raises MeshError,
-    with the reason, where none comes out."""
+def make_mesh(
+    models: Models,
+    scene: Scene,
+    config: Config,
+    go_on: Callable[[], bool] = always,
+    start: Triangles | None = None,
+) -> SurfaceMesh:
+    """Extract the surface, in the user's frame.
+
+    go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
+    the reason, where none comes out.
+    """
     views = surface_views(models, scene, config)
     outlined = outlined_scene(models, scene, config)
-    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on)
+    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on, start=start)
     to_user = scene.user_from_scene.to_user
     textured = None
     if config.output.texture is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from mgsr.geometry.waves import smooth_waves
 from mgsr.mesh import cleanup
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
+from mgsr.mesh.likelier import start_is_likelier
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
@@ -36,6 +38,7 @@ def extract_mesh(
     photographs: Sequence[View] = (),
     threads: int | None = None,
     go_on: Callable[[], bool] = lambda: True,
+    start: Triangles | None = None,
 ) -> SurfaceMesh:
     """The surface that the views show, in their frame.
 
@@ -45,6 +48,7 @@ def extract_mesh(
     there are silhouettes, so does their parallax. Under a flash, what they differ about is left open; without one, the
     surface's shallow waves are smoothed.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
+    start: the surface that training began on, which replaces the views' where the photographs clearly speak for it.
 
     Raises MeshError, with the reason, where no surface comes out.
     """
@@ -54,7 +58,18 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    return _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads, go_on)
+    vertices, faces, kept = _likelier(start, (vertices, faces), photographs)
+    mesh = _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads, go_on)
+    return replace(mesh, start_kept=kept)
+
+
+def _likelier(
+    start: Triangles | None, trained: Triangles, photographs: Sequence[View]
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return the vertices and faces of the likelier surface, and whether that is the start's."""
+    if start is None or not photographs or not len(trained[1]) or not start_is_likelier(start, trained, photographs):
+        return *trained, False
+    return *start, True
 
 
 def _rules(config: MeshConfig) -> PixelRules:

@@ -26,7 +26,8 @@ class SurfaceMesh:
     """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
     outward, colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's
     shading refined it. parallax: whether theirs moved it; opened: the share of its area that was taken out, as they
-    differed about it; textured: the same surface with a picture, where one was asked for."""
+    differed about it; textured: the same surface with a picture, where one was asked for; start_kept: whether
+    it is the surface that training began on, as the photographs speak for it."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -36,3 +37,4 @@ class SurfaceMesh:
     parallax: bool = False
     opened: float = 0.0
     textured: TexturedMesh | None = None
+    start_kept: bool = False

@@ -23,8 +23,8 @@ STOPS = {
 STARTS = {
     "capture": ("of the capture's own", "they came with the cameras"),
     "hull": (
-        "on the visual hull, carved by the photographs",
-        "its outlines bound the object; patches that agree on a deeper place, and shading, tell its hollows",
+        "inside the visual hull, where the photographs agree",
+        "its outlines bound the object; stereo between neighbours, and shading, tell its hollows",
     ),
     "stereo": ("where the photographs agree", "without masks or points, stereo between neighbours finds the surface"),
     "ball": ("in a ball", "there were neither points nor masks, so any place is as good"),
@@ -177,6 +177,9 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield Decision("Light that the mesh heeds", *LIGHTS[data.other["light"]])
         if "parallax" in data.other:
             yield _about_parallax(data)
+        if data.other.get("start_kept"):
+            why = "the photographs agree less about what lies on the surface that training made"
+            yield Decision("Surface that was refined", "the one that training began on", why)
         if data.other.get("opened"):
             why = "the flash explains what photographs show of the rest; of this each shows something else: a hole, say"
             yield Decision("Surface that was taken out", f"{data.other['opened']:.1%} of it", why)

@@ -17,7 +17,7 @@ from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.outlines import Outline, find_outline
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles, face_components, keep_faces
+from mgsr.geometry.triangles import Triangles
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
 from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratios, refine_by_shading
@@ -44,9 +44,6 @@ NEAR_PASSES = {Light.SURROUNDINGS: (Pass(edge=1.5, rounds=2, reach=60.0, fairing
 
 # Pixels over which what the photographs' parallax tells spreads.
 PARALLAX_REACH = 12.0
-
-# Pieces with a smaller share of the faces are noise of stereo.
-SMALLEST = 0.02
 
 # Shares of the time at which the parts are done, measured on 48 views of 256 x 256 pixels.
 MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.4, 0.5, 0.8, 0.85, 0.9
@@ -95,16 +92,10 @@ def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Ca
     outer = hull_surface(hull)
     photographs = stereo_photographs(views)
     maps = match_views(photographs, RayCaster(*outer), seed, progress=_between(progress, 0, MATCHED))
-    inner = _large_pieces(*hull_surface(fuse(photographs, maps, weigh(photographs, maps), hull)))
+    inner = fuse(photographs, maps, weigh(photographs, maps), hull)
     ratios = mirroring_ratios((outer, inner), views)
     left = next(ratios)
     return outer if left <= SHADING_RATIO and left <= CLEARLY * next(ratios) else inner
-
-
-def _large_pieces(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    count, pieces = face_components(faces, len(vertices))
-    sizes = np.bincount(pieces, minlength=count)
-    return keep_faces(vertices, faces, (sizes >= SMALLEST * sizes.max())[pieces])
 
 
 def _bent(

@@ -14,6 +14,7 @@ from mgsr.data.backdrop import backdrop, without_backdrop
 from mgsr.data.hull import carve, hull_surface, signed_field
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
+from mgsr.geometry.triangles import Triangles
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.refine import Light
 from mgsr.start.masked_surface import find_surface
@@ -54,7 +55,7 @@ class StartingPoints:
     """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
     the surface is known, else None; shiny: whether a flash, or mirrored surroundings, explain how brightness changes
     from view to view, None where that was not looked at; lighting: what a flash makes of the surface, None without
-    one."""
+    one; surface: vertices [V,3] and faces [F,3] of the mesh that the points lie on, None without masks."""
 
     positions: np.ndarray
     colors: np.ndarray
@@ -62,6 +63,7 @@ class StartingPoints:
     normals: np.ndarray | None = None
     shiny: bool | None = None
     lighting: Lighting | None = None
+    surface: Triangles | None = None
 
 
 def starting_points(
@@ -170,7 +172,12 @@ def _surface_points(
     found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
     positions, normals = _sample(found.vertices, found.faces, count, generator)
     shiny = found.light is not Light.UNKNOWN
-    return replace(_seen_on_hull(views, positions, normals, resolution), shiny=shiny, lighting=found.lighting)
+    return replace(
+        _seen_on_hull(views, positions, normals, resolution),
+        shiny=shiny,
+        lighting=found.lighting,
+        surface=(found.vertices, found.faces),
+    )
 
 
 def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndarray, resolution: int) -> StartingPoints:

@@ -1,59 +1,92 @@
 """Depth maps fused into one surface inside the visual hull.
 
 Each voxel of a grid holds a histogram of its signed distances to the surfaces that the depth maps see, up to a few
-pixels, as in Zach (2008); a depth map says nothing of what lies farther behind its surface. The hull has a vote of its
-own, which decides where the photographs tell nothing, and nothing comes to lie outside it. The surface is where the
-median of the distances is zero; unlike their mean, it does not heed how far off a wrong depth is.
+pixels, as in Zach (2008). A depth map says that the space before its surface is empty, and, more faintly, that what
+lies just behind it is solid. The hull has a vote of its own, which decides where the photographs tell nothing, and
+fades inwards; nothing comes to lie outside it. The surface is where the median of the distances is zero; unlike their
+mean, it does not heed how far off a wrong depth is.
+
+A sheet whose sides both are seen may be thinner than a voxel. So the surface is taken a voxel too far outside, where
+such a sheet has two sides, and its vertices are moved back afterwards, which leaves no hole.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.hull import Hull
+from mgsr.data.hull import Hull, hull_surface
+from mgsr.geometry.displace import mean_normals, umbrella
+from mgsr.geometry.triangles import Triangles, face_components, keep_faces, vertex_normals
 from mgsr.parallel import map_ahead
 from mgsr.stereo.patch_match import DepthMap
 from mgsr.stereo.photographs import StereoPhotographs
 
 RESOLUTION = 192  # voxels along the hull's longest side, at most
 FINEST = 0.7  # pixels; voxels are no smaller
+COARSER = 2  # times; voxels of a first fusion, near whose surface alone the fine one is made
+NEAR = 0.9  # of REACH; distance from the first fusion's surface to which the fine one is made
 REACH = 3.0  # pixels; distances are cut off there
 BINS = 12  # of the histogram, from -REACH to REACH
-HULL_WEIGHT = 0.5  # of the hull's vote; a photograph's is at most 1
+HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # of the hull's vote near its surface and deep inside; a photograph's is at most 1
+FADING = 2.0  # REACH; depth over which the hull's vote falls to a third
+SOLID_WEIGHT, SOLID_DEPTH = 0.05, 5.0  # of a photograph's vote for what lies farther behind its surface, up to so many
+# REACH
 POOLED = 1.0  # voxels; deviation of the Gaussian over which votes are put together
-SMOOTHED = 0.7  # voxels; the same for the distances
+SMOOTHED = 0.5  # voxels; the same for the distances
+OUTSIDE = 1.0  # voxels outside its place at which the surface is taken
+SMALLEST = 0.02  # of the faces; smaller pieces are noise of stereo
 
 
-def fuse(photographs: StereoPhotographs, maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull) -> Hull:
-    """Return the signed distances to the fused surface, positive inside, on a grid that holds the hull closely.
+def fuse(
+    photographs: StereoPhotographs, maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull
+) -> Triangles:
+    """Return the fused surface: vertices [V,3] and outward faces [F,3].
 
-    weights: of the maps' pixels (`patch_match.weigh`).
+    weights: of the maps' pixels (`patch_match.weigh`). Raises SceneError if the hull is empty.
     """
     pixel = pixel_size(photographs.cameras, np.zeros(3))
-    grid = _Grid.around(hull, FINEST * pixel)
-    bound = np.clip(hull.values(grid.points()).astype(np.float32), -REACH * pixel, REACH * pixel)
-    active = np.flatnonzero(bound > -2 * grid.voxel)
-    points, histogram = grid.points(active), np.zeros((len(active), BINS), np.float32)
-    votes = zip(photographs.cameras, maps, weights, strict=True)
-    for voxels, distances, weight in map_ahead(lambda vote: _votes(points, *vote, REACH * pixel), votes, None):
-        histogram[voxels, _bins(distances / (REACH * pixel))] += weight
-    for values in histogram.T:
-        values[:] = grid.blurred(active, values, POOLED)
-    histogram[np.arange(len(active)), _bins(bound[active] / (REACH * pixel))] += HULL_WEIGHT
-    field = np.full(len(bound), -REACH * pixel, np.float32)
-    field[active] = _median(histogram) * REACH * pixel
-    field = ndimage.gaussian_filter(field.reshape(grid.shape), SMOOTHED)
-    return Hull(np.minimum(field, bound.reshape(grid.shape)), grid.origin, grid.voxel)
+    votes = _Votes(photographs.cameras, maps, weights, REACH * pixel)
+    fine = _Grid.around(hull, FINEST * pixel)
+    coarse = _Grid(fine.origin, COARSER * fine.voxel, tuple(-(-count // COARSER) + 1 for count in fine.shape))
+    rough = _fused(votes, coarse, hull, None)
+    return _surface(_fused(votes, fine, hull, rough))
+
+
+@dataclass(frozen=True)
+class _Votes:
+    """Depth maps and their pixels' weights, with the distance at which they are cut off, in the scene's unit."""
+
+    cameras: Sequence[Camera]
+    maps: Sequence[DepthMap]
+    weights: Sequence[np.ndarray]
+    reach: float
+
+    def at(self, points: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield of each view the points [P,3] that it tells of, by index [Q], how far behind its surface they lie
+        [Q], in REACH, and the weight of its word [Q]."""
+        return map_ahead(lambda view: self._of(view, points), range(len(self.maps)), None)
+
+    def _of(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        camera, depth = self.cameras[view], self.maps[view].depth
+        pixels, depths = camera.project(points)
+        inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        index = np.flatnonzero(inside)
+        across, down = pixels[index].astype(int).T
+        weights, behind = self.weights[view][down, across], (depths[index] - depth[down, across]) / self.reach
+        told = (weights > 0) & (behind < SOLID_DEPTH)
+        behind = behind[told]
+        return index[told], behind, weights[told] * np.where(behind < 1, 1, SOLID_WEIGHT)
 
 
 class _Grid:
     """Voxels in rows along x, y, z: origin [3] is the first one's centre, voxel their spacing, shape their numbers."""
 
-    def __init__(self, origin: np.ndarray, voxel: float, shape: tuple[int, int, int]) -> None:
+    def __init__(self, origin: np.ndarray, voxel: float, shape: tuple[int, ...]) -> None:
         self.origin, self.voxel, self.shape = origin, voxel, shape
 
     @classmethod
@@ -61,8 +94,7 @@ class _Grid:
         inside = hull.reached()
         low, high = inside.min(axis=0) - 1.5 * hull.voxel, inside.max(axis=0) + 1.5 * hull.voxel
         voxel = max(float((high - low).max()) / RESOLUTION, finest)
-        x, y, z = (int(count) + 1 for count in np.ceil((high - low) / voxel))
-        return cls(low, voxel, (x, y, z))
+        return cls(low, voxel, tuple(int(count) + 1 for count in np.ceil((high - low) / voxel)))
 
     def points(self, voxels: np.ndarray | None = None) -> np.ndarray:
         """Centres [P,3] of the voxels of these flat indices [P], or of all."""
@@ -77,18 +109,42 @@ class _Grid:
         return np.asarray(ndimage.gaussian_filter(whole.reshape(self.shape), deviation).ravel()[voxels])
 
 
-def _votes(
-    points: np.ndarray, camera: Camera, found: DepthMap, weights: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of one view: the points that it tells of, by index [Q], how far behind its surface they lie [Q], and the weight
-    of its word [Q]."""
-    pixels, depths = camera.project(points)
-    inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-    index = np.flatnonzero(inside)
-    across, down = pixels[index].astype(int).T
-    weight, behind = weights[down, across], depths[index] - found.depth[down, across]
-    told = (weight > 0) & (behind < reach)
-    return index[told], behind[told], weight[told]
+def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
+    """Return the signed distances to the fused surface, positive inside, cut off at the votes' reach.
+
+    rough: a coarser result; far from its surface it is taken over.
+    """
+    centers = grid.points()
+    depth = hull.values(centers).astype(np.float32) / votes.reach
+    bound = np.clip(depth, -1, 1)
+    field = np.full(len(centers), -1, np.float32) if rough is None else rough.values(centers).astype(np.float32)
+    if rough is not None:
+        field /= votes.reach
+    near = depth > -2 * grid.voxel / votes.reach
+    active = np.flatnonzero(near if rough is None else near & (np.abs(field) < NEAR))
+    points, histogram = centers[active], np.zeros((len(active), BINS), np.float32)
+    for voxels, behind, weight in votes.at(points):
+        histogram[voxels, _bins(behind)] += weight
+    for values in histogram.T:
+        values[:] = grid.blurred(active, values, POOLED)
+    fading = HULL_WEIGHT * np.exp(-np.maximum(depth[active] - 1, 0) / FADING)
+    histogram[np.arange(len(active)), _bins(bound[active])] += np.maximum(fading, HULL_FLOOR)
+    field[active] = _median(histogram)
+    smooth = ndimage.gaussian_filter(np.clip(field, -1, 1).reshape(grid.shape), SMOOTHED)
+    return Hull(np.minimum(smooth, bound.reshape(grid.shape)) * votes.reach, grid.origin, grid.voxel)
+
+
+def _surface(field: Hull) -> Triangles:
+    outside = OUTSIDE * field.voxel
+    vertices, faces = _large_pieces(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
+    normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
+    return vertices - outside * normals, faces
+
+
+def _large_pieces(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    count, pieces = face_components(faces, len(vertices))
+    sizes = np.bincount(pieces, minlength=count)
+    return keep_faces(vertices, faces, (sizes >= SMALLEST * sizes.max())[pieces])
 
 
 def _bins(shares: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from mgsr.data.camera import Camera
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
 from mgsr.parallel import map_ahead
@@ -83,10 +84,8 @@ def match_views(
 def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, settings: MatchSettings) -> DepthMap:
     camera = photographs.cameras[view]
     depth, normal, score = (np.zeros((camera.height, camera.width, n), np.float32).squeeze() for n in (1, 3, 1))
-    middle = float(camera.cam_from_world[2, 3])
-    nearest, farthest = max(middle - HALF_DEPTH, 0.05 * middle, 1e-3), middle + HALF_DEPTH
     neighbours = photographs.neighbours(view, NEIGHBOURS)
-    if len(neighbours) < 2 or farthest <= nearest:
+    if len(neighbours) < 2:
         return DepthMap(depth, normal, np.full_like(depth, -1))
     seen = start.cast(camera)
     turn = camera.cam_from_world[:3, :3]
@@ -97,7 +96,7 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
         neighbours,
         np.ascontiguousarray(seen.depth, np.float32),
         np.ascontiguousarray(seen.normal @ turn.T, np.float32),
-        (nearest, farthest),
+        search_range(camera),
         [float(each) for each in astuple(settings)],
         (seed * 1_000_003 + view) % 2**32,
         depth,
@@ -105,6 +104,13 @@ def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: in
         score,
     )
     return DepthMap(depth, (normal @ turn).astype(np.float32), score)
+
+
+def search_range(camera: Camera) -> tuple[float, float]:
+    """Return the least and the largest camera z at which a surface may lie."""
+    middle = float(camera.cam_from_world[2, 3])
+    nearest = max(middle - HALF_DEPTH, 0.05 * abs(middle), 1e-3)
+    return nearest, max(middle + HALF_DEPTH, 2 * nearest)
 
 
 def weigh(photographs: StereoPhotographs, maps: Sequence[DepthMap]) -> list[np.ndarray]:

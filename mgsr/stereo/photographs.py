@@ -59,11 +59,11 @@ def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
 def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
     camera, known = view.camera, view.known
     alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
-    pixels = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
+    pixels: np.ndarray = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
     if shrink < 1:
         camera = camera.resized(max(2, round(camera.width * shrink)), max(2, round(camera.height * shrink)))
         pixels, known = known_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
     pixels = filled(pixels, known).astype(np.float32) / 255
     if known is not None:
-        pixels[..., 3] *= known
+        pixels[..., 3] = np.where(known, pixels[..., 3], 0)
     return np.ascontiguousarray(pixels, np.float32), camera

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _harmonics, _image, _mirrored, runtime
+from mgsr.native import _adam, _harmonics, _image, _mirrored, _stereo, runtime
 
-FAMILIES = (_image, _harmonics, _adam, _mirrored)
+FAMILIES = (_image, _harmonics, _adam, _mirrored, _stereo)
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 

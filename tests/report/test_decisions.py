@@ -15,7 +15,7 @@ def test_every_stage_says_why_it_ended() -> None:
     told = {each.what: each for each in tell_decisions(sample_report())}
     assert "stopped falling" in told["End of stage “2D alone”"].why
     assert "all planned" in told["End of stage “both”"].why
-    assert told["Starting points"].choice.startswith("9,000 on the visual hull, carved")
+    assert told["Starting points"].choice.startswith("9,000 inside the visual hull, where")
     assert told["Masks"].choice == "used" and told["Holes"].choice == "left open"
 
 
@@ -26,6 +26,14 @@ def test_the_light_is_told() -> None:
     without = {"light": "unknown", "settings": {"mesh": {"shading_ratio": None}}}
     told = tell_decisions(replace(sample, other={**sample.other, **without}))
     assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["not looked at"]
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_a_start_that_was_kept_is_told(kept: bool) -> None:
+    told = tell_decisions(replace(sample_report(), other={"light": "surroundings", "start_kept": kept}))
+    assert [each.choice for each in told if each.what == "Surface that was refined"] == (
+        ["the one that training began on"] if kept else []
+    )
 
 
 def test_a_flash_is_told_with_its_place() -> None:

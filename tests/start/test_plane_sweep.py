@@ -10,9 +10,11 @@ import pytest
 from mgsr.data.scene import PointCloud, View
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.start.plane_sweep import sweep_planes
-from tests.start.test_photo_carving import CAP, photographs, with_noise
+from tests.mesh.shapes import cameras_around
+from tests.stereo.pressed_ball import CAP, photographs, with_noise
 
 RADIUS = 0.7
+CAMERAS = cameras_around(60, side=160)
 
 
 def unmasked(views: list[View]) -> list[View]:
@@ -26,7 +28,7 @@ def heights(positions: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def matte() -> list[View]:
-    return unmasked(photographs(pattern=True, gloss=0.0))
+    return unmasked(photographs(True, 0.0, CAMERAS))
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +107,9 @@ def with_a_plain_place(view: View, towards: np.ndarray, cosine: float) -> View:
 
 
 def test_what_has_no_contrast_shows_nothing() -> None:
-    views = [replace(view, image=np.full_like(view.image, 90)) for view in unmasked(photographs(True, 0.0)[::6])]
+    views = [
+        replace(view, image=np.full_like(view.image, 90)) for view in unmasked(photographs(True, 0.0, CAMERAS[::6]))
+    ]
     assert len(sweep_planes(views).positions) == 0
 
 

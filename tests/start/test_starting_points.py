@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,18 +12,18 @@ from scipy.spatial import cKDTree
 
 from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
-from mgsr.data.hull import carve, signed_field
+from mgsr.data.hull import carve, hull_surface, signed_field
 from mgsr.data.images import linear_to_srgb
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.raycast import pixel_rays
+from mgsr.geometry.triangles import Triangles
 from mgsr.mesh.pixels import back_project
 from mgsr.open3d_library import load_open3d
 from mgsr.shading.refine import Light, Refined, mirroring_ratios
-from mgsr.start import starting_points as module
-from mgsr.start.photo_carving import carve_by_color
-from mgsr.start.starting_points import MASK_SIDE, StartSource, hull_surface, starting_points
+from mgsr.start import masked_surface
+from mgsr.start.starting_points import StartSource, starting_points
 from tests.data.captures import BallCapture
 from tests.mesh.shapes import ball, cameras_around, views_of
 from tests.shading.painted import painted
@@ -158,7 +159,7 @@ def room(directions: np.ndarray) -> np.ndarray:
 def mirror() -> Scene:
     """Return a ball that mirrors a coloured room, and nothing else."""
     views = []
-    for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=128))):
+    for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=96))):
         rays = pixel_rays(seen.camera)
         mirrored = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
@@ -171,20 +172,34 @@ def off_the_ball(positions: np.ndarray) -> float:
     return float(np.abs(np.linalg.norm(positions, axis=1) - 0.7).mean())
 
 
+@pytest.fixture
+def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the surface as stereo or the hull give it."""
+    unknown = Light.UNKNOWN
+    monkeypatch.setattr(masked_surface, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, unknown))
+    monkeypatch.setattr(masked_surface, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+
+
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the
     hull is."""
-    vertices, faces = hull_surface(carve(silhouettes(mirror.train, MASK_SIDE), np.zeros(3), 1.05, 64))
-    carved = carve_by_color(vertices, faces, mirror.train)
-    assert off_the_ball(carved) > 3 * off_the_ball(vertices), "colours alone dig into it"
-    on_hull, on_carved = mirroring_ratios((vertices, carved), faces, mirror.train)
-    assert on_hull < 0.8 * on_carved
-    # The hull alone, neither bent nor moved.
-    monkeypatch.setattr(module, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, Light.UNKNOWN))
-    monkeypatch.setattr(module, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
-    assert off_the_ball(starting_points(mirror, 2000, seed=0).positions) < 1.2 * off_the_ball(vertices)
+    compared, ratios = [], []
+
+    def compare(surfaces: Iterable[Triangles], views: Sequence[View]) -> Iterator[float]:
+        compared.extend(surfaces)
+        ratios.extend(mirroring_ratios(compared, views))
+        return iter(ratios)
+
+    monkeypatch.setattr(masked_surface, "mirroring_ratios", compare)
+    positions = starting_points(mirror, 2000, seed=0).positions
+    (outer, _), (inner, _) = compared
+    assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"
+    assert ratios[0] < 0.8 * ratios[1]
+    assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     """A painted ball: mirrored surroundings explain little of it, wherever its surface is."""
     views = []
@@ -192,8 +207,7 @@ def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None
         image = (255 * painted(back_project(seen)) * seen.alpha[..., None]).round().astype(np.uint8)
         views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
     scene = Scene("painted", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
-    monkeypatch.setattr(module, "carve_by_color", lambda vertices, *rest, **more: 0.9 * vertices)
-    monkeypatch.setattr(module, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, Light.UNKNOWN))
-    monkeypatch.setattr(module, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+    monkeypatch.setattr(masked_surface, "match_views", lambda *rest, **more: [])
+    monkeypatch.setattr(masked_surface, "fuse", lambda *rest: replace(rest[-1], field=rest[-1].field - 0.07))
     radius = np.linalg.norm(starting_points(scene, 2000, seed=0).positions, axis=1)
     assert abs(np.median(radius) - 0.63) < 0.01

@@ -244,24 +244,28 @@ class Matcher {
     return plane_through(ray_x(at), ray_y(at), 1 / p_.start_depth[at], p_.start_normal + 3 * size_t(at));
   }
 
-  // The mean correlation with the neighbours that agree best.
+  // The mean correlation with the neighbours that agree best, of those that show the patch. Two must.
   float agreement(int at, const Patch& patch, const Plane& plane) const {
     const float x = ray_x(at), y = ray_y(at), inverse = plane.inverse_depth(x, y);
     if (!(inverse * p_.farthest >= 1 && inverse * p_.nearest <= 1)) return kImpossible;
     const float normal = plane.a * plane.a + plane.b * plane.b + plane.c * plane.c;
     if (inverse < kGrazing * std::sqrt(normal * (x * x + y * y + 1))) return kImpossible;
     float best[kMostBest];
-    const int count = std::min({settings_.best, int(neighbours_.size()), kMostBest});
-    std::fill(best, best + count, kUnseen);
+    const int most = std::min(settings_.best, kMostBest);
+    std::fill(best, best + most, kUnseen);
+    int seen = 0;
     for (const Neighbour& to : neighbours_) {
       const Warp warp = warp_by(plane, to, view_, x, y);
       float score = warp.seen ? correlation(patch, warp, *to.view, settings_) : kUnseen;
-      for (int k = 0; k < count; ++k)
+      seen += score > kUnseen;
+      for (int k = 0; k < most; ++k)
         if (score > best[k]) std::swap(score, best[k]);
     }
+    const int count = std::min(seen, most);
+    if (count < std::min(2, most)) return kUnseen;
     float sum = 0;
     for (int k = 0; k < count; ++k) sum += best[k];
-    return count ? sum / float(count) : kUnseen;
+    return sum / float(count);
   }
 
   void offer(int at, const Patch& patch, const Plane& plane, Hypothesis& best) const {

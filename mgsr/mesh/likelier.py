@@ -1,0 +1,34 @@
+"""The trained surface held against the one that training began on: the worse of the two is not delivered.
+
+A surface that is right lets the photographs agree about what lies on it, or, where it mirrors what surrounds it, lets
+one map of the surroundings explain them. Training has no such check of its own: dents that imitate reflections cost it
+nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mgsr.data.scene import View
+from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.triangles import Triangles
+from mgsr.shading.refine import mirroring_ratios
+from mgsr.stereo.photo_consistency import photo_consistency
+from mgsr.stereo.photographs import stereo_photographs
+
+MIRRORS = 0.85  # of what mirrored surroundings leave unexplained; a surface with more mirrors too little to be judged
+CLEARLY = 0.95  # of what they leave on the trained surface, at or under which the start is better
+BETTER = 0.02  # of correlation by which the start must exceed the trained surface
+
+
+def start_is_likelier(start: Triangles, trained: Triangles, photographs: Sequence[View]) -> bool:
+    """Return whether the photographs speak clearly for the surface that training began on.
+
+    start, trained: vertices [V,3] in the scene's frame and faces [F,3].
+    """
+    on_start, on_trained = mirroring_ratios((start, trained), photographs)
+    if on_start <= MIRRORS:
+        return on_start <= CLEARLY * on_trained
+    prepared = stereo_photographs(photographs)
+    before, after = (photo_consistency(prepared, RayCaster(*surface)) for surface in (start, trained))
+    return before > after + BETTER

@@ -1,0 +1,41 @@
+"""How well photographs agree about what lies on a surface."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import numpy as np
+
+from mgsr.geometry.raycast import RayCaster
+from mgsr.native import _stereo
+from mgsr.stereo.patch_match import NEIGHBOURS, MatchSettings, search_range
+from mgsr.stereo.photographs import StereoPhotographs
+
+
+def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> float:
+    """Return the mean normalised cross-correlation, -1..1, of patches of the photographs with their neighbours, warped
+    by the surface's planes, over all pixels that show the object; where the surface leaves such a pixel bare, -1.
+
+    It is 0 where no photograph has neighbours to compare with.
+    """
+    settings = [float(each) for each in astuple(MatchSettings())]
+    total, count = 0.0, 0
+    for view, camera in enumerate(photographs.cameras):
+        neighbours = photographs.neighbours(view, NEIGHBOURS)
+        if len(neighbours) < 2:
+            continue
+        seen, score = surface.cast(camera), np.empty((camera.height, camera.width), np.float32)
+        _stereo.judge(
+            photographs.images,
+            photographs.packed_cameras,
+            view,
+            neighbours,
+            np.ascontiguousarray(seen.depth, np.float32),
+            np.ascontiguousarray(seen.normal @ camera.cam_from_world[:3, :3].T, np.float32),
+            search_range(camera),
+            settings,
+            score,
+        )
+        shown = photographs.images[view][..., 3] > 0.5
+        total, count = total + float(score[shown].sum(dtype=np.float64)), count + int(shown.sum())
+    return total / max(count, 1)

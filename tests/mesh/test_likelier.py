@@ -1,0 +1,65 @@
+"""A ball with and without dents, held against photographs of the ball: a mirror's, and a painted one's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.config import MeshConfig
+from mgsr.data.images import linear_to_srgb
+from mgsr.data.scene import View
+from mgsr.geometry.raycast import pixel_rays
+from mgsr.geometry.triangles import Triangles
+from mgsr.mesh import extract
+from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.likelier import start_is_likelier
+from mgsr.mesh.pixels import back_project
+from mgsr.mesh.views import SurfaceView
+from tests.mesh.shapes import ball, cameras_around, views_of
+from tests.shading.painted import painted
+
+RADIUS = 0.7
+
+
+def mirrored(seen: SurfaceView) -> np.ndarray:
+    """Linear light [H,W,3] of a room of smooth colours that the ball mirrors."""
+    rays = pixel_rays(seen.camera)
+    directions = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    return np.asarray((0.5 + 0.45 * np.sin(7 * directions + np.arange(3))) ** 2)
+
+
+def photographs(mirror: bool) -> list[View]:
+    views = []
+    for index, seen in enumerate(views_of(ball(RADIUS), cameras_around(24, side=128))):
+        shown = linear_to_srgb(mirrored(seen)) if mirror else painted(back_project(seen))
+        image = (255 * shown * seen.alpha[..., None]).round().astype(np.uint8)
+        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
+    return views
+
+
+def surface(depth: float) -> Triangles:
+    """The ball with dents of this depth."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
+    dents = depth * np.clip(np.sin(9 * mesh.vertices).prod(axis=1), 0, 1)
+    return np.asarray(mesh.vertices * (1 - dents[:, None] / RADIUS)), np.asarray(mesh.faces)
+
+
+@pytest.mark.parametrize("mirror", [True, False], ids=["mirror", "painted"])
+def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
+    views, smooth, dented = photographs(mirror), surface(0), surface(0.06)
+    assert start_is_likelier(smooth, dented, views)
+    assert not start_is_likelier(dented, smooth, views)
+    assert not start_is_likelier(smooth, smooth, views), "training's is taken where both are alike"
+
+
+def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, smaller = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0.0)
+    smaller = (0.9 * smaller[0], smaller[1])
+    for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
+        monkeypatch.setattr(extract, "start_is_likelier", lambda *surfaces, kept=kept: kept)
+        mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), photographs(False)[:3], start=smaller)
+        assert mesh.start_kept is kept
+        assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
+    assert not extract_mesh(views, MeshConfig(shading_ratio=None)).start_kept

@@ -1,0 +1,287 @@
+"""PatchMatch stereo, on a ball with a bowl pressed into a flat cap, begun on the ball with the cap."""
+
+from __future__ import annotations
+
+from dataclasses import astuple, dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mgsr.data.scene import View
+from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.native import _stereo
+from mgsr.stereo.patch_match import DepthMap, MatchSettings, match_views, weigh
+from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
+from tests.ops.variants import ISAS, variant
+from tests.stereo.pressed_ball import CAP, cameras_above, hull, photographs, pressed, with_noise
+
+COUNT, SIDE = 9, 112
+
+
+@pytest.fixture(scope="module")
+def start() -> RayCaster:
+    mesh = hull()
+    return RayCaster(mesh.vertices, mesh.faces)
+
+
+@pytest.fixture(scope="module")
+def few() -> StereoPhotographs:
+    """Five small photographs, for what does not need a good surface."""
+    return stereo_photographs(photographs(True, 0.0, cameras_above(5, 48)))
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of all pixels [P] that show the object: how far the depth lies behind the truth and behind the start, and the
+    truth behind the start, all in pixels; the degrees between the normal and the true one; the weight; and whether they
+    show what is far from the cap."""
+
+    error: np.ndarray
+    moved: np.ndarray
+    bowl: np.ndarray
+    tilt: np.ndarray
+    weight: np.ndarray
+    aside: np.ndarray
+
+
+def find(views: list[View], start: RayCaster) -> Found:
+    stereo, truth = stereo_photographs(views), RayCaster(pressed().vertices, pressed().faces)
+    maps = match_views(stereo, start, seed=0)
+    rows = []
+    for camera, found, weight in zip(stereo.cameras, maps, weigh(stereo, maps), strict=True):
+        first, seen = start.cast(camera).depth, truth.cast(camera)
+        true, cosines = seen.depth, (seen.normal * found.normal).sum(axis=-1)
+        heights = (camera.center + pixel_rays(camera) * first[..., None])[..., 2]
+        shown = (first > 0) & (true > 0)
+        pixels = camera.K[0, 0] / true[shown]
+        error, moved, bowl = found.depth - true, found.depth - first, true - first
+        apart = [each[shown] * pixels for each in (error, moved, bowl)]
+        tilt = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+        rows.append([*apart, tilt[shown], weight[shown], heights[shown] < CAP - 0.1])
+    return Found(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+@pytest.mark.parametrize("gloss", [0.0, 0.4])
+def test_the_bowl_is_found_and_the_rest_stays(gloss: float, start: RayCaster) -> None:
+    found = find(photographs(True, gloss, cameras_above(COUNT, SIDE)), start)
+    sure, deep = found.weight > 0, found.bowl > 2
+    assert sure[deep].mean() > 0.9 and sure[found.aside].mean() > 0.65
+    assert np.median(found.bowl[deep]) > 3.5
+    assert (np.abs(found.error[deep & sure]) < 1).mean() > 0.75 and np.median(np.abs(found.error[deep & sure])) < 0.5
+    assert np.median(found.tilt[deep & sure]) < 8
+    assert (np.abs(found.moved[found.aside & sure]) < 1).mean() > 0.9
+    assert np.median(np.abs(found.moved[found.aside & sure])) < 0.25
+
+
+def test_one_colour_says_nothing(start: RayCaster) -> None:
+    """Depths stay where they begin, and what noise moves is hardly believed."""
+    found = find(photographs(False, 0.0, cameras_above(COUNT, SIDE)), start)
+    away = np.abs(found.moved)
+    assert np.median(away) < 0.2 and np.percentile(away, 75) < 0.7
+    assert np.average(away < 1, weights=found.weight) > 0.85
+    assert found.weight.mean() < 0.2
+
+
+def test_scores_are_what_judge_says_less_the_prior(few: StereoPhotographs, start: RayCaster) -> None:
+    """And no plane is worse than the start's own, which the search tries first."""
+    camera, shown = few.cameras[0], few.images[0][..., 3] > 0.5
+    settings = MatchSettings(prior=0.2, prior_reach=0.6)
+    found, seen = match_views(few, start, 0, settings)[0], start.cast(camera)
+    away = np.abs(found.depth - seen.depth)[shown] * camera.K[0, 0] / seen.depth[shown]
+    lost = settings.prior * np.minimum(1, away / settings.prior_reach)
+    assert (lost < 0.5 * settings.prior).sum() > 50 and (lost == settings.prior).sum() > 50
+    judged = judge(few, found.depth, found.normal, settings)[shown]
+    # Depth and normal come out in float32, and a step of the warp's rounding changes a sample by as much.
+    np.testing.assert_allclose(found.score[shown], judged - lost, atol=2e-4)
+    assert (found.score >= judge(few, seen.depth, seen.normal, settings) - 1e-5)[shown].all()
+
+
+def judge(few: StereoPhotographs, depth: np.ndarray, normal: np.ndarray, settings: MatchSettings) -> np.ndarray:
+    """Score [h,w] planes of the first photograph, with normals [h,w,3] of the world's frame, by all others."""
+    score, numbers = np.empty(depth.shape, np.float32), [float(each) for each in astuple(settings)]
+    turned = np.ascontiguousarray(normal @ few.cameras[0].cam_from_world[:3, :3].T, np.float32)
+    _stereo.judge(few.images, few.packed_cameras, 0, [1, 2, 3, 4], depth, turned, (1.9, 4.1), numbers, score)
+    return score
+
+
+def test_normals_are_unit_and_towards_the_camera(few: StereoPhotographs, start: RayCaster) -> None:
+    for camera, found in zip(few.cameras, match_views(few, start, seed=0), strict=True):
+        known = found.depth > 0
+        assert known.sum() > 200
+        np.testing.assert_allclose(np.linalg.norm(found.normal[known], axis=-1), 1, atol=1e-5)
+        assert ((found.normal * pixel_rays(camera)).sum(axis=-1)[known] < 0).all()
+        assert (found.normal[~known] == 0).all() and (found.score[~known] == -1).all()
+
+
+@pytest.mark.parametrize("isa", ISAS)
+def test_the_same_bytes_on_any_number_of_threads(few: StereoPhotographs, start: RayCaster, isa: str) -> None:
+    runs = []
+    for threads in (1, 2, 5):
+        with variant(_stereo, isa, threads):
+            runs.append(match_views(few, start, seed=3))
+    for others in runs[1:]:
+        assert all(same(one, other) for one, other in zip(runs[0], others, strict=True))
+
+
+def test_the_seed_decides(few: StereoPhotographs, start: RayCaster) -> None:
+    first, again, other = (match_views(few, start, seed)[0] for seed in (1, 1, 2))
+    assert same(first, again) and not same(first, other)
+
+
+def same(one: DepthMap, other: DepthMap) -> bool:
+    pairs = [(one.depth, other.depth), (one.normal, other.normal), (one.score, other.score)]
+    return all(a.tobytes() == b.tobytes() for a, b in pairs)
+
+
+def test_the_share_of_the_views_that_is_done(few: StereoPhotographs, start: RayCaster) -> None:
+    told: list[float] = []
+    match_views(few, start, seed=0, progress=told.append)
+    assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_view_with_less_than_two_neighbours_shows_nothing(
+    count: int, few: StereoPhotographs, start: RayCaster
+) -> None:
+    alone = StereoPhotographs(few.images[:count], few.cameras[:count])
+    maps = match_views(alone, start, seed=0)
+    assert (maps[0].depth == 0).all() and (maps[0].score == -1).all()
+    assert (weigh(alone, maps)[0] == 0).all()
+
+
+def test_an_empty_mask_shows_nothing(few: StereoPhotographs, start: RayCaster) -> None:
+    """Of its own view, and it tells nothing of the others'."""
+    empty = few.images[1] * np.array([1, 1, 1, 0], np.float32)
+    maps = match_views(replace(few, images=[few.images[0], empty, *few.images[2:]]), start, seed=0)
+    assert (maps[1].depth == 0).all() and (maps[1].score == -1).all()
+    without = StereoPhotographs([few.images[0], *few.images[2:]], [few.cameras[0], *few.cameras[2:]])
+    assert same(maps[0], match_views(without, start, seed=0)[0])
+    assert (maps[0].depth > 0).any()
+
+
+def test_noise_at_unknown_pixels_changes_nothing(start: RayCaster) -> None:
+    """Maps tell of known pixels alone, and to the byte the same whatever stands at others."""
+    views = photographs(True, 0.0, cameras_above(6, 80))
+    noisy = [[with_noise(view, seed) for view in views] for seed in (1, 2)]
+    first, second = (match_views(stereo_photographs(some), start, seed=0) for some in noisy)
+    assert all(same(one, other) for one, other in zip(first, second, strict=True))
+    for view, found in zip(noisy[0], first, strict=True):
+        assert view.known is not None and (found.depth > 0).sum() > 300
+        assert (found.depth[~view.known] == 0).all()
+
+
+@pytest.fixture(scope="module")
+def perfect(few: StereoPhotographs) -> list[DepthMap]:
+    mesh = pressed()
+    caster, maps = RayCaster(mesh.vertices, mesh.faces), []
+    for camera in few.cameras:
+        hits = caster.cast(camera)
+        maps.append(DepthMap(hits.depth, hits.normal, np.where(hits.mask, 0.9, -1).astype(np.float32)))
+    return maps
+
+
+def in_the_bowl(few: StereoPhotographs, maps: list[DepthMap]) -> np.ndarray:
+    """Weights of the first map's pixels that show the bowl."""
+    places = few.cameras[0].center + pixel_rays(few.cameras[0]) * maps[0].depth[..., None]
+    return weigh(few, maps)[0][(maps[0].depth > 0) & (np.linalg.norm(places - [0, 0, CAP], axis=-1) < 0.2)]
+
+
+def farther(found: DepthMap, pixels: float, few: StereoPhotographs) -> DepthMap:
+    return replace(found, depth=found.depth * np.float32(1 + pixels / few.cameras[0].K[0, 0]))
+
+
+def test_perfect_maps_confirm_one_another(few: StereoPhotographs, perfect: list[DepthMap]) -> None:
+    """What correlates well weighs as much as it is seen head-on; what doesn't, less."""
+    rays = pixel_rays(few.cameras[0])
+    cosines = -(rays * perfect[0].normal).sum(axis=-1) / np.linalg.norm(rays, axis=-1)
+    weights = weigh(few, perfect)[0]
+    inner = weights > 0
+    assert inner.sum() > 0.6 * (perfect[0].depth > 0).sum()
+    np.testing.assert_allclose(weights[inner], np.clip(cosines[inner], 0.1, 1), atol=1e-5)
+    dull = [replace(perfect[0], score=perfect[0].score - 0.6), *perfect[1:]]
+    assert (in_the_bowl(few, dull) < 0.3 * in_the_bowl(few, perfect)).all()
+
+
+def test_what_other_views_deny_weighs_nothing(few: StereoPhotographs, perfect: list[DepthMap]) -> None:
+    """Depths that lie elsewhere confirm nothing, nor do normals that look elsewhere."""
+    for pixels, confirms in ((0.0, True), (1.5, True), (-1.5, True), (3.0, False), (-3.0, False)):
+        moved = [perfect[0], *(farther(found, pixels, few) for found in perfect[1:])]
+        assert ((in_the_bowl(few, moved) > 0) == confirms).mean() > 0.9
+    turned = [perfect[0], *(replace(found, normal=found.normal[..., [1, 2, 0]]) for found in perfect[1:])]
+    assert (in_the_bowl(few, turned) == 0).all()
+
+
+def test_views_that_look_past_a_place_outvote_those_that_confirm_it(
+    few: StereoPhotographs, perfect: list[DepthMap]
+) -> None:
+    """Two against two; what views see nearer hides the place from them and says nothing."""
+    past, before = ([*perfect[:3], *(farther(found, off, few) for found in perfect[3:])] for off in (6.0, -6.0))
+    assert (in_the_bowl(few, past) == 0).mean() > 0.9
+    assert (in_the_bowl(few, before) > 0).mean() > 0.9
+
+
+def arguments(few: StereoPhotographs) -> dict[str, Any]:
+    """What `search` takes, right in everything."""
+    grey, vectors = np.zeros((48, 48), np.float32), np.zeros((48, 48, 3), np.float32)
+    return {
+        "images": few.images,
+        "cameras": few.packed_cameras,
+        "view": 0,
+        "neighbours": [1, 2],
+        "start_depth": grey,
+        "start_normal": vectors,
+        "range": (2.0, 4.0),
+        "settings": [float(each) for each in astuple(MatchSettings())],
+        "seed": 0,
+        "depth": grey.copy(),
+        "normal": vectors.copy(),
+        "score": grey.copy(),
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "message"),
+    [
+        ("cameras", np.zeros((4, 16), np.float32), "cameras"),
+        ("view", 5, "view"),
+        ("neighbours", [1, 5], "neighbours"),
+        ("neighbours", [1, 0], "neighbours"),
+        ("start_depth", np.zeros((48, 47), np.float32), "size"),
+        ("start_normal", np.zeros((47, 48, 3), np.float32), "size"),
+        ("depth", np.zeros((47, 48), np.float32), "size"),
+        ("normal", np.zeros((48, 47, 3), np.float32), "size"),
+        ("score", np.zeros((47, 48), np.float32), "size"),
+        ("range", (0.0, 4.0), "range"),
+        ("range", (4.0, 2.0), "range"),
+        ("range", (float("nan"), 2.0), "range"),
+        ("settings", [1.0] * 10, "settings"),
+        ("settings", [5.0] * 11, "settings"),
+        ("settings", [1.0] * 5 + [0.0] * 6, "settings"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused(few: StereoPhotographs, name: str, wrong: object, message: str) -> None:
+    _stereo.search(**arguments(few))
+    with pytest.raises(ValueError, match=message):
+        _stereo.search(**{**arguments(few), name: wrong})
+    if name in ("depth", "normal"):
+        return
+    judged = {key: value for key, value in {**arguments(few), name: wrong}.items() if key != "seed"}
+    judged["depth"], judged["normal"] = judged.pop("start_depth"), judged.pop("start_normal")
+    with pytest.raises(ValueError, match=message):
+        _stereo.judge(**judged)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("images", [np.zeros((48, 48, 3), np.float32)] * 5),
+        ("cameras", np.zeros((5, 12), np.float32)),
+        ("view", -1),
+        ("start_depth", None),
+        ("depth", np.zeros((48, 48, 1), np.float32)),
+    ],
+)
+def test_what_has_another_form_is_refused(few: StereoPhotographs, name: str, wrong: object) -> None:
+    with pytest.raises(TypeError):
+        _stereo.search(**{**arguments(few), name: wrong})

@@ -18,9 +18,10 @@ from mgsr.geometry.outlines import find_outline, fit_outlines
 from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
 from mgsr.geometry.waves import smooth_waves
 from mgsr.mesh import cleanup
+from mgsr.mesh.bending import bend_to_views
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
-from mgsr.mesh.likelier import start_is_likelier
+from mgsr.mesh.likelier import is_torn, start_is_likelier
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
@@ -48,7 +49,8 @@ def extract_mesh(
     there are silhouettes, so does their parallax. Under a flash, what they differ about is left open; without one, the
     surface's shallow waves are smoothed.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
-    start: the surface that training began on, which replaces the views' where the photographs clearly speak for it.
+    start: the surface that training began on, which replaces the views' where the photographs clearly speak for it; it
+    is bent to the views' where theirs is torn.
 
     Raises MeshError, with the reason, where no surface comes out.
     """
@@ -58,18 +60,16 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    vertices, faces, kept = _likelier(start, (vertices, faces), photographs)
+    kept = False
+    if start is not None and photographs and len(faces):
+        if is_torn((vertices, faces), start):
+            tolerance = config.consistency or TOLERANCE
+            bent = bend_to_views(*start, views, _rules(config), tolerance, threads)
+            vertices, faces, kept = bent, start[1], True
+        elif start_is_likelier(start, (vertices, faces), photographs):
+            vertices, faces, kept = *start, True
     mesh = _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads, go_on)
     return replace(mesh, start_kept=kept)
-
-
-def _likelier(
-    start: Triangles | None, trained: Triangles, photographs: Sequence[View]
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return the vertices and faces of the likelier surface, and whether that is the start's."""
-    if start is None or not photographs or not len(trained[1]) or not start_is_likelier(start, trained, photographs):
-        return *trained, False
-    return *start, True
 
 
 def _rules(config: MeshConfig) -> PixelRules:

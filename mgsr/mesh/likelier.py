@@ -9,16 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from mgsr.data.scene import View
+from mgsr.geometry.displace import edges
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.triangles import Triangles, face_components
 from mgsr.shading.refine import mirroring_ratios
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
 MIRRORS = 0.85  # of what mirrored surroundings leave unexplained; a surface with more mirrors too little to be judged
 CLEARLY = 0.95  # of what they leave on the trained surface, at or under which the start is better
+TEARS = 40  # holes and handles, the latter counted twice; a torn surface has hundreds, others few
 BETTER = 0.02  # of correlation by which the start must exceed the trained surface
+
+
+def is_torn(trained: Triangles, start: Triangles) -> bool:
+    """Return whether the trained surface has TEARS more holes and handles than the one that training began on.
+
+    Where sheets are thinner than the cells of its extraction, it is torn into hundreds.
+    """
+    return _openings(*trained) > _openings(*start) + TEARS
+
+
+def _openings(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Return the number of boundary loops and twice that of handles, by Euler's formula."""
+    pieces, _ = face_components(faces, len(vertices))
+    return 2 * pieces - (len(np.unique(faces)) - len(edges(faces)) + len(faces))
 
 
 def start_is_likelier(start: Triangles, trained: Triangles, photographs: Sequence[View]) -> bool:

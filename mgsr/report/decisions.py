@@ -178,7 +178,7 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         if "parallax" in data.other:
             yield _about_parallax(data)
         if data.other.get("start_kept"):
-            why = "the photographs agree less about what lies on the surface that training made"
+            why = "the surface that training made is torn, or the photographs agree less about what lies on it"
             yield Decision("Surface that was refined", "the one that training began on", why)
         if data.other.get("opened"):
             why = "the flash explains what photographs show of the rest; of this each shows something else: a hole, say"

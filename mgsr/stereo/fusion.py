@@ -136,15 +136,19 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 
 def _surface(field: Hull) -> Triangles:
     outside = OUTSIDE * field.voxel
-    vertices, faces = _large_pieces(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
+    vertices, faces = _solid_pieces(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
     normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
     return vertices - outside * normals, faces
 
 
-def _large_pieces(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+def _solid_pieces(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """Return the mesh without small pieces, and without those that bound a void inside, which no photograph sees."""
     count, pieces = face_components(faces, len(vertices))
-    sizes = np.bincount(pieces, minlength=count)
-    return keep_faces(vertices, faces, (sizes >= SMALLEST * sizes.max())[pieces])
+    corners = vertices[faces]
+    volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    solid = np.bincount(pieces, volumes, count) > 0
+    sizes = np.where(solid, np.bincount(pieces, minlength=count), 0)
+    return keep_faces(vertices, faces, (solid & (sizes >= SMALLEST * sizes.max()))[pieces])
 
 
 def _bins(shares: np.ndarray) -> np.ndarray:

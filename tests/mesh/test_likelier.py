@@ -13,7 +13,7 @@ from mgsr.geometry.raycast import pixel_rays
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.likelier import start_is_likelier
+from mgsr.mesh.likelier import is_torn, start_is_likelier
 from mgsr.mesh.pixels import back_project
 from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import ball, cameras_around, views_of
@@ -54,9 +54,31 @@ def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
     assert not start_is_likelier(smooth, smooth, views), "training's is taken where both are alike"
 
 
+@pytest.mark.parametrize(("holes", "torn"), [(0, False), (20, False), (60, True)])
+def test_a_surface_full_of_holes_is_torn(holes: int, torn: bool) -> None:
+    whole = surface(0)
+    apart = np.arange(len(whole[1])) % 128 == 0  # faces that have no corner in common
+    kept = ~(apart & (np.cumsum(apart) <= holes))
+    assert (~kept).sum() == holes
+    assert is_torn((whole[0], whole[1][kept]), whole) is torn
+
+
+def test_a_torn_surface_gives_way_to_the_start_bent_to_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, (vertices, faces) = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0)
+    monkeypatch.setattr(extract, "is_torn", lambda *surfaces: True)
+    mesh = extract_mesh(
+        views, MeshConfig(shading_ratio=None), (), photographs(False)[:3], start=(0.98 * vertices, faces)
+    )
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert mesh.start_kept and len(mesh.faces) == len(faces)
+    # Of the 0.014 that the start lies too deep, and pixels are 0.03 wide.
+    assert np.abs(radii - RADIUS).mean() < 0.001 and np.abs(radii - RADIUS).max() < 0.004
+
+
 def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
     views, smaller = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0.0)
     smaller = (0.9 * smaller[0], smaller[1])
+    monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
         monkeypatch.setattr(extract, "start_is_likelier", lambda *surfaces, kept=kept: kept)
         mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), photographs(False)[:3], start=smaller)

@@ -17,10 +17,11 @@ COVER, ROUNDING, BORDER = 0.03, 1e-4, 0.3
 
 @dataclass(frozen=True)
 class Judged:
-    """scores [P]; clear [P] bool: each rule that leaves out a neighbour or a plane is decided by more than rounding, or
-    a patch that is bent a little, could change."""
+    """scores [P]; seen [P]: neighbours that show the patch; clear [P] bool: each rule that leaves out a neighbour or a
+    plane is decided by more than rounding, or a patch that is bent a little, could change."""
 
     scores: np.ndarray
+    seen: np.ndarray
     clear: np.ndarray
 
 
@@ -49,11 +50,22 @@ def judge(
         correlate(image, homographies(cameras[0], camera, planes), places + 0.5, pixels, own, weights, settings)
         for image, camera in zip(images[1:], cameras[1:], strict=True)
     ]
-    scores = np.sort([one.scores for one in each], axis=0)[-int(settings["best"]) :].mean(axis=0)
+    seen = np.sum([one.seen for one in each], axis=0)
+    scores = mean_of_best(np.array([one.scores for one in each]), seen, int(settings["best"]))
     cosines = np.abs(facing) / np.linalg.norm(rays, axis=1)
     possible = (cosines >= GRAZING) & (depths >= span[0]) & (depths <= span[1])
     clear = decided(ROUNDING, cosines / GRAZING, depths / span[0], depths / span[1])
-    return Judged(np.where(possible, scores, -1), clear & np.all([one.clear for one in each], axis=0))
+    return Judged(np.where(possible, scores, -1), seen, clear & np.all([one.clear for one in each], axis=0))
+
+
+def mean_of_best(scores: np.ndarray, seen: np.ndarray, best: int) -> np.ndarray:
+    """The mean [P] of the best of the neighbours' scores [N,P], of no more than show the patch (`seen` [P], which beat
+    those that don't); -1 where fewer than two do, or than `best` if that is one."""
+    counts = np.minimum(seen, best)
+    descending = np.sort(scores, axis=0)[::-1]
+    taken = np.arange(len(scores))[:, None] < counts
+    means = np.where(taken, descending, 0).sum(axis=0) / np.maximum(counts, 1)
+    return np.where(counts >= min(2, best), means, -1)
 
 
 def weighed(
@@ -109,7 +121,7 @@ def correlate(
     room = np.minimum(near[:, 0] - half - 0.5, size - 0.5 - near[:, 0] - half).min(axis=1)
     shown = (room >= 0) & (stretch > STRETCH[0]) & (stretch < STRETCH[1]) & (covered >= settings["cover"])
     clear = decided(COVER, covered / settings["cover"]) & decided(ROUNDING, *(stretch / limit for limit in STRETCH))
-    return Judged(np.where(shown, scores, -1), clear & (np.abs(room) > BORDER))
+    return Judged(np.where(shown, scores, -1), shown, clear & (np.abs(room) > BORDER))
 
 
 def decided(slack: float, *shares: np.ndarray) -> np.ndarray:

@@ -101,10 +101,13 @@ def mesh(
         from mgsr.cli.outputs import at_known_exposures, read_models, write_mesh
         from mgsr.cli.pipeline import make_mesh
         from mgsr.data.readers import load_scene
+        from mgsr.start.starting_points import starting_points
 
         chosen = pick_device(device)
         loaded = at_known_exposures(out, load_scene(scene, config.data))
-        surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config)
+        # The run held its surface against the one that it began on, which its seed gives again.
+        begun_on = starting_points(loaded, 1, config.seed).surface if loaded.masked else None
+        surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config, start=begun_on)
         write_mesh(out, surface, loaded, config.output)
         print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
 

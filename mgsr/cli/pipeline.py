@@ -75,7 +75,8 @@ def run_scene(
     if budget is not None:
         config = replace(config, mesh=budget.mesh_settings())
     with step("mesh", "extracting the surface"):
-        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on, start.surface)
+        begun_on = start.surface if scene.masked else None
+        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on, begun_on)
         outputs.write_mesh(out, mesh, scene, config.output)
     with step("evaluate", "measuring the surface"):
         truth = find_truth(scene)

@@ -90,8 +90,8 @@ RENDERED = (
     ),
     BenchmarkScene(
         "bowl_soft",
-        Kind.MATTE,
-        SceneSet.JUDGING,
+        Kind.CONCAVE,
+        SceneSet.TUNING,
         Shape.BOWL,
         "--up z --tilt 20 --solid marble --freq 3 --color 0.70,0.58,0.36 --color2 0.12,0.16,0.30 --light soft "
         "--spp 192 --seed 202",
@@ -107,7 +107,7 @@ RENDERED = (
     ),
     BenchmarkScene(
         "plane_sky",
-        Kind.THIN,
+        Kind.MATTE,
         SceneSet.JUDGING,
         "plane.obj",
         "--up z --tilt 35 --rotz 20 --solid stripes --freq 5 --color 0.70,0.68,0.62 --color2 0.10,0.16,0.40 "

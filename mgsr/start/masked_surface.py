@@ -93,6 +93,8 @@ def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Ca
     photographs = stereo_photographs(views)
     maps = match_views(photographs, RayCaster(*outer), seed, progress=_between(progress, 0, MATCHED))
     inner = fuse(photographs, maps, weigh(photographs, maps), hull)
+    if not len(inner[1]):
+        return outer
     ratios = mirroring_ratios((outer, inner), views)
     left = next(ratios)
     return outer if left <= SHADING_RATIO and left <= CLEARLY * next(ratios) else inner

@@ -45,9 +45,9 @@ SMALLEST = 0.02  # of the faces; smaller pieces are noise of stereo
 def fuse(
     photographs: StereoPhotographs, maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull
 ) -> Triangles:
-    """Return the fused surface: vertices [V,3] and outward faces [F,3].
+    """Return the fused surface: vertices [V,3] and outward faces [F,3]; none where the votes leave nothing solid.
 
-    weights: of the maps' pixels (`patch_match.weigh`). Raises SceneError if the hull is empty.
+    weights: of the maps' pixels (`patch_match.weigh`); hull: with something inside.
     """
     pixel = pixel_size(photographs.cameras, np.zeros(3))
     votes = _Votes(photographs.cameras, maps, weights, REACH * pixel)
@@ -136,6 +136,8 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 
 def _surface(field: Hull) -> Triangles:
     outside = OUTSIDE * field.voxel
+    if not (field.field > -outside).any():
+        return np.empty((0, 3)), np.empty((0, 3), np.int64)
     vertices, faces = _solid_pieces(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
     normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
     return vertices - outside * normals, faces

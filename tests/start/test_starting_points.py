@@ -205,6 +205,13 @@ def smaller_hull(photographs: object, maps: object, weights: object, hull: Hull)
 
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
+def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    monkeypatch.setattr("mgsr.start.masked_surface.fuse", lambda *given: nothing)
+    user = ball_scene.user_from_scene.to_user(starting_points(ball_scene, 500, seed=0).positions)
+    assert abs(np.median(np.linalg.norm(user, axis=1)) - 0.8) < 0.02
+
+
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     """A painted ball: mirrored surroundings explain little of it, wherever its surface is."""
     views = []

@@ -94,7 +94,8 @@ def test_the_page_has_machine_versions_commit_and_command(done: Matrix) -> None:
     page, row = (done.out / "runs.md").read_text(), done.rows()["truth"]
     assert row["machine"] in page and row["versions"] in page and row["commit"] in page
     assert "`mgsr bench as typed`" in page
-    assert f"| {float(row['chamfer']):.2f} |" in page
+    # The table rounds what the row has rounded already, so a tie may go either way.
+    assert any(f"| {float(row['chamfer']) + off:.2f} |" in page for off in (-0.001, 0.0, 0.001))
     assert "Broken: empty" in page
 
 

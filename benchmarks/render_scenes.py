@@ -86,13 +86,14 @@ def render(scene: BenchmarkScene, folder: Path, shared: Path, python: str) -> bo
 
 
 def tool_arguments(scene: BenchmarkScene, mesh: Path, out: Path) -> list[str]:
-    """What render_scene.py gets for a scene."""
+    """Return what render_scene.py gets for a scene."""
     cams = "full" if scene.cameras == Cameras.FULL else "upper"
     return ["--mesh", str(mesh), "--out", str(out), "--cams", cams, *COMMON.split(), *scene.arguments.split()]
 
 
 def tool_for(cameras: Cameras, source: str) -> str:
-    """The renderer's source, with the heights of its upper cameras replaced by the cone's where cameras is CONE."""
+    """Return the renderer's source, with the heights of its upper cameras replaced by the cone's where cameras is
+    CONE."""
     if cameras != Cameras.CONE:
         return source
     found = source.count(UPPER_HEIGHTS)
@@ -115,7 +116,7 @@ def run_tool(command: list[str], name: str) -> None:
 
 
 def source_mesh(scene: BenchmarkScene, shared: Path, work: Path) -> Path:
-    """The file with the scene's mesh; a shape is built and written into work."""
+    """Return the file with the scene's mesh; a shape is built and written into work."""
     if not isinstance(scene.source, Shape):
         return shared / "data" / "meshes" / str(scene.source)
     path = work / f"{scene.source}.ply"
@@ -150,7 +151,7 @@ def turned(start: np.ndarray, end: np.ndarray, thickness: float) -> Part:
 
 
 def plate(centre: np.ndarray, sizes: np.ndarray) -> Part:
-    """A cuboid with its edges along the axes."""
+    """Return a cuboid with its edges along the axes."""
 
     def distance(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         over = [abs(p - c) - s / 2 for p, c, s in zip((x, y, z), centre, sizes, strict=True)]
@@ -169,12 +170,12 @@ def segment_distance(points: tuple[np.ndarray, ...], start: np.ndarray, end: np.
 
 
 def along_line(part: Callable[..., Part], points: np.ndarray, thickness: float) -> list[Part]:
-    """The parts of a polyline [P,D]."""
+    """Return the parts of a polyline [P,D]."""
     return [part(start, end, thickness) for start, end in pairwise(points)]
 
 
 def union(parts: list[Part], cell: float) -> trimesh.Trimesh:
-    """The closed surface of the parts' union, with outward normals, by marching cubes on a grid of that cell.
+    """Return the closed surface of the parts' union, with outward normals, by marching cubes on a grid of that cell.
 
     A part fills only the grid around it: beyond two cells of the surface, no distance is needed.
     """
@@ -202,14 +203,14 @@ ROD_THICKNESS, PLATE_THICKNESS = 0.04, 0.03
 
 
 def bowl() -> trimesh.Trimesh:
-    """A deep bowl, half an ellipsoid of height 1.2 and width 1.4."""
+    """Return a deep bowl, half an ellipsoid of height 1.2 and width 1.4."""
     angle = np.linspace(0, np.pi / 2, 49)
     profile = np.stack([0.72 * np.sin(angle), 0.6 - 1.2 * np.cos(angle)], axis=1)
     return union(along_line(turned, profile, BOWL_THICKNESS), cell=0.014)
 
 
 def cup() -> trimesh.Trimesh:
-    """A cup of height 1.2 and width 1.1 with a handle on the side of +x."""
+    """Return a cup of height 1.2 and width 1.1 with a handle on the side of +x."""
     angle = np.linspace(0, np.pi / 2, 7)
     corner = np.stack([0.37 + 0.15 * np.sin(angle), -0.45 - 0.15 * np.cos(angle)], axis=1)
     profile = np.concatenate([[[0.0, -0.6]], corner, [[0.54, 0.6]]])
@@ -220,8 +221,8 @@ def cup() -> trimesh.Trimesh:
 
 
 def rack() -> trimesh.Trimesh:
-    """A toast rack: a base, two standing plates, five arches of rods and a rod along their tops, which makes nine
-    handles."""
+    """Return a toast rack: a base, two standing plates, five arches of rods and a rod along their tops, which makes
+    nine handles."""
     base = plate(np.array([0, 0, -0.4]), np.array([1.4, 0.9, PLATE_THICKNESS]))
     standing = [plate(np.array([x, 0, -0.12]), np.array([PLATE_THICKNESS, 0.5, 0.56])) for x in (-0.14, 0.14)]
     turn = np.linspace(0, np.pi, 13)

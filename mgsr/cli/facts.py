@@ -81,8 +81,8 @@ def run_report(
 
 
 def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
-    """What was read: format, views, sizes, masks, points, and the way back to the user's frame; splats_origin: what
-    positions in splat files are about, where the frame's origin lies far away; shown: the share of the pixels that
+    """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame; splats_origin:
+    what positions in splat files are about, where the frame's origin lies far away; shown: the share of the pixels that
     photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind photographs without
     masks. unit: what lengths are multiplied with."""
     camera, frame = scene.train[0].camera, scene.user_from_scene
@@ -109,7 +109,7 @@ def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
 
 
 def shown_share(scene: Scene) -> float:
-    """The share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
+    """Return the share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
     pixels = sum(view.camera.width * view.camera.height for view in scene.train)
     unknown = sum(int((~view.known).sum()) for view in scene.train if view.known is not None)
     return 1 - unknown / max(pixels, 1)
@@ -126,7 +126,7 @@ def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict
 
 
 def scene_line(scene: Scene) -> str:
-    """What was read, in one line."""
+    """Return what was read, in one line."""
     camera = scene.train[0].camera
     masks = "with masks" if scene.masked else "without masks"
     points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"
@@ -139,7 +139,7 @@ def scene_line(scene: Scene) -> str:
 
 
 def peak_memory_mib() -> float:
-    """The most memory that this process has held, MiB."""
+    """Return the most memory that this process has held, MiB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
@@ -171,7 +171,7 @@ def _machine() -> dict[str, Any]:
 
 
 def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:
-    """The total is this process's; `train` and its stages also hold what was spent before a resume."""
+    """Return seconds by step: the total is this process's; `train` and its stages also hold those before a resume."""
     stages = {stage.name: stage.seconds for stage in trained.stages}
     before = trained.seconds - clock.steps["train"]
     return {"total": clock.total + max(0.0, before), **clock.steps, "train": trained.seconds, **stages}

@@ -163,7 +163,7 @@ def make_mesh(
 
 
 def result_line(report: ReportData) -> str:
-    """The run's result in one line."""
+    """Return the run's result in one line."""
     parts = [f"done in {report.seconds['total']:.1f} s"]
     if report.mesh is not None:
         parts.append(f"mesh of {report.mesh.faces} faces")
@@ -206,7 +206,7 @@ class _Training:
             )
 
     def run(self, before_surface: bool = False) -> TrainResult:
-        """The branches after all stages, or with `before_surface` after those that the surface is made from."""
+        """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
         with self._step("train", self._text):
             trained = self._training.run(finish=not before_surface)
         self._text = "training goes on"

@@ -40,7 +40,7 @@ class Camera:
         return pose
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera with its image sampled at another size."""
+        """Return the same camera with its image sampled at another size."""
         K = self.K.copy()
         K[0] *= width / self.width
         K[1] *= height / self.height
@@ -53,7 +53,15 @@ class Camera:
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return local[:, :2] / safe[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth
 
+    def project_inside(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return those of the world points [P,3] that lie before the camera and inside its image: their indices [Q],
+        pixel coordinates [Q,2] and camera depths [Q]."""
+        pixels, depths = self.project(points)
+        inside = (depths > 0) & (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
+        index = np.flatnonzero(inside)
+        return index, pixels[index], depths[index]
+
 
 def pixel_size(cameras: Sequence[Camera], place: np.ndarray) -> float:
-    """A pixel's size at a place [3] in the world, in the world's unit: the median over the cameras."""
+    """Return a pixel's size at a place [3] in the world, in the world's unit: the median over the cameras."""
     return float(np.median([np.linalg.norm(camera.center - place) / camera.K[0, 0] for camera in cameras]))

@@ -37,13 +37,13 @@ class Hull:
         return np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """The field at points [P,3], trilinear; far negative outside the grid."""
+        """Return the field at points [P,3], trilinear; far negative outside the grid."""
         place = ((points - self.origin) / self.voxel).T
         return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
 
 
 def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128) -> Hull:
-    """The hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
+    """Return the hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
 
     resolution: voxels a side, a multiple of 16; 64 and 128 start from 32.
     """
@@ -79,8 +79,8 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
 
 
 def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest signed distance [P] float32 over the views that tell it for each point, in world units, and whether
-    enough views do [P] bool; where they don't, the point counts as outside."""
+    """Return the smallest signed distance [P] float32 over the views that tell it for each point, in world units, and
+    whether enough views do [P] bool; where they don't, the point counts as outside."""
     lowest = np.full(len(points), np.inf, dtype=np.float32)
     told = np.zeros(len(points), dtype=np.int32)
     for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):

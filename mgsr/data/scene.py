@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 
 from mgsr.data.backdrop import Color, plain_backdrop
 from mgsr.data.camera import Camera
+
+PHOTOGRAPHS = 64  # views that are enough to tell of a surface; more tell little more
 
 
 @dataclass(frozen=True)
@@ -50,13 +53,13 @@ class Similarity:
         return Similarity(1 / self.scale, -self.offset / self.scale)
 
     def camera_to_user(self, camera: Camera) -> Camera:
-        """The camera with its pose in the user's frame."""
+        """Return the camera with its pose in the user's frame."""
         pose = camera.cam_from_world.copy()
         pose[:3, 3] = self.scale * pose[:3, 3] - pose[:3, :3] @ self.offset
         return Camera(camera.K, pose, camera.width, camera.height)
 
     def camera_to_scene(self, camera: Camera) -> Camera:
-        """The camera of the user's frame with its pose in the normalised frame."""
+        """Return the camera of the user's frame with its pose in the normalised frame."""
         pose = camera.cam_from_world.copy()
         pose[:3, 3] = (pose[:3, 3] + pose[:3, :3] @ self.offset) / self.scale
         return Camera(camera.K, pose, camera.width, camera.height)
@@ -73,11 +76,11 @@ class PointCloud:
         return len(self.positions)
 
     def rows(self, kept: np.ndarray) -> PointCloud:
-        """The points of these indices, or where this [P] bool is true."""
+        """Return the points of these indices, or where this [P] bool is true."""
         return PointCloud(self.positions[kept], self.colors[kept])
 
     def joined(self, other: PointCloud) -> PointCloud:
-        """These points, and after them the other's."""
+        """Return these points, and after them the other's."""
         positions = np.concatenate([self.positions, other.positions])
         return PointCloud(positions, np.concatenate([self.colors, other.colors]))
 
@@ -130,3 +133,9 @@ class Scene:
         """The colour, sRGB 0..1, of a plain backdrop in the training photographs, None without one; with masks none is
         looked for."""
         return None if self.masked else plain_backdrop(self.train)
+
+
+def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
+    """Return so many of the views at most, spread over all."""
+    chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
+    return [views[index] for index in chosen]

@@ -25,7 +25,7 @@ class MirroredLight:
 
     @classmethod
     def uniform(cls, side: int, start: float) -> MirroredLight:
-        """Maps of side x side texels, all of the light `start`, inside (0, 1)."""
+        """Return maps of side x side texels, all of the light `start`, inside (0, 1)."""
         return cls(torch.full((2 * side * side, 3), start).logit())
 
     @classmethod
@@ -47,7 +47,7 @@ class MirroredLight:
         return shares(self.logits).view(2, self.side, self.side, 3)
 
     def maps(self) -> Tensor:
-        """The light [2,3,S,S]."""
+        """Return the light [2,3,S,S]."""
         return self.texels().permute(0, 3, 1, 2)
 
     def parameters(self) -> dict[str, Tensor]:
@@ -55,9 +55,9 @@ class MirroredLight:
         return {"logits": self.logits}
 
     def detached(self) -> MirroredLight:
-        """A copy that carries no gradients."""
+        """Return a copy that carries no gradients."""
         return MirroredLight(self.logits.detach().clone())
 
     def to(self, device: torch.device) -> MirroredLight:
-        """The same on a device (no copy where it already is)."""
+        """Return the same light on a device (no copy where it already is)."""
         return MirroredLight(self.logits.to(device))

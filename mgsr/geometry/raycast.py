@@ -63,7 +63,7 @@ class RayCaster:
         )
 
     def cast(self, camera: Camera) -> RayHits:
-        """What `camera` sees, one ray through each pixel's centre."""
+        """Return what `camera` sees, one ray through each pixel's centre."""
         directions = pixel_rays(camera)
         origins = np.broadcast_to(self._single(camera.center), directions.shape)
         rays = np.concatenate([origins, directions], axis=-1)
@@ -75,21 +75,22 @@ class RayCaster:
         return RayHits(np.where(hit, depth, 0), np.where(hit[..., None], normal, 0), face)
 
     def cast_pixels(self, camera: Camera, pixels: np.ndarray) -> PixelHits:
-        """What `camera` sees at pixel coordinates [...,2] (centres at +0.5), inside its image or not."""
+        """Return what `camera` sees at pixel coordinates [...,2] (centres at +0.5), inside its image or not."""
         local = np.ones((*pixels.shape[:-1], 3))
         local[..., :2] = (pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
         directions = local @ camera.cam_from_world[:3, :3]
         return self.cast_rays(camera.center, directions)
 
     def cast_rays(self, origins: np.ndarray, directions: np.ndarray) -> PixelHits:
-        """What rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their lengths."""
+        """Return what rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their
+        lengths."""
         hits = self._scene.cast_rays(_rays(self._single(origins), directions))
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         return PixelHits(np.where(face != NO_FACE, depth, 0), face, _shares(uv))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32, the
-        shares of its corners."""
+        """Return the places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32,
+        the shares of its corners."""
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
@@ -98,10 +99,9 @@ class RayCaster:
 
         Each ray ends `gap` before its point, so that the surface which the point lies on does not hide it.
         """
-        pixels, depths = camera.project(points)
-        inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        inside, pixels, _ = camera.project_inside(points)
         if known is not None:
-            inside[inside] = known_at(known, pixels[inside])
+            inside = inside[known_at(known, pixels)]
         seen = np.zeros(len(points), bool)
         seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen
@@ -126,7 +126,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
 
 
 def _shares(uv: np.ndarray) -> np.ndarray:
-    """The shares [...,3] of a face's corners, from Embree's [...,2] of the second and third."""
+    """Return the shares [...,3] of a face's corners, from Embree's [...,2] of the second and third."""
     shares = np.empty((*uv.shape[:-1], 3), np.float32)
     shares[..., 1:] = uv
     shares[..., 0] = 1 - uv[..., 0] - uv[..., 1]
@@ -134,7 +134,7 @@ def _shares(uv: np.ndarray) -> np.ndarray:
 
 
 def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
-    """The matrix [P,V] that carries values of a mesh's vertices to the points [P,3] beside it."""
+    """Return the matrix [P,V] that carries values of a mesh's vertices to the points [P,3] beside it."""
     face, shares = RayCaster(vertices, faces).nearest(points)
     places = (np.repeat(np.arange(len(points)), 3), faces[face].ravel())
     return sparse.coo_matrix((shares.ravel().astype(np.float64), places), (len(points), len(vertices))).tocsr()

@@ -29,7 +29,7 @@ def face_crosses(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals [V,3] float32, the area-weighted mean of the faces around; 0 for a vertex without a face."""
+    """Return unit normals [V,3] float32, the area-weighted mean of the faces around; 0 for a vertex without a face."""
     crosses = face_crosses(vertices, faces)
     corners = faces.ravel()
     sums = np.stack([np.bincount(corners, np.repeat(crosses[:, axis], 3), len(vertices)) for axis in range(3)], axis=1)
@@ -74,14 +74,21 @@ def topology(vertices: np.ndarray, faces: np.ndarray) -> Topology:
 
 
 def keep_faces(vertices: np.ndarray, faces: np.ndarray, keep: np.ndarray) -> Triangles:
-    """The mesh of the faces where keep [F] is True, without the vertices that no face uses any more."""
+    """Return the mesh of the faces where keep [F] is True, without the vertices that no face uses any more."""
     faces = faces[keep]
     used, inverse = np.unique(faces, return_inverse=True)
     return vertices[used], inverse.reshape(-1, 3)
 
 
 def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """The mesh without faces that repeat a vertex, have no area or are not finite."""
+    """Return the mesh without faces that repeat a vertex, have no area or are not finite."""
     areas = np.linalg.norm(face_crosses(vertices, faces), axis=1)
     a, b, c = faces.T
     return keep_faces(vertices, faces, (a != b) & (b != c) & (c != a) & np.isfinite(areas) & (areas > 1e-14))
+
+
+def drop_small_pieces(vertices: np.ndarray, faces: np.ndarray, min_area: float) -> Triangles:
+    """Return the mesh without the connected pieces under `min_area` of the whole area; the largest always stays."""
+    count, pieces = face_components(faces, len(vertices))
+    areas = np.bincount(pieces, np.linalg.norm(face_crosses(vertices, faces), axis=1), count)
+    return keep_faces(vertices, faces, (areas >= min(min_area * areas.sum(), areas.max()))[pieces])

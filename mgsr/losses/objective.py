@@ -111,7 +111,7 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
 
 
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
-    """The depth [H,W] that counts as the surface."""
+    """Return the depth [H,W] that counts as the surface."""
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 

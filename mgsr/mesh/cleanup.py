@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles, boundary_loops, face_components, face_crosses, keep_faces, vertex_normals
+from mgsr.geometry.triangles import Triangles, boundary_loops, face_components, keep_faces, vertex_normals
 from mgsr.mesh.consistency import Hull
 from mgsr.mesh.views import SurfaceView
 
@@ -41,7 +41,7 @@ def seen_sides(vertices: np.ndarray, faces: np.ndarray, views: Sequence[SurfaceV
 
 
 def _spread(views: Sequence[SurfaceView]) -> list[SurfaceView]:
-    """The views, each from as far as can be from those before it: the first few see most of the surface."""
+    """Return the views, each from as far as can be from those before it: the first few see most of the surface."""
     centers = np.array([view.camera.center for view in views])
     order, nearest = [0], np.linalg.norm(centers - centers[0], axis=1)
     nearest[0] = -1
@@ -53,21 +53,14 @@ def _spread(views: Sequence[SurfaceView]) -> list[SurfaceView]:
 
 
 def turn_outwards(faces: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """The faces with every piece turned round whose vertices are mostly seen from the back (`seen_sides`)."""
+    """Return the faces with every piece turned round whose vertices are mostly seen from the back (`seen_sides`)."""
     count, pieces = face_components(faces, len(sides))
     votes = np.bincount(pieces, sides[faces].sum(1), count)
     return np.where((votes < 0)[pieces][:, None], faces[:, ::-1], faces)
 
 
-def drop_small_pieces(vertices: np.ndarray, faces: np.ndarray, min_area: float) -> Triangles:
-    """The mesh without the connected pieces under `min_area` of the whole area; the largest always stays."""
-    count, pieces = face_components(faces, len(vertices))
-    areas = np.bincount(pieces, np.linalg.norm(face_crosses(vertices, faces), axis=1), count)
-    return keep_faces(vertices, faces, (areas >= min(min_area * areas.sum(), areas.max()))[pieces])
-
-
 def drop_unseen(vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray, whole_pieces: bool) -> Triangles:
-    """The mesh without what no camera sees (seen [V] bool): floaters' insides, inner shells, invented caps.
+    """Return the mesh without what no camera sees (seen [V] bool): floaters' insides, inner shells, invented caps.
 
     whole_pieces: keep every face of a piece that is seen somewhere, so that closed surfaces stay closed.
     """
@@ -80,14 +73,14 @@ def drop_unseen(vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray, whole
 
 
 def _grown(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The marked vertices [V] and their neighbours: creases hide single vertices of a surface that is seen."""
+    """Return the marked vertices [V] and their neighbours: creases hide single vertices of a surface that is seen."""
     grown = marked.copy()
     grown[faces[marked[faces].any(1)]] = True
     return grown
 
 
 def close_loops(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """The mesh with every boundary loop closed by a fan of faces around the loop's middle."""
+    """Return the mesh with every boundary loop closed by a fan of faces around the loop's middle."""
     rim, loops = boundary_loops(faces)
     if len(rim) == 0:
         return vertices, faces

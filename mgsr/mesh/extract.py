@@ -15,7 +15,7 @@ from mgsr.errors import MeshError
 from mgsr.geometry.decimate import decimate
 from mgsr.geometry.fairing import smooth_noise
 from mgsr.geometry.outlines import find_outline, fit_outlines
-from mgsr.geometry.triangles import Triangles, drop_degenerate, vertex_normals
+from mgsr.geometry.triangles import Triangles, drop_degenerate, drop_small_pieces, vertex_normals
 from mgsr.geometry.waves import smooth_waves
 from mgsr.mesh import cleanup
 from mgsr.mesh.bending import bend_to_views
@@ -41,7 +41,7 @@ def extract_mesh(
     go_on: Callable[[], bool] = lambda: True,
     start: Triangles | None = None,
 ) -> SurfaceMesh:
-    """The surface that the views show, in their frame.
+    """Extract the surface that the views show, in their frame.
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
     its outlines fall on theirs.
@@ -60,16 +60,20 @@ def extract_mesh(
     hull = Hull(silhouettes) if silhouettes and config.hull_margin is not None else None
     extract = {Extractor.POISSON: _by_poisson, Extractor.TSDF: _by_tsdf}[config.extractor]
     vertices, faces = extract(views, config, size, hull, threads)
-    kept = False
-    if start is not None and photographs and len(faces):
-        if is_torn((vertices, faces), start):
-            tolerance = config.consistency or TOLERANCE
-            bent = bend_to_views(*start, views, _rules(config), tolerance, threads)
-            vertices, faces, kept = bent, start[1], True
-        elif start_is_likelier(start, (vertices, faces), photographs):
-            vertices, faces, kept = *start, True
-    mesh = _finish(vertices, faces, views, config, size, hull, silhouettes, photographs, threads, go_on)
-    return replace(mesh, start_kept=kept)
+    if start is None or not photographs or not len(faces):
+        chosen = None
+    elif is_torn((vertices, faces), start):
+        chosen = bend_to_views(*start, views, _rules(config), _tolerance(config), threads), start[1]
+    else:
+        chosen = start if start_is_likelier(start, (vertices, faces), photographs) else None
+    surface = (vertices, faces) if chosen is None else chosen
+    mesh = _finish(*surface, views, config, size, hull, silhouettes, photographs, threads, go_on)
+    return replace(mesh, start_kept=chosen is not None)
+
+
+def _tolerance(config: MeshConfig) -> float:
+    """Return the footprints by which views may differ about a place."""
+    return config.consistency or TOLERANCE
 
 
 def _rules(config: MeshConfig) -> PixelRules:
@@ -95,7 +99,7 @@ def _by_poisson(
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
-    """The longest side of the box that holds the surface, but for the outermost few."""
+    """Return the longest side of the box that holds the surface, but for the outermost few."""
     looks = [back_project(view)[::4, ::4][view.usable(config.min_alpha)[::4, ::4]] for view in views]
     points = np.concatenate(looks)
     if config.radius is not None:
@@ -131,7 +135,7 @@ def _finish(
         )
     vertices, faces = drop_degenerate(vertices, faces)
     _require_faces(faces, "no pixel's surface survived the fusion", config)
-    vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
+    vertices, faces = drop_small_pieces(vertices, faces, config.min_piece)
     sides = cleanup.seen_sides(vertices, faces, views, gap=size)
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
@@ -142,7 +146,7 @@ def _finish(
     held = hold_against_photographs(vertices, faces, photographs, outlines, config, threads, go_on)
     vertices, faces = held.vertices, held.faces
     if held.opened:
-        vertices, faces = cleanup.drop_small_pieces(vertices, faces, config.min_piece)
+        vertices, faces = drop_small_pieces(vertices, faces, config.min_piece)
     if config.wave_angle and photographs and held.light is not Light.FLASH:
         pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
         vertices = smooth_waves(vertices, faces, pixel, config.wave_angle)
@@ -153,8 +157,7 @@ def _finish(
     if config.max_faces is not None:
         vertices, faces = decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
-    tolerance = config.consistency or TOLERANCE
-    colors = vertex_colors(vertices, normals, views, config.min_alpha, tolerance, threads)
+    colors = vertex_colors(vertices, normals, views, config.min_alpha, _tolerance(config), threads)
     return SurfaceMesh(vertices, faces, normals, colors, held.light, held.parallax, held.opened)
 
 

@@ -15,11 +15,10 @@ from mgsr.data.scene import View
 from mgsr.geometry.displace import edges
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, face_components
-from mgsr.shading.refine import mirroring_ratios
+from mgsr.shading.refine import MIRRORS, mirroring_ratios
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
-MIRRORS = 0.85  # of what mirrored surroundings leave unexplained; a surface with more mirrors too little to be judged
 CLEARLY = 0.95  # of what they leave on the trained surface, at or under which the start is better
 TEARS = 40  # holes and handles, the latter counted twice; a torn surface has hundreds, others few
 BETTER = 0.02  # of correlation by which the start must exceed the trained surface

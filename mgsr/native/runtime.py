@@ -19,7 +19,7 @@ def set_threads(n: int) -> None:
 
 
 def isas() -> list[str]:
-    """The compiled variants that this processor runs, fastest first: of avx512, avx2, baseline."""
+    """Return the compiled variants that this processor runs, fastest first: of avx512, avx2, baseline."""
     return list(_image.isas())
 
 

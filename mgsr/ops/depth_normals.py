@@ -18,7 +18,7 @@ from mgsr.ops.terms import Slope, Term, Total, wanted
 
 
 def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | None = None) -> torch.Tensor:
-    """Normals [H, W, 3]: world frame, facing the camera, of length 1, or ``alpha`` where that is given.
+    """Return normals [H, W, 3]: world frame, facing the camera, of length 1, or ``alpha`` where that is given.
 
     The cross product of the central differences of the back-projected points. Zero, and passing no gradient, at the
     image's border and where the pixel or one of its four neighbours has no depth (<= 0 or NaN).

@@ -56,17 +56,17 @@ METHODS = {
 
 
 def stage_name(stage: str) -> str:
-    """A stage's name in words."""
+    """Return a stage's name in words."""
     return STAGE_NAMES.get(stage, stage.replace("_", " "))
 
 
 def with_decisions(data: ReportData) -> ReportData:
-    """The same run with its decisions told, unless it brings its own."""
+    """Return the same run with its decisions told, unless it brings its own."""
     return data if data.decisions else replace(data, decisions=tell_decisions(data))
 
 
 def tell_decisions(data: ReportData) -> list[Decision]:
-    """The decisions that follow from the facts of a run: method, masks, test views, stage ends, surface."""
+    """Return the decisions that follow from the facts of a run: method, masks, test views, stage ends, surface."""
     given: dict[str, Any] = data.other.get("input") or {}
     mesh: dict[str, Any] = (data.other.get("settings") or {}).get("mesh") or {}
     told = [Decision("Method", data.method, METHODS.get(data.method, "as asked for"))]

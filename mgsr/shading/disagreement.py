@@ -12,14 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.data.camera import pixel_size
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import umbrella
 from mgsr.geometry.raycast import interpolation
 from mgsr.parallel import map_ahead
 from mgsr.shading.details import GREY, MIN_READINGS, KnownLight, MixedPhotograph, Surface, look_at, mixed_photographs
 from mgsr.shading.kinds import Shading
-from mgsr.shading.readings import read_image, some_of
+from mgsr.shading.readings import read_image
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 OFF = 0.7  # pixels by which the surface may be off; differences that this explains do not count
@@ -55,8 +55,8 @@ def disagreement(
 
 
 def _column(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
-    """What a photograph shows of the vertices, under even light, and how steep it is a pixel: [2,V], NaN where it tells
-    nothing."""
+    """Return what a photograph shows of the vertices, under even light, and how steep it is a pixel: [2,V], NaN where
+    it tells nothing."""
     look = look_at(surface, photograph, light)
     told = np.full((2, len(surface.places)), np.nan, np.float32)
     of_use = look.weights > 0

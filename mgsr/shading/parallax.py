@@ -17,14 +17,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from mgsr.data.camera import pixel_size
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
 from mgsr.geometry.outlines import Outline, outline_gaps
 from mgsr.geometry.raycast import interpolation
 from mgsr.shading.details import Details, KnownLight, Surface, apart, mixed_photographs, read_details, telling_mix
 from mgsr.shading.kinds import Shading
-from mgsr.shading.readings import some_of
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 COARSE = 4.0  # pixels; edges of the mesh on which displacements are found, as they are smooth
@@ -49,7 +48,7 @@ def refine_by_parallax(
     threads: int | None = None,
     go_on: Callable[[], bool] = lambda: True,
 ) -> np.ndarray:
-    """The vertices [V,3] of a mesh moved along their normals so that the photographs agree at them.
+    """Return the vertices [V,3] of a mesh moved along their normals so that the photographs agree at them.
 
     outlines: the masks', which hold the surface. reach: pixels over which a displacement spreads that is known to
     KNOWN. shading: what light the photographs were taken in, if that is known. go_on: asked before every round; the
@@ -79,14 +78,15 @@ def refine_by_parallax(
 def _plate(
     points: np.ndarray, coarse: np.ndarray, triangles: np.ndarray, reach: float
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """The thin plate on a coarse mesh that joins what points [P,3] beside it want: displacements [P], weights [P]."""
+    """Return the thin plate on a coarse mesh that joins what points [P,3] beside it want: displacements [P], weights
+    [P]."""
     carry, laplacian = interpolation(coarse, triangles, points), umbrella(triangles, len(coarse))
     steps = reach / edge_length(coarse, triangles) * (len(points) / len(coarse)) ** 0.25
     return lambda wanted, weights: carry @ smooth_displacements(laplacian, wanted, weights, steps, carry)
 
 
 def _told(readings: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
-    """The displacements [V], in pixels, after which the photographs agree best, and what each weighs [V]."""
+    """Return the displacements [V], in pixels, after which the photographs agree best, and what each weighs [V]."""
     weights = readings.weights
     noise = _noise(apart(readings.mixed, weights), weights)
     weights = weights / (1 + (readings.mirrored / (MIRRORED * noise)) ** 2)
@@ -105,5 +105,5 @@ def _told(readings: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _noise(left: np.ndarray, weights: np.ndarray) -> float:
-    """The deviation of what is left unexplained [V,K] where the weights [V,K] are above 0, but for outliers."""
+    """Return the deviation of what is left unexplained [V,K] where the weights [V,K] are above 0, but for outliers."""
     return 1.4826 * float(np.median(np.abs(left[weights > 0]))) + 1e-9 if weights.any() else 1.0

@@ -11,14 +11,13 @@ from scipy.ndimage import map_coordinates
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.known import known_inside
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
 MIN_COS = 0.25  # of the tilt; what is seen more grazing is left out
 SOLID = 0.97  # of alpha; pixels under it mix object and background
 CLIPPED = 0.98  # of the brightest channel; pixels above it hide how bright they were
-PHOTOGRAPHS = 64  # that are looked at, spread over all; more tell little more
 KEPT = 24  # readings of a point, those that see it most frontal
 
 
@@ -40,11 +39,11 @@ class Readings:
         return (self.weights > 0).sum(axis=1)
 
     def at(self, points: np.ndarray) -> Readings:
-        """The readings of some of the points, by their indices."""
+        """Return the readings of some of the points, by their indices."""
         return Readings(*(array[points] for array in _arrays(self)))
 
     def frontal(self, least: float) -> Readings:
-        """The same, but readings of which the cosine of the tilt is under `least` count as unseen."""
+        """Return the same, but readings of which the cosine of the tilt is under `least` count as unseen."""
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
@@ -61,14 +60,8 @@ class Photograph:
 
 
 def linear_photographs(views: Sequence[View]) -> list[Photograph]:
-    """The photographs as they are read: `some_of` the views, in linear light."""
+    """Return the photographs as they are read: `some_of` the views, in linear light."""
     return [_linear(view) for view in some_of(views)]
-
-
-def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
-    """So many of the views at most, spread over all."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
-    return [views[index] for index in chosen]
 
 
 def read_photographs(
@@ -80,7 +73,7 @@ def read_photographs(
     threads: int | None = None,
     lamps: np.ndarray | None = None,
 ) -> Readings:
-    """The photographs' brightness at the vertices [V,3] of a mesh.
+    """Return the photographs' brightness at the vertices [V,3] of a mesh.
 
     gap: how far a vertex may lie behind the mesh. lamps [N,3]: the place of each photograph's; a vertex in its shadow
     counts as unseen.
@@ -109,14 +102,14 @@ def seen_frontal(
     gap: float,
     known: np.ndarray | None = None,
 ) -> np.ndarray:
-    """The indices of those of a mesh's points [P,3], with unit normals [P,3], that are frontal [P] bool and that the
-    camera sees. gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`."""
+    """Return the indices of those of a mesh's points [P,3], with unit normals [P,3], that are frontal [P] bool and that
+    the camera sees. gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`."""
     index = np.flatnonzero(frontal)
     return index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
 
 
 def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """The image [H,W] at pixel coordinates [P,2] (centres at +0.5), between pixels in proportion."""
+    """Return the image [H,W] at pixel coordinates [P,2] (centres at +0.5), between pixels in proportion."""
     return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
 
 

@@ -40,6 +40,8 @@ class Light(StrEnum):
     UNKNOWN = "unknown"
 
 
+MIRRORS = 0.85  # of what differs between the photographs; mirrored surroundings that leave more unexplained, on a
+# surface that is known roughly, tell nothing
 RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are compared
 
 
@@ -75,7 +77,7 @@ def refine_by_shading(
     progress: Callable[[float], None] = lambda done: None,
     go_on: Callable[[], bool] = lambda: True,
 ) -> Refined:
-    """The vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
+    """Return the vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
 
     outlines: the masks', which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
@@ -122,7 +124,7 @@ def mirroring_ratios(
 
 
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:
-    """The kind of light that leaves least unexplained on the mesh as it is, if that is little enough."""
+    """Return the kind of light that leaves least unexplained on the mesh as it is, if that is little enough."""
     readings, normals = shot.read(vertices, faces)
     by_flash, by_mirroring = flash_ratio(readings, normals), mirrored_surroundings(readings, normals).ratio
     if not min(by_flash, by_mirroring) <= max_ratio:
@@ -162,7 +164,7 @@ class _Work:
     pixel: float
 
     def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: Explained, reach: float) -> np.ndarray:
-        """The vertices moved to fit the normals, the outlines and their own places."""
+        """Return the vertices moved to fit the normals, the outlines and their own places."""
         offsets, touched = self.whole.gaps(vertices)
         held = np.minimum(touched, 1)
         edge = edge_length(vertices, self.faces)

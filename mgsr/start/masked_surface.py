@@ -20,7 +20,7 @@ from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import Light, Pass, Refined, mirroring_ratios, refine_by_shading
+from mgsr.shading.refine import MIRRORS, Light, Pass, Refined, mirroring_ratios, refine_by_shading
 from mgsr.stereo.fusion import fuse
 from mgsr.stereo.patch_match import match_views, weigh
 from mgsr.stereo.photographs import stereo_photographs
@@ -28,7 +28,6 @@ from mgsr.stereo.photographs import stereo_photographs
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
 # rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
 # small shape once parallax has put the large one right.
-SHADING_RATIO = 0.85
 # What mirrored surroundings leave unexplained on the hull, as a share of that on the surface that stereo finds, under
 # which the surface is a mirror.
 CLEARLY = 0.9
@@ -97,7 +96,7 @@ def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Ca
         return outer
     ratios = mirroring_ratios((outer, inner), views)
     left = next(ratios)
-    return outer if left <= SHADING_RATIO and left <= CLEARLY * next(ratios) else inner
+    return outer if left <= MIRRORS and left <= CLEARLY * next(ratios) else inner
 
 
 def _bent(
@@ -108,7 +107,7 @@ def _bent(
     passes: Mapping[Light, Sequence[Pass]],
     progress: Callable[[float], None],
 ) -> Refined:
-    refined = refine_by_shading(vertices, faces, views, rims, SHADING_RATIO, passes, progress=progress)
+    refined = refine_by_shading(vertices, faces, views, rims, MIRRORS, passes, progress=progress)
     moved = refine_by_parallax(refined.vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
     return replace(refined, vertices=moved)
 

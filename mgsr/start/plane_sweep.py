@@ -23,6 +23,7 @@ from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import PointCloud, View
 from mgsr.parallel import map_ahead, one_torch_thread
 from mgsr.start.depth_filling import fill_depth
+from mgsr.stereo.photographs import neighbours
 
 SIDE = 128  # images are reduced to this side: a start needs no more
 PLANES, BEHIND = 64, 32  # through the ball and from there to infinity, evenly in inverse depth, as disparity is
@@ -87,30 +88,21 @@ def _look(view: View) -> _Look:
 
 def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     """Camera z [h,w] where the neighbours agree; infinite where they don't."""
-    look, neighbours = looks[index], _neighbours([each.camera for each in looks], index)
+    look = looks[index]
+    beside = neighbours([each.camera for each in looks], index, NEIGHBOURS, APART, FARTHEST)
     nearest, farthest = (look.camera.cam_from_world[2, 3] + shift for shift in (-REACH, REACH))
     unknown = np.full(look.grey.shape[1:], np.inf)
-    if farthest <= 0 or len(neighbours) < 2:
+    if farthest <= 0 or len(beside) < 2:
         return unknown
     nearest = max(nearest, 0.05 * farthest)
     behind = torch.linspace(0, 1 / farthest, BEHIND + 1)[:-1]
     inverse = torch.cat([behind, torch.linspace(1 / farthest, 1 / nearest, PLANES)])
-    scores = torch.stack([_correlations(look, looks[other], inverse) for other in neighbours])
+    scores = torch.stack([_correlations(look, looks[other], inverse) for other in beside])
     # The better half: a neighbour that does not see the place says nothing of it.
-    agreement = scores.topk(max(2, len(neighbours) // 2), dim=0).values.mean(dim=0)
+    agreement = scores.topk(max(2, len(beside) // 2), dim=0).values.mean(dim=0)
     plane, sure = _best_plane(agreement)
     depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
     return np.where(sure.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
-
-
-def _neighbours(cameras: Sequence[Camera], index: int) -> np.ndarray:
-    """The views that see the unit ball from about APART degrees beside view `index`."""
-    away = np.array([camera.center for camera in cameras])
-    away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-    angles = np.degrees(np.arccos(np.clip(away @ away[index], -1, 1)))
-    angles[index] = np.inf
-    order = np.argsort(np.abs(angles - APART), kind="stable")[:NEIGHBOURS]
-    return order[angles[order] < FARTHEST]
 
 
 def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
@@ -143,7 +135,7 @@ def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
 
 
 def _window_mean(images: Tensor) -> Tensor:
-    """The mean [N,h,w] over the WINDOW around each pixel."""
+    """Return the mean [N,h,w] over the WINDOW around each pixel."""
     half = WINDOW // 2
     padded = functional.pad(images[None], (half,) * 4, mode="replicate")[0]
     height, width = images.shape[1:]
@@ -155,7 +147,8 @@ def _window_mean(images: Tensor) -> Tensor:
 
 
 def _own_contrast(image: np.ndarray) -> np.ndarray:
-    """The standard deviation [h,w], 0..1, of those pixels [h,w,3] in each window whose colour is like its middle's.
+    """Return the standard deviation [h,w], 0..1, of those pixels [h,w,3] in each window whose colour is like its
+    middle's.
 
     Beside the edge of something near, all the contrast in a window of plain background is that edge's, and so would be
     the depth.
@@ -175,7 +168,7 @@ def _own_contrast(image: np.ndarray) -> np.ndarray:
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
-    """The plane [h,w] of the best agreement [D,h,w], between planes by a parabola, and whether it stands out."""
+    """Return the plane [h,w] of the best agreement [D,h,w], between planes by a parabola, and whether it stands out."""
     best, at = agreement.max(dim=0)
     count = len(agreement)
     planes = torch.arange(count)[:, None, None]
@@ -188,18 +181,16 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
-    """A view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
+    """Return a view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
     depth = maps[index]
     positions = _positions(looks[index].camera, depth)
     confirming, against = np.zeros(len(positions), int), np.zeros(len(positions), int)
     for other, (look, found) in enumerate(zip(looks, maps, strict=True)):
         if other == index:
             continue
-        places, depths = look.camera.project(positions)
-        inside = (depths > 0) & (places >= 0).all(1) & (places < (look.camera.width, look.camera.height)).all(1)
-        at = np.flatnonzero(inside)
-        across, down = places[at].astype(int).T
-        gaps = found[down, across] / depths[at] - 1
+        at, places, depths = look.camera.project_inside(positions)
+        across, down = places.astype(int).T
+        gaps = found[down, across] / depths - 1
         confirming[at] += np.abs(gaps) < TOLERANCE
         against[at] += np.isfinite(gaps) & (gaps > 2 * TOLERANCE)
     good = (confirming >= least) & (confirming > against) & (np.linalg.norm(positions, axis=1) < FARTHEST_POINT)
@@ -218,14 +209,14 @@ def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarr
 
 
 def _continued(look: _Look, depth: np.ndarray) -> np.ndarray:
-    """The depth map with what `fill_depth` adds; infinite where there is still none."""
+    """Return the depth map with what `fill_depth` adds; infinite where there is still none."""
     inverse = fill_depth(1 / depth, look.image)
     there = np.isfinite(inverse) if look.known is None else np.isfinite(inverse) & (look.known.numpy() > 0)
     return np.where(there, 1 / inverse, np.inf)
 
 
 def _cloud(looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> PointCloud:
-    """The points of all views' depth maps, view by view, with their pixels' colours."""
+    """Return the points of all views' depth maps, view by view, with their pixels' colours."""
     positions = [_positions(look.camera, depth) for look, depth in zip(looks, maps, strict=True)]
     colors = [look.image[np.isfinite(depth)] for look, depth in zip(looks, maps, strict=True)]
     return PointCloud(np.concatenate(positions), np.concatenate(colors).round().clip(0, 255).astype(np.uint8))

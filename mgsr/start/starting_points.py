@@ -111,7 +111,7 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
 
 
 def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointCloud:
-    """The capture's points that can be of use."""
+    """Return the capture's points that can be of use."""
     good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
     if outlines:
         # A point reconstructed on the outline lies a pixel off as often as not.
@@ -144,8 +144,8 @@ def _unmasked_points(
 
 
 def _in_company(points: PointCloud) -> PointCloud:
-    """The points without those in the ball that have no others around them: splats there would be huge disks that hang
-    in the air."""
+    """Return the points without those in the ball that have no others around them: splats there would be huge disks
+    that hang in the air."""
     inside = np.linalg.norm(points.positions, axis=1) <= BALL
     if not inside.any():
         return points

@@ -21,7 +21,7 @@ from scipy import ndimage
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.geometry.displace import mean_normals, umbrella
-from mgsr.geometry.triangles import Triangles, face_components, keep_faces, vertex_normals
+from mgsr.geometry.triangles import Triangles, drop_small_pieces, face_components, keep_faces, vertex_normals
 from mgsr.parallel import map_ahead
 from mgsr.stereo.patch_match import DepthMap
 from mgsr.stereo.photographs import StereoPhotographs
@@ -34,12 +34,12 @@ REACH = 3.0  # pixels; distances are cut off there
 BINS = 12  # of the histogram, from -REACH to REACH
 HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # of the hull's vote near its surface and deep inside; a photograph's is at most 1
 FADING = 2.0  # REACH; depth over which the hull's vote falls to a third
-SOLID_WEIGHT, SOLID_DEPTH = 0.05, 5.0  # of a photograph's vote for what lies farther behind its surface, up to so many
-# REACH
+SOLID_WEIGHT = 0.05  # of a photograph's vote for what lies more than REACH behind its surface
+SOLID_DEPTH = 5.0  # REACH; what lies farther behind is not voted on
 POOLED = 1.0  # voxels; deviation of the Gaussian over which votes are put together
 SMOOTHED = 0.5  # voxels; the same for the distances
 OUTSIDE = 1.0  # voxels outside its place at which the surface is taken
-SMALLEST = 0.02  # of the faces; smaller pieces are noise of stereo
+SMALLEST = 0.02  # of the area; smaller pieces are noise of stereo
 
 
 def fuse(
@@ -73,11 +73,9 @@ class _Votes:
 
     def _of(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         camera, depth = self.cameras[view], self.maps[view].depth
-        pixels, depths = camera.project(points)
-        inside = (depths > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
-        index = np.flatnonzero(inside)
-        across, down = pixels[index].astype(int).T
-        weights, behind = self.weights[view][down, across], (depths[index] - depth[down, across]) / self.reach
+        index, pixels, depths = camera.project_inside(points)
+        across, down = pixels.astype(int).T
+        weights, behind = self.weights[view][down, across], (depths - depth[down, across]) / self.reach
         told = (weights > 0) & (behind < SOLID_DEPTH)
         behind = behind[told]
         return index[told], behind, weights[told] * np.where(behind < 1, 1, SOLID_WEIGHT)
@@ -96,14 +94,13 @@ class _Grid:
         voxel = max(float((high - low).max()) / RESOLUTION, finest)
         return cls(low, voxel, tuple(int(count) + 1 for count in np.ceil((high - low) / voxel)))
 
-    def points(self, voxels: np.ndarray | None = None) -> np.ndarray:
-        """Centres [P,3] of the voxels of these flat indices [P], or of all."""
-        index = np.arange(np.prod(self.shape)) if voxels is None else voxels
-        places = np.stack(np.unravel_index(index, self.shape), axis=1)
+    def centers(self) -> np.ndarray:
+        """Return the voxels' centres [P,3], row by row."""
+        places = np.stack(np.unravel_index(np.arange(np.prod(self.shape)), self.shape), axis=1)
         return np.asarray(places * self.voxel + self.origin)
 
     def blurred(self, voxels: np.ndarray, values: np.ndarray, deviation: float) -> np.ndarray:
-        """Values [P] of the voxels [P] averaged by a Gaussian, 0 elsewhere."""
+        """Return the values [P] of the voxels [P] averaged by a Gaussian, 0 elsewhere."""
         whole = np.zeros(int(np.prod(self.shape)), np.float32)
         whole[voxels] = values
         return np.asarray(ndimage.gaussian_filter(whole.reshape(self.shape), deviation).ravel()[voxels])
@@ -114,14 +111,16 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 
     rough: a coarser result; far from its surface it is taken over.
     """
-    centers = grid.points()
+    centers = grid.centers()
     depth = hull.values(centers).astype(np.float32) / votes.reach
     bound = np.clip(depth, -1, 1)
-    field = np.full(len(centers), -1, np.float32) if rough is None else rough.values(centers).astype(np.float32)
-    if rough is not None:
-        field /= votes.reach
     near = depth > -2 * grid.voxel / votes.reach
-    active = np.flatnonzero(near if rough is None else near & (np.abs(field) < NEAR))
+    if rough is None:
+        field = np.full(len(centers), -1, np.float32)
+    else:
+        field = rough.values(centers).astype(np.float32) / votes.reach
+        near &= np.abs(field) < NEAR
+    active = np.flatnonzero(near)
     points, histogram = centers[active], np.zeros((len(active), BINS), np.float32)
     for voxels, behind, weight in votes.at(points):
         histogram[voxels, _bins(behind)] += weight
@@ -138,28 +137,28 @@ def _surface(field: Hull) -> Triangles:
     outside = OUTSIDE * field.voxel
     if not (field.field > -outside).any():
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    vertices, faces = _solid_pieces(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
+    whole = hull_surface(Hull(field.field + outside, field.origin, field.voxel))
+    vertices, faces = drop_small_pieces(*_without_voids(*whole), SMALLEST)
     normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
     return vertices - outside * normals, faces
 
 
-def _solid_pieces(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """Return the mesh without small pieces, and without those that bound a void inside, which no photograph sees."""
+def _without_voids(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+    """Return the mesh without the pieces that bound a void inside, which no photograph sees; their volume is
+    negative."""
     count, pieces = face_components(faces, len(vertices))
     corners = vertices[faces]
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    solid = np.bincount(pieces, volumes, count) > 0
-    sizes = np.where(solid, np.bincount(pieces, minlength=count), 0)
-    return keep_faces(vertices, faces, (solid & (sizes >= SMALLEST * sizes.max()))[pieces])
+    return keep_faces(vertices, faces, (np.bincount(pieces, volumes, count) > 0)[pieces])
 
 
 def _bins(shares: np.ndarray) -> np.ndarray:
-    """The bins [P] of distances [P] from -1 to 1; what lies beyond falls into the outermost."""
+    """Return the bins [P] of distances [P] from -1 to 1; what lies beyond falls into the outermost."""
     return np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
 
 
 def _median(histogram: np.ndarray) -> np.ndarray:
-    """The medians [P], -1..1, of histograms [P,BINS] that aren't empty."""
+    """Return the medians [P], -1..1, of histograms [P,BINS] that aren't empty."""
     sums = np.cumsum(histogram, axis=1)
     half = sums[:, -1] / 2
     at = (sums < half[:, None]).sum(axis=1).clip(0, BINS - 1)

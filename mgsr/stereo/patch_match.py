@@ -83,7 +83,8 @@ def match_views(
 
 def _match(photographs: StereoPhotographs, view: int, start: RayCaster, seed: int, settings: MatchSettings) -> DepthMap:
     camera = photographs.cameras[view]
-    depth, normal, score = (np.zeros((camera.height, camera.width, n), np.float32).squeeze() for n in (1, 3, 1))
+    size = camera.height, camera.width
+    depth, normal, score = (np.zeros(shape, np.float32) for shape in (size, (*size, 3), size))
     neighbours = photographs.neighbours(view, NEIGHBOURS)
     if len(neighbours) < 2:
         return DepthMap(depth, normal, np.full_like(depth, -1))
@@ -129,10 +130,9 @@ def _weights(photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int
     confirming, against = np.zeros(len(points), int), np.zeros(len(points), int)
     for other in photographs.neighbours(view, CHECKED, apart=0.0):
         there, its = photographs.cameras[other], maps[other]
-        pixels, depths = there.project(points)
-        inside = np.flatnonzero((depths > 0) & (pixels >= 0).all(1) & (pixels < (there.width, there.height)).all(1))
-        across, down = pixels[inside].astype(int).T
-        gaps = (its.depth[down, across] / depths[inside] - 1) * there.K[0, 0]
+        inside, pixels, depths = there.project_inside(points)
+        across, down = pixels.astype(int).T
+        gaps = (its.depth[down, across] / depths - 1) * there.K[0, 0]
         known = its.depth[down, across] > 0
         alike = (its.normal[down, across] * normals[inside]).sum(1) > SAME_NORMAL
         confirming[inside] += known & alike & (np.abs(gaps) < SAME)

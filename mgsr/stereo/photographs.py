@@ -11,10 +11,9 @@ import numpy as np
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
 from mgsr.data.known import filled, known_mean
-from mgsr.data.scene import View
+from mgsr.data.scene import View, some_of
 from mgsr.parallel import map_ahead
 
-MOST_VIEWS = 64  # photographs that are matched, spread over all; more tell little more
 MOST_PIXELS = 1_200_000  # of the object in all of them together; larger photographs are reduced
 APART, FARTHEST = 20.0, 60.0  # degrees; neighbours are best so far apart, and at most
 
@@ -38,18 +37,23 @@ class StereoPhotographs:
 
     def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
         """Return the views, at most `count`, that look at the scene's centre from about `apart` degrees beside."""
-        away = np.array([camera.center for camera in self.cameras])
-        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-        angles = np.degrees(np.arccos(np.clip(away @ away[view], -1, 1)))
-        angles[view] = np.inf
-        order = np.argsort(np.abs(angles - apart), kind="stable")[:count]
-        return [int(each) for each in order if angles[each] < FARTHEST]
+        return neighbours(self.cameras, view, count, apart, FARTHEST)
+
+
+def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, farthest: float) -> list[int]:
+    """Return the cameras, at most `count`, that look at the scene's centre from about `apart` degrees beside camera
+    `view`, and from less than `farthest`."""
+    away = np.array([camera.center for camera in cameras])
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    angles = np.degrees(np.arccos(np.clip(away @ away[view], -1, 1)))
+    angles[view] = np.inf
+    order = np.argsort(np.abs(angles - apart), kind="stable")[:count]
+    return [int(each) for each in order if angles[each] < farthest]
 
 
 def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
-    """Prepare the views of a scene: at most MOST_VIEWS of them, reduced until MOST_PIXELS show the object."""
-    chosen = np.unique(np.linspace(0, len(views) - 1, MOST_VIEWS).round().astype(int))
-    some = [views[index] for index in chosen]
+    """Prepare `some_of` a scene's views, reduced until MOST_PIXELS show the object."""
+    some = some_of(views)
     area = sum(float((view.alpha > 127).sum()) if view.alpha is not None else view.image[..., 0].size for view in some)
     shrink = min(1.0, (MOST_PIXELS / max(area, 1)) ** 0.5)
     images, cameras = zip(*map_ahead(lambda view: _prepared(view, shrink), some, None), strict=True)

@@ -37,8 +37,9 @@ WHITE = 0.9  # light of a rendering times its factor over which the photograph m
 def find_exposures(
     scene: Scene, start: StartingPoints, seed: int, should_stop: Callable[[], bool] = lambda: False
 ) -> Exposures | None:
-    """What each photograph got, the factors' geometric mean over the training views being 1; None where exposures don't
-    differ, or can't be told from what light does. The same seed gives the same factors, on any number of cores.
+    """Return what each photograph got, the factors' geometric mean over the training views being 1; None where
+    exposures don't differ, or can't be told from what light does. The same seed gives the same factors, on any number
+    of cores.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
@@ -102,7 +103,7 @@ def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
 
 
 def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
-    """A view's light [3] against its rendering's [H,W,3]; 1 where too little can be compared."""
+    """Return a view's light [3] against its rendering's [H,W,3]; 1 where too little can be compared."""
     fitted = _fitted(view, rendered, _usable(view))
     return np.ones(3) if fitted is None else fitted
 
@@ -116,8 +117,8 @@ def _usable(view: View) -> np.ndarray:
 
 
 def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:
-    """The factor [3] by which the photograph's light at some pixels exceeds the rendering's; relative errors count,
-    large ones as if they were 1.5 deviations (Huber). None for too few pixels."""
+    """Return the factor [3] by which the photograph's light at some pixels exceeds the rendering's; relative errors
+    count, large ones as if they were 1.5 deviations (Huber). None for too few pixels."""
     factor = np.ones(3)
     for channel in range(3):
         wanted = srgb_to_linear(view.image[..., channel][usable] / 255.0)

@@ -104,7 +104,7 @@ class Stage:
         return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
 
     def next_view(self) -> TrainingView:
-        """The view whose turn it is."""
+        """Return the view whose turn it is."""
         index = self.cycle.next()
         if self.coarse is not None and self.iteration < round(self.coarse.share * self.iterations):
             return self.coarse.views[index]
@@ -157,8 +157,10 @@ class WhatIsMirrored:
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
-    """The 2D branch on the photographs (Algorithm 1); `warming` raises the SH degree and holds back the regularisers
-    as the warm-up's settings say."""
+    """Return what trains the 2D branch on the photographs (Algorithm 1).
+
+    `warming` raises the SH degree and holds back the regularisers as the warm-up's settings say.
+    """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned = config.warmup.surfel_iterations
@@ -175,8 +177,10 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
 def volumes_alone(
     branch: VolumeBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
 ) -> Callable[..., Step]:
-    """The 3D branch on the photographs (Algorithm 1); `warming` raises the SH degree; `mirrored` adds what the surface
-    mirrors, as the 2D branch stands."""
+    """Return what trains the 3D branch on the photographs (Algorithm 1).
+
+    `warming` raises the SH degree; `mirrored` adds what the surface mirrors, as the 2D branch stands.
+    """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned = config.warmup.volume_iterations

@@ -34,7 +34,7 @@ class Trained(ABC, Generic[Model]):
 
     @abstractmethod
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """A new optimiser for parameters of the model's kind."""
+        """Return a new optimiser for parameters of the model's kind."""
 
     @property
     def device(self) -> torch.device:
@@ -48,7 +48,7 @@ class Trained(ABC, Generic[Model]):
         self.steps += 1
 
     def tensors(self, kind: Kind) -> dict[str, Tensor]:
-        """The parameters' values, or the gradients of those that have one, by name."""
+        """Return the parameters' values, or the gradients of those that have one, by name."""
         if kind == "values":
             return {name: tensor.detach() for name, tensor in self.optimizer.params.items()}
         return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
@@ -109,7 +109,7 @@ def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -
 
 
 def copied(state: Any) -> Any:
-    """A state's nest of dicts and lists with tensors of its own."""
+    """Return a state's nest of dicts and lists with tensors of its own."""
     if isinstance(state, dict):
         return {name: copied(value) for name, value in state.items()}
     if isinstance(state, list):

@@ -60,7 +60,7 @@ def prepare_views(
     device: torch.device = CPU,
     reduce: int = 1,
 ) -> list[TrainingView]:
-    """The views as tensors on a device; without `masked`, their alpha is ignored.
+    """Return the views as tensors on a device; without `masked`, their alpha is ignored.
 
     edge_band: half width in pixels of the strip around the masks' outlines that `off_edge` leaves out.
     margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
@@ -99,8 +99,8 @@ def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
 
 
 def _reduced(view: View, by: int) -> View:
-    """The view with each by x by pixels averaged into one, sides rounded up. `reduced_view` of `mgsr.data.loading`
-    takes any scale, but needs OpenCV, which a bare machine that trains has not."""
+    """Return the view with each by x by pixels averaged into one, sides rounded up. `reduced_view` of
+    `mgsr.data.loading` takes any scale, but needs OpenCV, which a bare machine that trains has not."""
     camera = view.camera.resized(-(-view.camera.width // by), -(-view.camera.height // by))
 
     def mean(pixels: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int]
 
 
 def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:
-    """The colour behind the splats in one iteration; draws from the generator only where it is random."""
+    """Return the colour behind the splats in one iteration; draws from the generator only where it is random."""
     if not backdrop.random:
         return backdrop.color
     red, green, blue = torch.rand(3, generator=generator).tolist()
@@ -158,7 +158,7 @@ class ViewCycle:
         self.order: list[int] = []
 
     def next(self) -> int:
-        """The next view's index."""
+        """Return the next view's index."""
         if not self.order:
             self.order = torch.randperm(self.count, generator=self.generator).tolist()
         return self.order.pop()

@@ -48,7 +48,7 @@ def tool_source(shared_data: Path) -> str:
 
 
 def tool_parser(source: str) -> ArgumentParser:
-    """The renderer's own parser: what its source says before it parses."""
+    """Return the renderer's own parser: what its source says before it parses."""
     before, parses, _ = source.partition("a = p.parse_args()")
     assert parses
     names: dict[str, Any] = {}

@@ -37,7 +37,7 @@ IMAGES = ("color", "alpha", "depth", "reflected", "weight", "median_depth", "nor
 
 
 def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
-    """The images there are, and the gradients of all of them."""
+    """Return the images there are, and the gradients of all of them."""
     made = dual_splats(60) if kind == "dual" else random_splats(60, 3 if kind == "single" else 2)
     splats = {name: t.float().to(machine.device).requires_grad_() for name, t in made.items()}
     plain = [splats[name] for name in ("means", "quats", "scales", "opacities", "colors")]

@@ -45,7 +45,7 @@ def load_items(*photos, config=DataConfig(max_side=1600)):  # noqa: B008 (frozen
 
 @pytest.fixture
 def sideways(tmp_path):
-    """Stored 40x60, upright 60x40."""
+    """Write a photograph that is stored 40x60 and upright 60x40."""
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.fromarray(RNG.integers(0, 256, (60, 40, 3), dtype=np.uint8)).save(tmp_path / "a.png", exif=exif)

@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from mgsr.geometry.triangles import Topology, drop_degenerate, keep_faces, topology, vertex_normals
-from mgsr.mesh.cleanup import drop_small_pieces, seen_sides, turn_outwards
+from mgsr.geometry.triangles import (
+    Topology,
+    drop_degenerate,
+    drop_small_pieces,
+    keep_faces,
+    topology,
+    vertex_normals,
+)
+from mgsr.mesh.cleanup import seen_sides, turn_outwards
 from mgsr.mesh.views import sample
 from tests.mesh.shapes import ball, cameras_around, views_of
 

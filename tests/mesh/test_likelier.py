@@ -7,40 +7,16 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig
-from mgsr.data.images import linear_to_srgb
-from mgsr.data.scene import View
-from mgsr.geometry.raycast import pixel_rays
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.likelier import is_torn, start_is_likelier
-from mgsr.mesh.pixels import back_project
-from mgsr.mesh.views import SurfaceView
 from tests.mesh.shapes import ball, cameras_around, views_of
-from tests.shading.painted import painted
-
-RADIUS = 0.7
-
-
-def mirrored(seen: SurfaceView) -> np.ndarray:
-    """Linear light [H,W,3] of a room of smooth colours that the ball mirrors."""
-    rays = pixel_rays(seen.camera)
-    directions = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    return np.asarray((0.5 + 0.45 * np.sin(7 * directions + np.arange(3))) ** 2)
-
-
-def photographs(mirror: bool) -> list[View]:
-    views = []
-    for index, seen in enumerate(views_of(ball(RADIUS), cameras_around(24, side=128))):
-        shown = linear_to_srgb(mirrored(seen)) if mirror else painted(back_project(seen))
-        image = (255 * shown * seen.alpha[..., None]).round().astype(np.uint8)
-        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
-    return views
+from tests.shading.balls import RADIUS, mirror_photographs, painted_photographs
 
 
 def surface(depth: float) -> Triangles:
-    """The ball with dents of this depth."""
+    """Return the ball with dents of this depth."""
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
     dents = depth * np.clip(np.sin(9 * mesh.vertices).prod(axis=1), 0, 1)
     return np.asarray(mesh.vertices * (1 - dents[:, None] / RADIUS)), np.asarray(mesh.faces)
@@ -48,7 +24,8 @@ def surface(depth: float) -> Triangles:
 
 @pytest.mark.parametrize("mirror", [True, False], ids=["mirror", "painted"])
 def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
-    views, smooth, dented = photographs(mirror), surface(0), surface(0.06)
+    views = mirror_photographs(128) if mirror else painted_photographs(128)
+    smooth, dented = surface(0), surface(0.06)
     assert start_is_likelier(smooth, dented, views)
     assert not start_is_likelier(dented, smooth, views)
     assert not start_is_likelier(smooth, smooth, views), "training's is taken where both are alike"
@@ -67,7 +44,7 @@ def test_a_torn_surface_gives_way_to_the_start_bent_to_the_views(monkeypatch: py
     views, (vertices, faces) = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0)
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: True)
     mesh = extract_mesh(
-        views, MeshConfig(shading_ratio=None), (), photographs(False)[:3], start=(0.98 * vertices, faces)
+        views, MeshConfig(shading_ratio=None), (), painted_photographs(64)[:3], start=(0.98 * vertices, faces)
     )
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert mesh.start_kept and len(mesh.faces) == len(faces)
@@ -81,7 +58,7 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
         monkeypatch.setattr(extract, "start_is_likelier", lambda *surfaces, kept=kept: kept)
-        mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), photographs(False)[:3], start=smaller)
+        mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), painted_photographs(64)[:3], start=smaller)
         assert mesh.start_kept is kept
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
     assert not extract_mesh(views, MeshConfig(shading_ratio=None)).start_kept

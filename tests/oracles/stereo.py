@@ -59,8 +59,8 @@ def judge(
 
 
 def mean_of_best(scores: np.ndarray, seen: np.ndarray, best: int) -> np.ndarray:
-    """The mean [P] of the best of the neighbours' scores [N,P], of no more than show the patch (`seen` [P], which beat
-    those that don't); -1 where fewer than two do, or than `best` if that is one."""
+    """Return the mean [P] of the best of the neighbours' scores [N,P], of no more than show the patch (`seen` [P],
+    which beat those that don't); -1 where fewer than two do, or than `best` if that is one."""
     counts = np.minimum(seen, best)
     descending = np.sort(scores, axis=0)[::-1]
     taken = np.arange(len(scores))[:, None] < counts
@@ -71,7 +71,7 @@ def mean_of_best(scores: np.ndarray, seen: np.ndarray, best: int) -> np.ndarray:
 def weighed(
     image: np.ndarray, places: np.ndarray, pixels: np.ndarray, settings: Mapping[str, float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples [P,S,4] of the patches and their bilateral weights [P,S], 0 beyond the image."""
+    """Return samples [P,S,4] of the patches and their bilateral weights [P,S], 0 beyond the image."""
     samples, inside = bilinear(image, pixels)
     middles = image[places[:, 1], places[:, 0]]
     colors = ((samples - middles[:, None])[..., :3] ** 2).sum(axis=-1)
@@ -81,7 +81,7 @@ def weighed(
 
 
 def homographies(first: Camera, other: Camera, planes: np.ndarray) -> np.ndarray:
-    """The maps [P,3,3] from one camera's pixels to another's over planes [P,3], on which 1 / z = plane . ray."""
+    """Return the maps [P,3,3] from one camera's pixels to another's over planes [P,3], on which 1 / z = plane . ray."""
     pose = other.cam_from_world @ np.linalg.inv(first.cam_from_world)
     turned = pose[:3, :3] + pose[:3, 3, None] * planes[:, None]
     return np.asarray(other.K @ turned @ np.linalg.inv(first.K))
@@ -130,7 +130,8 @@ def decided(slack: float, *shares: np.ndarray) -> np.ndarray:
 
 
 def bilinear(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The image's values [...,4] at pixel coordinates [...,2], centres at +0.5, and which lie between centres [...]."""
+    """Return the image's values [...,4] at pixel coordinates [...,2], centres at +0.5, and which lie between centres
+    [...]."""
     height, width = image.shape[:2]
     places = pixels - 0.5
     inside = ((places >= 0) & (places < (width - 1, height - 1))).all(axis=-1)

@@ -36,7 +36,7 @@ def first_stage(every: int = 3) -> tuple[Stage, Guard, list[str]]:
 
 
 def step_of(stage: Stage) -> Step:
-    """Rendered and differentiated, not yet taken."""
+    """Return a step that is rendered and differentiated, not yet taken."""
     step = stage.compute(stage.views[0], (0.0, 0.0, 0.0), stage.iteration)
     step.loss.backward()
     return step

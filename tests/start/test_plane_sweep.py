@@ -69,7 +69,7 @@ def test_a_background_has_its_place_behind_the_ball(matte: list[View]) -> None:
 
 
 def in_front_of_a_wall(view: View, radius: float) -> View:
-    """The view with a painted sphere of this radius around everything, cameras too."""
+    """Return the view with a painted sphere of this radius around everything, cameras too."""
     rays = pixel_rays(view.camera)
     rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     center = view.camera.center
@@ -95,7 +95,7 @@ def test_a_place_without_contrast_continues_what_lies_around_it(matte: list[View
 
 
 def with_a_plain_place(view: View, towards: np.ndarray, cosine: float) -> View:
-    """The view with one colour where the ball faces a direction."""
+    """Return the view with one colour where the ball faces a direction."""
     rays = pixel_rays(view.camera)
     rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     center = view.camera.center

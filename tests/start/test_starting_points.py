@@ -13,20 +13,16 @@ from scipy.spatial import cKDTree
 from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
-from mgsr.data.images import linear_to_srgb
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
-from mgsr.geometry.raycast import pixel_rays
 from mgsr.geometry.triangles import Triangles
-from mgsr.mesh.pixels import back_project
 from mgsr.open3d_library import load_open3d
 from mgsr.shading.refine import Light, Refined, mirroring_ratios
 from mgsr.start import masked_surface
 from mgsr.start.starting_points import StartSource, starting_points
 from tests.data.captures import BallCapture
-from tests.mesh.shapes import ball, cameras_around, views_of
-from tests.shading.painted import painted
+from tests.shading.balls import mirror_photographs, painted_photographs
 
 
 @pytest.fixture
@@ -149,23 +145,10 @@ def test_the_example_under_its_flash_begins_beside_its_surface():
     assert np.median(surface.compute_distance(places.astype(np.float32)).numpy()) < 0.0005
 
 
-def room(directions: np.ndarray) -> np.ndarray:
-    """Coloured light [...,3] from directions [...,3]."""
-    axes = np.array([[0.6, 0.8, 0.0], [0.0, 0.6, 0.8], [0.8, 0.0, 0.6]])
-    return (0.5 + 0.45 * np.sin(7 * directions @ axes.T + np.arange(3))) ** 2
-
-
 @pytest.fixture(scope="module")
 def mirror() -> Scene:
     """Return a ball that mirrors a coloured room, and nothing else."""
-    views = []
-    for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=96))):
-        rays = pixel_rays(seen.camera)
-        mirrored = rays - 2 * (rays * seen.normal).sum(-1, keepdims=True) * seen.normal
-        mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
-        image = (255 * linear_to_srgb(room(mirrored)) * seen.alpha[..., None]).round().astype(np.uint8)
-        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
-    return Scene("mirror", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
+    return Scene("mirror", None, "made here", mirror_photographs(96), [], None, Similarity(1.0, np.zeros(3)))
 
 
 def off_the_ball(positions: np.ndarray) -> float:
@@ -200,24 +183,21 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
 
 
 def smaller_hull(photographs: object, maps: object, weights: object, hull: Hull) -> Triangles:
-    """What stereo is to have found: a surface 0.07 inside the hull's."""
+    """Find, in place of stereo, a surface 0.07 inside the hull's."""
     return hull_surface(replace(hull, field=hull.field - 0.07))
 
 
-@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.empty((0, 3)), np.empty((0, 3), np.int64)
-    monkeypatch.setattr("mgsr.start.masked_surface.fuse", lambda *given: nothing)
+    monkeypatch.setattr(masked_surface, "fuse", lambda *given: nothing)
     user = ball_scene.user_from_scene.to_user(starting_points(ball_scene, 500, seed=0).positions)
     assert abs(np.median(np.linalg.norm(user, axis=1)) - 0.8) < 0.02
 
 
+@pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     """A painted ball: mirrored surroundings explain little of it, wherever its surface is."""
-    views = []
-    for index, seen in enumerate(views_of(ball(0.7), cameras_around(24, side=128))):
-        image = (255 * painted(back_project(seen)) * seen.alpha[..., None]).round().astype(np.uint8)
-        views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
+    views = painted_photographs(128)
     scene = Scene("painted", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
     monkeypatch.setattr(masked_surface, "match_views", lambda *rest, **more: [])
     monkeypatch.setattr(masked_surface, "fuse", smaller_hull)

@@ -17,7 +17,7 @@ CAP, DEPTH, WIDTH = 0.5, 0.08, 0.35  # of the bowl, in the unit of the ball's ra
 
 
 def hull() -> trimesh.Trimesh:
-    """The ball with its flat cap."""
+    """Return the ball with its flat cap."""
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.7)
     vertices = mesh.vertices.copy()
     vertices[:, 2] = np.minimum(vertices[:, 2], CAP)
@@ -30,7 +30,7 @@ def bowl_depth(places: np.ndarray) -> np.ndarray:
 
 
 def pressed() -> trimesh.Trimesh:
-    """The ball with the bowl."""
+    """Return the ball with the bowl."""
     mesh = hull()
     vertices = mesh.vertices.copy()
     flat = vertices[:, 2] == CAP
@@ -54,7 +54,7 @@ def cameras_above(count: int, side: int) -> list[Camera]:
 
 
 def photographs(pattern: bool, gloss: float, cameras: Sequence[Camera]) -> list[View]:
-    """The pressed ball, lit by a white lamp that stands still; gloss: strength of its highlight."""
+    """Return the pressed ball, lit by a white lamp that stands still; gloss: strength of its highlight."""
     mesh = pressed()
     caster = RayCaster(mesh.vertices, mesh.faces)
     return [_photograph(str(index), camera, caster, pattern, gloss) for index, camera in enumerate(cameras)]
@@ -74,7 +74,7 @@ def _photograph(name: str, camera: Camera, caster: RayCaster, pattern: bool, glo
 
 
 def with_noise(view: View, seed: int) -> View:
-    """The view as if the photograph showed a disc alone, which cuts the ball off, and noise around it."""
+    """Return the view as if the photograph showed a disc alone, which cuts the ball off, and noise around it."""
     y, x = np.mgrid[: view.camera.height, : view.camera.width]
     known = np.hypot(x - 0.4 * view.camera.width, y - 0.5 * view.camera.height) < 0.35 * view.camera.width
     noise = np.random.default_rng(seed).integers(0, 256, view.image.shape).astype(np.uint8)

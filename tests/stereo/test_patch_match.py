@@ -222,7 +222,7 @@ def test_views_that_look_past_a_place_outvote_those_that_confirm_it(
 
 
 def arguments(few: StereoPhotographs) -> dict[str, Any]:
-    """What `search` takes, right in everything."""
+    """Return what `search` takes, right in everything."""
     grey, vectors = np.zeros((48, 48), np.float32), np.zeros((48, 48, 3), np.float32)
     return {
         "images": few.images,

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mgsr.data.scene import View
+from mgsr.data.scene import PHOTOGRAPHS, View
 from mgsr.stereo import photographs as module
-from mgsr.stereo.photographs import FARTHEST, MOST_VIEWS, StereoPhotographs, stereo_photographs
+from mgsr.stereo.photographs import FARTHEST, StereoPhotographs, stereo_photographs
 from tests.mesh.shapes import cameras_around, looking_at_origin
 
 
@@ -40,12 +40,12 @@ def test_without_a_mask_all_is_the_object() -> None:
 
 
 def test_of_many_views_some_are_chosen_evenly() -> None:
-    some = views(3 * MOST_VIEWS, side=8)
+    some = views(3 * PHOTOGRAPHS, side=8)
     found = stereo_photographs(some)
     index = [next(k for k, view in enumerate(some) if view.camera is camera) for camera in found.cameras]
-    assert len(index) == MOST_VIEWS and index[0] == 0 and index[-1] == len(some) - 1
+    assert len(index) == PHOTOGRAPHS and index[0] == 0 and index[-1] == len(some) - 1
     assert set(np.diff(index)) <= {2, 3, 4}
-    assert len(stereo_photographs(some[:MOST_VIEWS]).images) == MOST_VIEWS
+    assert len(stereo_photographs(some[:PHOTOGRAPHS]).images) == PHOTOGRAPHS
 
 
 @pytest.mark.parametrize("masked", [True, False])

@@ -18,7 +18,7 @@ from worker import start
 
 
 def cards_of(parent: int) -> dict[int, str]:
-    """The card that each child of a process may use, by the child's process id."""
+    """Return the card that each child of a process may use, by the child's process id."""
     found: dict[int, str] = {}
     for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
         with suppress(OSError):  # it has just ended

@@ -30,7 +30,8 @@ StereoView view_of(const Pixels& pixels, const float* camera) {
 // settings: of StereoSettings, in its order.
 StereoSettings settings_of(const std::vector<float>& settings) {
   expect(settings.size() == 11, "settings: expected 11 numbers");
-  expect(settings[0] >= 0 && settings[0] <= 4 && settings[5] >= 1, "settings: expected a radius of 0 to 4, and a best of 1 at least");
+  expect(settings[0] >= 0 && settings[0] <= 4 && settings[5] >= 1,
+         "settings: expected a radius of 0 to 4, and a best of 1 at least");
   StereoSettings s;
   s.radius = int(settings[0]), s.spacing = settings[1], s.noise = settings[2], s.alike = settings[3];
   s.reach = settings[4], s.best = int(settings[5]), s.cover = settings[6], s.prior = settings[7];
@@ -93,7 +94,7 @@ NB_MODULE(_stereo, m) {
   bind_choices(m, choice());
   m.def("search", &search, nb::arg("images"), nb::arg("cameras"), nb::arg("view"), nb::arg("neighbours"),
         nb::arg("start_depth"), nb::arg("start_normal"), nb::arg("range"), nb::arg("settings"), nb::arg("seed"),
-        nb::arg("depth"), nb::arg("normal"), nb::arg("score"));
+        nb::arg("depth").noconvert(), nb::arg("normal").noconvert(), nb::arg("score").noconvert());
   m.def("judge", &judge, nb::arg("images"), nb::arg("cameras"), nb::arg("view"), nb::arg("neighbours"),
-        nb::arg("depth"), nb::arg("normal"), nb::arg("range"), nb::arg("settings"), nb::arg("score"));
+        nb::arg("depth"), nb::arg("normal"), nb::arg("range"), nb::arg("settings"), nb::arg("score").noconvert());
 }

@@ -49,7 +49,7 @@ def use_launcher(launcher: Launcher) -> Iterator[None]:
 
 @cache
 def cuda_launcher(device: int) -> CudaLauncher:
-    """The launcher of a card, made once a process: it holds the card's loaded kernels."""
+    """Return the launcher of a card, made once a process: it holds the card's loaded kernels."""
     return CudaLauncher(device)
 
 
@@ -96,8 +96,8 @@ class CudaLauncher:
         return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, card)))
 
     def _make_current(self) -> Any:
-        """The card's context, current in this thread. Torch's threads for backward have none until torch itself has
-        launched something there, and the driver refuses a launch without one."""
+        """Return the card's context, current in this thread. Torch's threads for backward have none until torch itself
+        has launched something there, and the driver refuses a launch without one."""
         card = self._ask(self._driver.cuDeviceGet(self._device))
         context = self._ask(self._driver.cuDevicePrimaryCtxRetain(card))
         self._ask(self._driver.cuCtxSetCurrent(context))
@@ -142,7 +142,7 @@ def compiler_version() -> tuple[int, int]:
 
 
 def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
-    """Raises GpuError when a driver (its number as cuDriverGetVersion gives it: 12040 for 12.4) is of an older major
+    """Raise GpuError when a driver (its number as cuDriverGetVersion gives it: 12040 for 12.4) is of an older major
     version than the compiler, whose machine code it would refuse."""
     major, minor = driver_version // 1000, driver_version % 1000 // 10
     if major < compiler[0]:

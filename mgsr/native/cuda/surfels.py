@@ -147,7 +147,7 @@ class SurfelKernels:
         )
 
     def _blend(self, frame: Frame, background: Tensor, view: Any, images: Any, band: Band, keep: bool) -> Blended:
-        """A band's pixels into the images."""
+        """Draw a band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
         kind = "plain" if images[5] is None else "distortion"
         reached, states = lists.ranges.new_empty(lists.tiles), None
@@ -160,7 +160,7 @@ class SurfelKernels:
         return Blended(lists, states, reached)
 
     def _walk_back(self, frame: Frame, blended: Blended, view: Any, images: Any, v_images: Any) -> Tensor:
-        """What a band's pixels say of each splat, [N,16]."""
+        """Return what a band's pixels say of each splat, [N,16]."""
         assert blended.states is not None
         kind, lists = "plain" if v_images[5] is None else "distortion", blended.lists
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)

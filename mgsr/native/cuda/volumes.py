@@ -143,7 +143,7 @@ class VolumeKernels:
         self._launcher.launch("volumes", "volumes_gradients", blocks, SPLAT_THREADS, gradients)
 
     def _blend(self, kind: str, frame: Frame, background: Tensor, images: Any, band: Band, keep: bool) -> Blended:
-        """A band's pixels into the images."""
+        """Draw a band's pixels into the images."""
         lists = list_tiles(self._launcher, frame.projected, band)
         reached, states = lists.ranges.new_empty(lists.tiles), None
         if keep:
@@ -154,7 +154,7 @@ class VolumeKernels:
         return Blended(lists, states, reached)
 
     def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
-        """What a band's pixels say of each splat, [N,16]."""
+        """Return what a band's pixels say of each splat, [N,16]."""
         lists = blended.lists
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)

@@ -24,9 +24,10 @@ from mgsr.training.scout import small_view, train_scout
 
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
-FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from training
+FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from a training
+JUDGED = 12  # views that are kept from one training or another at least, if there are so many
 JUMPS = 0.07  # of brightness from view to view under which exposures are taken as even (see `brightness_jumps`)
-PAYS = 0.7  # dB that a factor must gain on the other half of views that are kept from training
+PAYS = 0.5  # dB that a factor must gain on the other half of views that are kept from training
 FAINT = 0.3  # of the median light; fainter pixels tell little
 ENOUGH = 20  # pixels to fit a factor to
 CLIPPED = 250  # of 255; brighter pixels hide how bright they were
@@ -46,13 +47,8 @@ def find_exposures(
     if len(scene.train) < FEWEST or brightness_jumps(scene.train) < JUMPS:
         return None
     small = [small_view(view) for view in scene.train]
-    seen = [view for index, view in enumerate(small) if index % HELD_BACK != 1]
-    held_back = [view for index, view in enumerate(small) if index % HELD_BACK == 1]
     with one_torch_thread():
-        errors = {}
-        for degree in DEGREES:
-            picture = _trained(scene, start, seen, degree, seed, should_stop)
-            errors[degree] = np.mean([_errors(view, picture(view)) for view in held_back], axis=0)
+        errors = {degree: _kept_errors(scene, start, small, degree, seed, should_stop) for degree in DEGREES}
         degree = min(DEGREES, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < PAYS:
             return None
@@ -66,6 +62,22 @@ def find_exposures(
         tests = [_factor(view, picture(view)) / mean for view in map(small_view, scene.test)]
     # As exposures.json has them, so that later steps see the same photographs.
     return Exposures(factors.round(DIGITS), np.reshape(tests, (-1, 3)).round(DIGITS))
+
+
+def _kept_errors(
+    scene: Scene, start: StartingPoints, small: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
+) -> np.ndarray:
+    """Return the mean `_errors` [2] of views that are kept from training: every HELD_BACK-th, then others so, until
+    JUDGED were kept, as few tell too little."""
+    errors: list[tuple[float, float]] = []
+    for first in (1, 2, 3, 0):
+        kept = small[first::HELD_BACK]
+        seen = [view for index, view in enumerate(small) if index % HELD_BACK != first]
+        picture = _trained(scene, start, seen, degree, seed, should_stop)
+        errors += [_errors(view, picture(view)) for view in kept]
+        if len(errors) >= JUDGED:
+            break
+    return np.asarray(np.mean(errors, axis=0))
 
 
 def _trained(

@@ -1,8 +1,9 @@
 """The surface that training begins on where masks tell the object: the visual hull, corrected by the photographs.
 
-PatchMatch stereo finds the concavities that no silhouette shows. On a mirror it finds what is mirrored instead, behind
-the surface; so the hull stays where mirrored surroundings explain the photographs clearly better on it. Then the
-surface is bent to what shading tells, and moved by what parallax tells.
+PatchMatch stereo finds the concavities that no silhouette shows; in photographs of half the size it finds, more
+coarsely, what is too faint for it in whole ones. On a mirror it finds what is mirrored instead, behind the surface; so
+the hull stays where it explains the photographs better, as a whole or at a place. Then the surface is bent to what
+shading tells, and moved by what parallax tells.
 """
 
 from __future__ import annotations
@@ -12,18 +13,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.outlines import Outline, find_outline
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles
+from mgsr.parallel import map_ahead
 from mgsr.shading.lighting import Lighting
 from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import MIRRORS, Light, Pass, Refined, mirroring_ratios, refine_by_shading
-from mgsr.stereo.fusion import fuse
-from mgsr.stereo.patch_match import match_views, weigh
-from mgsr.stereo.photographs import stereo_photographs
+from mgsr.shading.refine import MIRRORS, Light, Pass, Refined, refine_by_shading
+from mgsr.shading.unexplained import Unexplained, leave_unexplained
+from mgsr.stereo.fusion import fuse, fuse_roughly
+from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
+from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 
 # A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
 # rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
@@ -41,11 +45,17 @@ FAR_PASSES = {
 }
 NEAR_PASSES = {Light.SURROUNDINGS: (Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
 
+# Octaves of deviation by which stereo's surface may leave more unexplained than the hull before it no longer counts.
+DISBELIEVED = 0.3
+
+# Share of the sides to which photographs are reduced for the coarser stereo.
+HALF = 0.5
+
 # Pixels over which what the photographs' parallax tells spreads.
 PARALLAX_REACH = 12.0
 
 # Shares of the time at which the parts are done, measured on 48 views of 256 x 256 pixels.
-MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.4, 0.5, 0.8, 0.85, 0.9
+HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 0.6, 0.83, 0.87, 0.92
 
 
 @dataclass(frozen=True)
@@ -84,19 +94,54 @@ def find_surface(
 
 def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Callable[[float], None]) -> Triangles:
     """Return the hull's surface where mirrored surroundings explain the photographs on it, and clearly better than on
-    the surface that stereo finds; else the latter.
+    the surface that stereo finds; else the latter, for which pixels count the less the better the hull explains them.
 
     What a surface mirrors moves across it as a pattern behind it would, and stereo cannot tell the two apart.
     """
     outer = hull_surface(hull)
-    photographs = stereo_photographs(views)
-    maps = match_views(photographs, RayCaster(*outer), seed, progress=_between(progress, 0, MATCHED))
-    inner = fuse(photographs, maps, weigh(photographs, maps), hull)
+    seen = _matched(stereo_photographs(views), RayCaster(*outer), seed, progress)
+    inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel)
     if not len(inner[1]):
         return outer
-    ratios = mirroring_ratios((outer, inner), views)
-    left = next(ratios)
-    return outer if left <= MIRRORS and left <= CLEARLY * next(ratios) else inner
+    on_outer, on_inner = leave_unexplained((outer, inner), views)
+    if on_outer.ratio <= MIRRORS and on_outer.ratio <= CLEARLY * on_inner.ratio:
+        return outer
+    believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
+    weights = [weight * share for weight, share in zip(seen.weights, believed, strict=True)]
+    fused = fuse(seen.cameras, seen.maps, weights, hull, seen.pixel)
+    return fused if len(fused[1]) else outer
+
+
+@dataclass(frozen=True)
+class _Matched:
+    """Depth maps of photographs at two sizes: their cameras, the maps, their pixels' weights, and the size of the
+    finer pixels on the object."""
+
+    cameras: Sequence[Camera]
+    maps: Sequence[DepthMap]
+    weights: Sequence[np.ndarray]
+    pixel: float
+
+
+def _matched(
+    photographs: StereoPhotographs, start: RayCaster, seed: int, progress: Callable[[float], None]
+) -> _Matched:
+    halves = photographs.reduced(HALF)
+    coarse = match_views(halves, start, seed, progress=_between(progress, 0, HALVES_MATCHED))
+    fine = match_views(photographs, start, seed, progress=_between(progress, HALVES_MATCHED, MATCHED))
+    weights = weigh(photographs, fine)
+    weights += weigh_gaps(weigh(halves, coarse), weights)
+    pixel = pixel_size(photographs.cameras, np.zeros(3))
+    return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
+
+
+def _believed(camera: Camera, outer: Unexplained, inner: Unexplained) -> np.ndarray:
+    """Return by how much pixels [H,W] of stereo count, 0..1: less the more the inner surface leaves unexplained there,
+    in octaves of the deviation over what the outer one leaves; where either tells nothing, 1."""
+    left, before = inner.seen_by(camera), outer.seen_by(camera)
+    known = (left > 0) & (before > 0)
+    octaves = np.log2(np.where(known, left, 1) / np.where(known, before, 1)) / 2
+    return np.asarray(np.clip(1 - octaves / DISBELIEVED, 0, 1) ** 2, np.float32)
 
 
 def _bent(

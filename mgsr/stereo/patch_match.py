@@ -13,6 +13,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from mgsr.data.camera import Camera
+from mgsr.data.images import reduce_area
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
 from mgsr.parallel import map_ahead
@@ -118,6 +119,17 @@ def weigh(photographs: StereoPhotographs, maps: Sequence[DepthMap]) -> list[np.n
     """Weigh each pixel of the depth maps, [h,w] float32 in 0..1: 0 unless CONFIRMED views and more than contradict it
     confirm it; what is seen head-on and correlates well weighs more."""
     return list(map_ahead(lambda view: _weights(photographs, maps, view), range(len(maps)), None))
+
+
+def weigh_gaps(coarse: Sequence[np.ndarray], fine: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Weigh coarser maps' pixels by the share of their area in which finer maps of the same views hold nothing.
+
+    coarse: weights [h,w] of the coarser maps' pixels; fine: those of the finer maps.
+    """
+    return [
+        weights * (1 - reduce_area((finer > 0)[..., None].astype(np.float32), *weights.shape[::-1])[..., 0])
+        for weights, finer in zip(coarse, fine, strict=True)
+    ]
 
 
 def _weights(photographs: StereoPhotographs, maps: Sequence[DepthMap], view: int) -> np.ndarray:

@@ -39,6 +39,12 @@ class StereoPhotographs:
         """Return the views, at most `count`, that look at the scene's centre from about `apart` degrees beside."""
         return neighbours(self.cameras, view, count, apart, FARTHEST)
 
+    def reduced(self, share: float) -> StereoPhotographs:
+        """Return the same photographs with sides of this share of theirs, each pixel the mean over its area."""
+        cameras = [_resized(camera, share) for camera in self.cameras]
+        pairs = zip(self.images, cameras, strict=True)
+        return StereoPhotographs([reduce_area(image, each.width, each.height) for image, each in pairs], cameras)
+
 
 def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, farthest: float) -> list[int]:
     """Return the cameras, at most `count`, that look at the scene's centre from about `apart` degrees beside camera
@@ -65,9 +71,13 @@ def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
     alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
     pixels: np.ndarray = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
     if shrink < 1:
-        camera = camera.resized(max(2, round(camera.width * shrink)), max(2, round(camera.height * shrink)))
+        camera = _resized(camera, shrink)
         pixels, known = known_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
     pixels = filled(pixels, known).astype(np.float32) / 255
     if known is not None:
         pixels[..., 3] = np.where(known, pixels[..., 3], 0)
     return np.ascontiguousarray(pixels, np.float32), camera
+
+
+def _resized(camera: Camera, share: float) -> Camera:
+    return camera.resized(max(2, round(camera.width * share)), max(2, round(camera.height * share)))

@@ -16,14 +16,12 @@ from mgsr.geometry.triangles import Triangles, face_components
 from mgsr.stereo import fusion
 from mgsr.stereo.fusion import fuse
 from mgsr.stereo.patch_match import DepthMap
-from mgsr.stereo.photographs import StereoPhotographs
 from tests.mesh.shapes import cameras_around, looking_at_origin, silhouettes_of
 from tests.stereo.pressed_ball import cameras_above, pressed
 
 COUNT, SIDE = 20, 64
 CAMERAS = cameras_around(COUNT, side=SIDE)
-PHOTOGRAPHS = StereoPhotographs([np.zeros((SIDE, SIDE, 4), np.float32)] * COUNT, CAMERAS)
-TWICE = StereoPhotographs(PHOTOGRAPHS.images, CAMERAS[::2] * 2)  # every second camera, with two maps each
+TWICE = CAMERAS[::2] * 2  # every second camera, with two maps each
 PIXEL = pixel_size(CAMERAS, np.zeros(3))
 
 Change = Callable[[np.ndarray], np.ndarray]  # of depths [P]
@@ -87,14 +85,14 @@ def apart(mesh: Triangles, ball: trimesh.Trimesh, voxel: float) -> tuple[np.ndar
 def fused(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
     """Perfect depths, fused."""
     maps = perfect(ball)
-    return fuse(PHOTOGRAPHS, maps, heavy(maps), hull)
+    return fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
 
 
 @pytest.fixture(scope="module")
 def untold(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
     """Depths without weight, fused."""
     maps = perfect(ball, lambda depths: depths + 0.1)
-    return fuse(PHOTOGRAPHS, maps, heavy(maps, 0), hull)
+    return fuse(CAMERAS, maps, heavy(maps, 0), hull, PIXEL)
 
 
 def test_perfect_depths_give_the_surface(
@@ -123,7 +121,7 @@ def test_nothing_lies_outside_the_hull(ball: trimesh.Trimesh, hull: Hull) -> Non
     inside = np.argwhere(fused.field > 0) * fused.voxel + fused.origin
     assert len(inside) > 10_000 and (hull.values(inside) > 0).all()
     # Along mean normals, the surface does not come all the way back at the crease.
-    beyond = -hull.values(fuse(PHOTOGRAPHS, maps, heavy(maps), hull)[0]) / grid.voxel
+    beyond = -hull.values(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)[0]) / grid.voxel
     assert np.percentile(beyond, 99) < 0.3 and beyond.max() < 0.5
 
 
@@ -135,7 +133,7 @@ def test_wild_depths_hardly_matter(ball: trimesh.Trimesh, hull: Hull) -> None:
         return np.where(random.random(len(depths)) < 1 / 3, depths + random.uniform(-0.3, 0.3, len(depths)), depths)
 
     maps = perfect(ball, wild)
-    forth, back = apart(fuse(PHOTOGRAPHS, maps, heavy(maps), hull), ball, grid_of(hull).voxel)
+    forth, back = apart(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL), ball, grid_of(hull).voxel)
     assert np.percentile(forth, 90) < 0.6 and np.percentile(back, 97) < 0.6 and back.max() < 1.2
 
 
@@ -143,7 +141,11 @@ def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
     """Of two maps that each camera has, one is right and the other puts all two voxels deeper along its rays."""
     maps, deeper = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.05)[::2]
     right, wrong = (
-        apart(fuse(TWICE, maps + deeper, heavy(maps, one) + heavy(deeper, 1 - one), hull), ball, grid_of(hull).voxel)[1]
+        apart(
+            fuse(TWICE, maps + deeper, heavy(maps, one) + heavy(deeper, 1 - one), hull, PIXEL),
+            ball,
+            grid_of(hull).voxel,
+        )[1]
         for one in (0.8, 0.2)
     )
     assert np.median(right) < 0.3 and np.median(wrong) > 0.8
@@ -154,7 +156,7 @@ def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, mon
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]
 
     weights, grid = heavy(maps) + heavy(through, 0.06), grid_of(hull)
-    votes = fusion._Votes(TWICE.cameras, maps + through, weights, fusion.REACH * PIXEL)
+    votes = fusion._Votes(TWICE, maps + through, weights, fusion.REACH * PIXEL)
 
     def volume() -> float:
         inside = (fusion._fused(votes, grid, hull, None).field > 0).sum()
@@ -164,7 +166,7 @@ def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, mon
     monkeypatch.setattr(fusion, "SOLID_WEIGHT", 0.0)
     assert volume() < 0.9, "the faint maps alone tell of the middle"
     # No photograph sees the void, and the surface has none.
-    mesh = trimesh.Trimesh(*fuse(TWICE, maps + through, weights, hull), process=False)
+    mesh = trimesh.Trimesh(*fuse(TWICE, maps + through, weights, hull, PIXEL), process=False)
     assert len(mesh.split(only_watertight=False)) == 1
 
 
@@ -190,7 +192,7 @@ def in_a_room(sheet: trimesh.Trimesh) -> list[DepthMap]:
 
 def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh, monkeypatch: pytest.MonkeyPatch) -> None:
     solid, maps = block(np.array([0.55, 0.55, 0.35])), in_a_room(plate)
-    mesh, voxel = fuse(PHOTOGRAPHS, maps, heavy(maps), solid), grid_of(solid).voxel
+    mesh, voxel = fuse(CAMERAS, maps, heavy(maps), solid, PIXEL), grid_of(solid).voxel
     shell = trimesh.Trimesh(*mesh, process=False)
     assert face_components(mesh[1], len(mesh[0]))[0] == 1 and shell.is_watertight and shell.euler_number == 2
     away = distances(mesh[0], plate.vertices, plate.faces) / voxel
@@ -199,10 +201,10 @@ def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh, m
     missed = distances(trimesh.sample.sample_surface(plate, 4000, seed=0)[0], *mesh) / voxel
     assert np.percentile(missed, 75) < 0.5 and missed.max() < 4
     monkeypatch.setattr(fusion, "OUTSIDE", 0.5)
-    torn = trimesh.Trimesh(*fuse(PHOTOGRAPHS, maps, heavy(maps), solid), process=False)
+    torn = trimesh.Trimesh(*fuse(CAMERAS, maps, heavy(maps), solid, PIXEL), process=False)
     assert torn.euler_number < 2
     monkeypatch.setattr(fusion, "OUTSIDE", 0.0)
-    assert not len(fuse(PHOTOGRAPHS, maps, heavy(maps), solid)[1])
+    assert not len(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL)[1])
 
 
 WELL, FLOOR, HALF = 0.2, -0.25, np.array([0.5, 0.5, 0.45])
@@ -223,12 +225,12 @@ def test_faint_words_empty_a_deep_cavity(well: RayCaster, monkeypatch: pytest.Mo
     cameras = cameras_above(COUNT, SIDE)
     hits = [well.cast(camera) for camera in cameras]
     maps = [DepthMap(hit.depth, hit.normal, hit.mask.astype(np.float32)) for hit in hits]
-    photographs = StereoPhotographs(PHOTOGRAPHS.images, cameras)
+    pixel = pixel_size(cameras, np.zeros(3))
     above = looking_at_origin(np.array([0, 0.01, 3.0]), SIDE)
     floor = (true := well.cast(above).depth) > 3.2
 
     def depth() -> float:
-        seen = RayCaster(*fuse(photographs, maps, heavy(maps, 0.05), block(HALF))).cast(above).depth
+        seen = RayCaster(*fuse(cameras, maps, heavy(maps, 0.05), block(HALF), pixel)).cast(above).depth
         return float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)
@@ -244,7 +246,7 @@ def test_small_pieces_are_dropped() -> None:
         field[low : low + size, 10 : 10 + size, 10 : 10 + size] = 0.03
     hull = Hull(field, np.full(3, -0.6), 0.03)
     maps = [DepthMap(*(np.zeros((SIDE, SIDE, *more), np.float32) for more in ((), (3,), ())))] * COUNT
-    vertices, faces = fuse(PHOTOGRAPHS, maps, heavy(maps), hull)
+    vertices, faces = fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
     assert face_components(faces, len(vertices))[0] == 2
     assert vertices[:, 0].max() < hull.origin[0] + 38 * hull.voxel, "the smallest is gone"
 

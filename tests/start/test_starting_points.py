@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +18,12 @@ from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import Triangles
 from mgsr.open3d_library import load_open3d
-from mgsr.shading.refine import Light, Refined, mirroring_ratios
+from mgsr.shading.refine import Light, Refined
+from mgsr.shading.unexplained import Unexplained, leave_unexplained
 from mgsr.start import masked_surface
 from mgsr.start.starting_points import StartSource, starting_points
+from mgsr.stereo.patch_match import DepthMap
+from mgsr.stereo.photographs import StereoPhotographs
 from tests.data.captures import BallCapture
 from tests.shading.balls import mirror_photographs, painted_photographs
 
@@ -167,29 +170,34 @@ def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the
     hull is."""
-    compared, ratios = [], []
+    compared: list[Unexplained] = []
 
-    def compare(surfaces: Iterable[Triangles], views: Sequence[View]) -> Iterator[float]:
-        compared.extend(surfaces)
-        ratios.extend(mirroring_ratios(compared, views))
-        return iter(ratios)
+    def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[Unexplained]:
+        compared.extend(leave_unexplained(surfaces, views))
+        return compared
 
-    monkeypatch.setattr(masked_surface, "mirroring_ratios", compare)
+    monkeypatch.setattr(masked_surface, "leave_unexplained", compare)
     positions = starting_points(mirror, 2000, seed=0).positions
-    (outer, _), (inner, _) = compared
+    outer, inner = (each.vertices for each in compared)
     assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"
-    assert ratios[0] < 0.8 * ratios[1]
+    assert compared[0].ratio < 0.8 * compared[1].ratio
     assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
 
 
-def smaller_hull(photographs: object, maps: object, weights: object, hull: Hull) -> Triangles:
+def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Triangles:
     """Find, in place of stereo, a surface 0.07 inside the hull's."""
     return hull_surface(replace(hull, field=hull.field - 0.07))
 
 
+def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object) -> list[DepthMap]:
+    empty = [np.zeros(image.shape[:2], np.float32) for image in photographs.images]
+    return [DepthMap(each, np.zeros((*each.shape, 3), np.float32), each) for each in empty]
+
+
 def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = np.empty((0, 3)), np.empty((0, 3), np.int64)
-    monkeypatch.setattr(masked_surface, "fuse", lambda *given: nothing)
+    for name in ("fuse_roughly", "fuse"):
+        monkeypatch.setattr(masked_surface, name, lambda *given: nothing)
     user = ball_scene.user_from_scene.to_user(starting_points(ball_scene, 500, seed=0).positions)
     assert abs(np.median(np.linalg.norm(user, axis=1)) - 0.8) < 0.02
 
@@ -199,7 +207,8 @@ def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None
     """A painted ball: mirrored surroundings explain little of it, wherever its surface is."""
     views = painted_photographs(128)
     scene = Scene("painted", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
-    monkeypatch.setattr(masked_surface, "match_views", lambda *rest, **more: [])
-    monkeypatch.setattr(masked_surface, "fuse", smaller_hull)
+    monkeypatch.setattr(masked_surface, "match_views", nothing_found)
+    for name in ("fuse_roughly", "fuse"):
+        monkeypatch.setattr(masked_surface, name, smaller_hull)
     radius = np.linalg.norm(starting_points(scene, 2000, seed=0).positions, axis=1)
     assert abs(np.median(radius) - 0.63) < 0.01

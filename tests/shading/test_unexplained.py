@@ -1,0 +1,44 @@
+"""What two surfaces leave unexplained of photographs: of a ball that mirrors a room, and of a painted one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mgsr.data.scene import View
+from mgsr.shading.unexplained import leave_unexplained
+from tests.mesh.shapes import ball
+from tests.shading.balls import RADIUS, VIEWS, mirror_photographs, painted_photographs
+
+TAKEN = [mirror_photographs, painted_photographs]
+
+
+@pytest.mark.parametrize("photographs", TAKEN)
+def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], list[View]]) -> None:
+    """Half of a ball is pressed flat; each camera compares the two surfaces where it sees them."""
+    views, right = photographs(96), ball(RADIUS)
+    pressed = right.vertices.copy()
+    pressed[:, 2] = np.minimum(pressed[:, 2], 0.5 * RADIUS)
+    on_ball, on_pressed = leave_unexplained([(right.vertices, right.faces), (pressed, right.faces)], views)
+    assert on_ball.ratio < on_pressed.ratio
+    worse, alike = [], []
+    for view in views:
+        before, after = on_ball.seen_by(view.camera), on_pressed.seen_by(view.camera)
+        told = (before > 0) & (after > 0)
+        hits = view.camera.center[2] > 2 and told.sum() > 200
+        (worse if hits else alike).extend(np.log2(after[told] / before[told]) / 2)
+    assert np.median(worse) > 1, "from above, the cameras see what is pressed"
+    assert abs(np.median(alike)) < 0.3
+
+
+def test_what_is_not_seen_is_not_told() -> None:
+    views, right = painted_photographs(96), ball(RADIUS)
+    (found,) = leave_unexplained([(right.vertices, right.faces)], views[:2])
+    assert len(views) == VIEWS and not found.variance.any(), "two readings tell nothing of a point"
+    (found,) = leave_unexplained([(right.vertices, right.faces)], views)
+    seen = found.seen_by(views[0].camera)
+    # The mesh that is compared has coarser faces than the ball, whose outline they cut by a little.
+    outside, inside = (views[0].alpha == value for value in (0, 255))
+    assert (seen[outside] > 0).mean() < 0.005 and (seen[inside] > 0).mean() > 0.9

@@ -14,7 +14,7 @@ from mgsr.data.hull import Hull, carve, hull_surface
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, face_components
 from mgsr.stereo import fusion
-from mgsr.stereo.fusion import fuse
+from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap
 from tests.mesh.shapes import cameras_around, looking_at_origin, silhouettes_of
 from tests.stereo.pressed_ball import cameras_above, pressed
@@ -175,6 +175,13 @@ def test_coarse_to_fine_is_as_good_as_fine_alone(ball: trimesh.Trimesh, hull: Hu
     alone = fusion._surface(fusion._fused(votes_of(perfect(ball)), grid, hull, None))
     for found in (distances(alone[0], *fused), distances(fused[0], *alone)):
         assert np.percentile(found, 97) < 0.15 * grid.voxel and found.max() < 0.25 * grid.voxel
+
+
+def test_a_rough_fusion_is_right_to_its_own_voxel(ball: trimesh.Trimesh, hull: Hull) -> None:
+    maps, voxel = perfect(ball), fusion.COARSER * grid_of(hull).voxel
+    mesh = fuse_roughly(CAMERAS, maps, heavy(maps), hull, PIXEL)
+    assert all(np.percentile(found, 95) < 0.6 and found.max() < 1.5 for found in apart(mesh, ball, voxel))
+    assert len(mesh[0]) < 0.4 * len(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)[0])
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from mgsr.data.scene import View
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.native import _stereo
-from mgsr.stereo.patch_match import DepthMap, MatchSettings, match_views, weigh
+from mgsr.stereo.patch_match import DepthMap, MatchSettings, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 from tests.ops.variants import ISAS, variant
 from tests.stereo.pressed_ball import CAP, cameras_above, hull, photographs, pressed, with_noise
@@ -285,3 +285,10 @@ def test_what_cannot_be_searched_is_refused(few: StereoPhotographs, name: str, w
 def test_what_has_another_form_is_refused(few: StereoPhotographs, name: str, wrong: object) -> None:
     with pytest.raises(TypeError):
         _stereo.search(**{**arguments(few), name: wrong})
+
+
+def test_coarser_maps_count_where_finer_ones_hold_nothing() -> None:
+    fine = np.zeros((4, 6), np.float32)
+    fine[:2, :2], fine[0, 2] = 0.1, 1.0
+    (found,) = weigh_gaps([np.full((2, 3), 0.8, np.float32)], [fine])
+    np.testing.assert_allclose(found, [[0, 0.6, 0.8], [0.8, 0.8, 0.8]], atol=1e-6)

@@ -113,3 +113,13 @@ def test_packed_cameras_carry_points_to_pixels() -> None:
         local = points @ row[4:13].reshape(3, 3).T + row[13:]
         pixels = local[:, :2] / local[:, 2:] * row[:2] + row[2:4]
         np.testing.assert_allclose(pixels, camera.project(points)[0], atol=1e-3)
+
+
+def test_reduced_photographs_show_the_same_from_the_same_cameras() -> None:
+    whole = stereo_photographs(views(3, side=24))
+    half = whole.reduced(0.5)
+    point = np.array([[0.1, -0.2, 0.15]])
+    for image, reduced, camera, smaller in zip(whole.images, half.images, whole.cameras, half.cameras, strict=True):
+        means = image.reshape(12, 2, 12, 2, 4).mean(axis=(1, 3))
+        np.testing.assert_allclose(reduced, means, atol=1e-6)
+        np.testing.assert_allclose(smaller.project(point)[0], camera.project(point)[0] / 2, atol=1e-9)

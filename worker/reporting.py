@@ -31,7 +31,7 @@ BEFORE = {
     "load": 0.01,
     "outlines": 0.02,
     "start": 0.03,
-    "exposures": 0.05,
+    "exposures": 0.04,
     "plan": 0.05,
     "train": 0.05,
 }
@@ -71,7 +71,7 @@ class Reporter:
         if not done:
             self._emit("step", text=event.text, step=event.step, **self._place(begin, None))
             return
-        end = min(value for value in BEFORE.values() if value > begin)
+        end = min((value for value in BEFORE.values() if value > begin), default=begin)
         left = (time.monotonic() - self._begun) / done * (1 - done)
         part = {"step_progress": round(done, 3), "step_eta_seconds": round(left, 1)}
         place = self._place(begin + (end - begin) * done, None)

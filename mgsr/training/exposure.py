@@ -24,8 +24,8 @@ from mgsr.training.scout import small_view, train_scout
 
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
-FEWEST, HELD_BACK = 8, 4  # views under which nothing is looked for; every so many-th is kept from a training
-JUDGED = 12  # views that are kept from one training or another at least, if there are so many
+HELD_BACK = 4  # every so many-th view is kept from a training
+JUDGED = 12  # views that are kept from one training or another at least; nothing is looked for in fewer views
 JUMPS = 0.07  # of brightness from view to view under which exposures are taken as even (see `brightness_jumps`)
 PAYS = 0.5  # dB that a factor must gain on the other half of views that are kept from training
 FAINT = 0.3  # of the median light; fainter pixels tell little
@@ -44,7 +44,7 @@ def find_exposures(
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
-    if len(scene.train) < FEWEST or brightness_jumps(scene.train) < JUMPS:
+    if len(scene.train) < JUDGED or brightness_jumps(scene.train) < JUMPS:
         return None
     small = [small_view(view) for view in scene.train]
     with one_torch_thread():

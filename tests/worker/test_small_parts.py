@@ -116,6 +116,14 @@ def test_a_long_step_before_training_moves_and_says_how_long_it_takes(
     assert shares == sorted(set(shares)) and shares[0] == BEFORE["load"] and shares[-1] == BEFORE["train"]
 
 
+@pytest.mark.parametrize("step", BEFORE)
+def test_each_step_before_training_may_tell_how_far_it_is(tmp_path: Path, step: str) -> None:
+    """Exposures that differ make the start be found anew, under their step."""
+    begun, halfway = report(tmp_path, [Event(step, step), Event(step, step, done=0.5)])
+    assert begun["progress"] <= halfway["progress"] <= max(BEFORE.values())
+    assert halfway["step_progress"] == 0.5
+
+
 def test_training_after_a_long_start_goes_on_where_that_ended(tmp_path: Path) -> None:
     """The bar neither waits nor jumps: what came before training is a fixed share of it."""
     told = report(tmp_path, [Event("train", "training"), *(training(i, total=100) for i in (2, 100))])

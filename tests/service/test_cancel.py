@@ -66,10 +66,10 @@ def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
 
 
 @pytest.mark.slow
-def test_while_it_writes_the_results(stack: Stack, tiny_archive: bytes) -> None:
+def test_while_it_extracts_the_surface(stack: Stack, tiny_archive: bytes) -> None:
     """Outside training there is nothing to keep: killed at once."""
     job = stack.submitted(tiny_archive, TINY_OPTIONS)
-    stack.wait_for(job, "running", step="report")
+    stack.wait_for(job, "running", step="mesh")
     stack.http.delete(f"/jobs/{job}")
     stack.wait_for(job, "cancelled", seconds=5)
     assert not stack.job_processes()

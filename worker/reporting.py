@@ -64,7 +64,7 @@ class Reporter:
             self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
 
     def _prepare(self, event: Event) -> None:
-        """A step before training: how far it is and how long it will go on, where it says."""
+        """Tell of a step before training: how far it is and how long it will go on, where it says."""
         if event.step != self._step:
             self._step, self._begun = event.step, time.monotonic()
         begin, done = BEFORE[event.step], event.done

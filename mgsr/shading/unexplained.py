@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -39,9 +40,13 @@ class Unexplained:
 
     def seen_by(self, camera: Camera) -> np.ndarray:
         """Return the variance [H,W] of what the camera sees, 0 where it sees nothing of which enough is told."""
-        hits = RayCaster(self.vertices, self.faces).cast(camera)
+        hits = self._caster.cast(camera)
         corners = self.variance[self.faces[np.where(hits.mask, hits.face, 0)]]
         return np.asarray(np.where(hits.mask & (corners > 0).all(axis=-1), corners.mean(axis=-1), 0))
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        return RayCaster(self.vertices, self.faces)
 
 
 def leave_unexplained(

@@ -29,12 +29,12 @@ from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 
-# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
-# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
-# small shape once parallax has put the large one right.
 # What mirrored surroundings leave unexplained on the hull, as a share of that on the surface that stereo finds, under
 # which the surface is a mirror.
 CLEARLY = 0.9
+# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
+# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
+# small shape once parallax has put the large one right.
 FAR_PASSES = {
     Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0), Pass(edge=1.5, rounds=3, reach=60.0)),
     Light.SURROUNDINGS: (

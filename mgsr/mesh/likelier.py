@@ -15,7 +15,8 @@ from mgsr.data.scene import View
 from mgsr.geometry.displace import edges
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, face_components
-from mgsr.shading.refine import MIRRORS, mirroring_ratios
+from mgsr.shading.refine import MIRRORS
+from mgsr.shading.unexplained import leave_unexplained
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
@@ -43,7 +44,7 @@ def start_is_likelier(start: Triangles, trained: Triangles, photographs: Sequenc
 
     start, trained: vertices [V,3] in the scene's frame and faces [F,3].
     """
-    on_start, on_trained = mirroring_ratios((start, trained), photographs)
+    on_start, on_trained = (each.ratio for each in leave_unexplained((start, trained), photographs))
     if on_start <= MIRRORS:
         return on_start <= CLEARLY * on_trained
     prepared = stereo_photographs(photographs)

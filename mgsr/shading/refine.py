@@ -7,7 +7,7 @@ others 2005), and the masks' outlines hold the surface where they touch it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -21,7 +21,7 @@ from mgsr.geometry.displace import bend_to_normals, edge_length, edges, spread, 
 from mgsr.geometry.fairing import smooth_noise
 from mgsr.geometry.outlines import Outline, outline_gaps
 from mgsr.geometry.raycast import interpolation
-from mgsr.geometry.triangles import Triangles, vertex_normals
+from mgsr.geometry.triangles import vertex_normals
 from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
 from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot, mirrored_surroundings
@@ -108,19 +108,6 @@ def refine_by_shading(
             progress(done / rounds)
         vertices = _fair(vertices + carry @ (after - before), faces, each.fairing)
     return Refined(vertices, light, shading)
-
-
-def mirroring_ratios(
-    surfaces: Iterable[Triangles], views: Sequence[View], threads: int | None = None
-) -> Iterator[float]:
-    """Yield, of each of several meshes, the share of what differs between the photographs that mirrored surroundings
-    leave unexplained: small where the surface is right and mirrors them, about 1 where it is wrong or mirrors nothing.
-    A ratio is found when it is asked for."""
-    photographs = linear_photographs(views)
-    for vertices, faces in surfaces:
-        pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-        shot = Shot(photographs, pixel, threads)
-        yield mirrored_surroundings(*shot.read(*coarser(vertices, faces, RATIO_EDGE * pixel))).ratio
 
 
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:

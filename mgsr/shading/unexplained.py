@@ -19,9 +19,9 @@ from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, spread, umbrella
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles
-from mgsr.shading.kinds import FRONTAL, MIRRORING_EDGE, Shot
+from mgsr.shading.kinds import FRONTAL, MIRRORING_EDGE, Shot, mirrored_surroundings
 from mgsr.shading.readings import Readings, linear_photographs
-from mgsr.shading.surroundings import Surroundings, fit_surroundings
+from mgsr.shading.surroundings import Surroundings
 
 AROUND = 6.0  # pixels over which what is left of the readings is put together
 FEWEST = 3  # readings of a point, or it tells nothing
@@ -59,8 +59,8 @@ def leave_unexplained(
         pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
         mesh = coarser(vertices, faces, MIRRORING_EDGE * pixel)
         readings, normals = Shot(photographs, pixel, threads).read(*mesh)
-        readings = readings.frontal(FRONTAL)
-        read.append((mesh, pixel, readings, normals, fit_surroundings(readings, normals)))
+        surroundings = mirrored_surroundings(readings, normals)
+        read.append((mesh, pixel, readings.frontal(FRONTAL), normals, surroundings))
     best = min((each[-1] for each in read), key=lambda surroundings: surroundings.ratio)
     return [
         Unexplained(*mesh, _pooled(*mesh, pixel, readings, _left(readings, normals, best)), own.ratio)

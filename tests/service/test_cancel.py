@@ -15,7 +15,7 @@ SEEN = 2.0
 
 @pytest.fixture
 def busy(stack: Stack, tiny_archive: bytes) -> Iterator[str]:
-    """A job that trains for minutes, and is cancelled at the end if it is not yet."""
+    """Submit a job that trains for minutes, and cancel it at the end if it is not cancelled yet."""
     job = stack.submitted(tiny_archive, LONG_OPTIONS)
     stack.wait_for(job, "running", step="train")
     yield job

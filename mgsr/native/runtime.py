@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import ModuleType
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _harmonics, _image, _mirrored, _stereo, _surfels, _volumes
+from mgsr.native import _adam, _fusion, _harmonics, _image, _mirrored, _stereo, _surfels, _volumes
 
-FAMILIES: tuple[ModuleType, ...] = (_volumes, _surfels, _image, _harmonics, _adam, _mirrored, _stereo)
+FAMILIES: tuple[ModuleType, ...] = (_volumes, _surfels, _image, _harmonics, _adam, _mirrored, _stereo, _fusion)
 
 
 def set_threads(n: int) -> None:

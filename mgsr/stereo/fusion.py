@@ -2,9 +2,11 @@
 
 Each voxel of a grid holds a histogram of its signed distances to the surfaces that the depth maps see, up to a few
 pixels, as in Zach (2008). A depth map says that the space before its surface is empty, and, more faintly, that what
-lies just behind it is solid. The hull has a vote of its own, which decides where the photographs tell nothing, and
-fades inwards; nothing comes to lie outside it. The surface is where the median of the distances is zero; unlike their
-mean, it does not heed how far off a wrong depth is.
+lies just behind it is solid. The hull has a vote of its own, which fades inwards; nothing comes to lie outside it.
+
+The field of distances that is sought has the least sum of absolute differences to the votes and a small total
+variation. Where many votes agree, it is their median, which, unlike their mean, does not heed how far off a wrong depth
+is. Where votes are few or contradict each other, the surface takes the shortest way between what is known around.
 
 A sheet whose sides both are seen may be thinner than a voxel. So the surface is taken a voxel too far outside, where
 such a sheet has two sides, and its vertices are moved back afterwards, which leaves no hole.
@@ -22,6 +24,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.geometry.displace import mean_normals, umbrella
 from mgsr.geometry.triangles import Triangles, drop_small_pieces, face_components, keep_faces, vertex_normals
+from mgsr.native import _fusion
 from mgsr.parallel import map_ahead
 from mgsr.stereo.patch_match import DepthMap
 
@@ -32,10 +35,14 @@ NEAR = 0.9  # of REACH; distance from the first fusion's surface to which the fi
 REACH = 3.0  # pixels; distances are cut off there
 BINS = 12  # of the histogram, from -REACH to REACH
 HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # of the hull's vote near its surface and deep inside; a photograph's is at most 1
+THIN = 2.0  # REACH; parts of the hull that are less than that thick are held the more by its vote, the thinner they are
+THINNEST = 0.2  # of THIN; they are not held more than such parts
 FADING = 2.0  # REACH; depth over which the hull's vote falls to a third
 SOLID_WEIGHT = 0.05  # of a photograph's vote for what lies more than REACH behind its surface
 SOLID_DEPTH = 5.0  # REACH; what lies farther behind is not voted on
 POOLED = 1.0  # voxels; deviation of the Gaussian over which votes are put together
+VARIATION = 0.14  # of REACH; depth of votes of weight 1 that weighs as much as the field's total variation
+ROUNDS, FINE_ROUNDS = 120, 40  # of the search for the field, from the votes' median, and from the first fusion
 SMOOTHED = 0.5  # voxels; the same for the distances
 OUTSIDE = 1.0  # voxels outside its place at which the surface is taken
 SMALLEST = 0.02  # of the area; smaller pieces are noise of stereo
@@ -130,10 +137,24 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
     for values in histogram.T:
         values[:] = grid.blurred(active, values, POOLED)
     fading = HULL_WEIGHT * np.exp(-np.maximum(depth[active] - 1, 0) / FADING)
-    histogram[np.arange(len(active)), _bins(bound[active])] += np.maximum(fading, HULL_FLOOR)
-    field[active] = _median(histogram)
-    smooth = ndimage.gaussian_filter(np.clip(field, -1, 1).reshape(grid.shape), SMOOTHED)
-    return Hull(np.minimum(smooth, bound.reshape(grid.shape)) * votes.reach, grid.origin, grid.voxel)
+    held = np.maximum(fading, HULL_FLOOR) / _thickness(depth, votes.reach, grid)[active] ** 2
+    histogram[np.arange(len(active)), _bins(bound[active])] += held
+    field[active] = np.minimum(_median(histogram), bound[active])
+    field, most = np.clip(field, -1, 1).reshape(grid.shape), bound.reshape(grid.shape)
+    strength = VARIATION * votes.reach / grid.voxel
+    _fusion.regularise(histogram, active, most, strength, ROUNDS if rough is None else FINE_ROUNDS, field)
+    smooth = ndimage.gaussian_filter(field, SMOOTHED)
+    return Hull(np.minimum(smooth, most) * votes.reach, grid.origin, grid.voxel)
+
+
+def _thickness(depth: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
+    """Return about how thick [P] the hull is around each voxel, as a share of THIN from THINNEST to 1.
+
+    depth: in the hull [P], in the reach of the votes.
+    """
+    around = 2 * round(THIN * reach / grid.voxel) + 1
+    deepest = ndimage.maximum_filter(depth.reshape(grid.shape), around, mode="nearest")
+    return np.asarray(np.clip(deepest.ravel() / (THIN / 2), THINNEST, 1))
 
 
 def _roughly_fused(votes: _Votes, hull: Hull, pixel: float) -> Hull:

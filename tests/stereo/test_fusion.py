@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.data.camera import pixel_size
+from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, carve, hull_surface
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, face_components
@@ -156,6 +156,7 @@ def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, mon
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]
 
     weights, grid = heavy(maps) + heavy(through, 0.06), grid_of(hull)
+    monkeypatch.setattr(fusion, "VARIATION", 1e-6)  # which would close the middle
     votes = fusion._Votes(TWICE, maps + through, weights, fusion.REACH * PIXEL)
 
     def volume() -> float:
@@ -228,7 +229,7 @@ def well() -> RayCaster:
 
 
 def test_faint_words_empty_a_deep_cavity(well: RayCaster, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few cameras see its floor, and their words weigh a twentieth."""
+    """Few cameras see its floor, and their words weigh a twelfth."""
     cameras = cameras_above(COUNT, SIDE)
     hits = [well.cast(camera) for camera in cameras]
     maps = [DepthMap(hit.depth, hit.normal, hit.mask.astype(np.float32)) for hit in hits]
@@ -237,7 +238,7 @@ def test_faint_words_empty_a_deep_cavity(well: RayCaster, monkeypatch: pytest.Mo
     floor = (true := well.cast(above).depth) > 3.2
 
     def depth() -> float:
-        seen = RayCaster(*fuse(cameras, maps, heavy(maps, 0.05), block(HALF), pixel)).cast(above).depth
+        seen = RayCaster(*fuse(cameras, maps, heavy(maps, 1 / 12), block(HALF), pixel)).cast(above).depth
         return float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)
@@ -266,3 +267,49 @@ def test_the_grid_is_as_fine_as_pixels_and_no_larger_than_it_may(hull: Hull, mon
     # All of the hull lies in it, and a margin around.
     assert (hull.reached().min(axis=0) > grid.origin).all()
     assert (hull.reached().max(axis=0) < grid.origin + grid.voxel * (np.array(grid.shape) - 1)).all()
+
+
+def rod(radius: float, half: float, voxel: float = 0.02) -> Hull:
+    """Return the exact hull of a round rod along x of this radius, with flat ends at +-half."""
+    count = np.array([int(np.ceil(size / voxel)) + 3 for size in (half, radius, radius)])
+    places = np.stack(np.meshgrid(*[np.arange(-n, n + 1) * voxel for n in count], indexing="ij"), axis=-1)
+    inside = np.minimum(half - np.abs(places[..., 0]), radius - np.linalg.norm(places[..., 1:], axis=-1))
+    return Hull(inside.astype(np.float32), -count * voxel, voxel)
+
+
+def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of about two pixels across: the least surface would be none."""
+    maps = [DepthMap(*(np.zeros((SIDE, SIDE, *more), np.float32) for more in ((), (3,), ())))] * COUNT
+    thin = rod(PIXEL, 0.6)
+
+    def length() -> float:
+        vertices = fuse(CAMERAS, maps, heavy(maps), thin, PIXEL)[0]
+        return float(np.ptp(vertices[:, 0])) if len(vertices) else 0.0
+
+    assert 1.0 < length() < 1.25
+    monkeypatch.setattr(fusion, "THINNEST", 1.0)
+    assert length() < 0.2
+
+
+def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depths that scatter behind the hull: the surface is about as large as its own convex hull's."""
+    random = np.random.default_rng(0)
+    outer = hull_surface(hull)
+
+    def scattered(camera: Camera) -> DepthMap:
+        hit = RayCaster(*outer).cast(camera)
+        return DepthMap(
+            np.where(hit.mask, hit.depth + random.uniform(0, 0.6, hit.depth.shape), 0).astype(np.float32),
+            hit.normal,
+            hit.mask.astype(np.float32),
+        )
+
+    maps = [scattered(camera) for camera in CAMERAS]
+
+    def roughness() -> float:
+        mesh = trimesh.Trimesh(*fuse(CAMERAS, maps, heavy(maps, 0.2), hull, PIXEL), process=False)
+        return float(mesh.area / mesh.convex_hull.area)
+
+    assert roughness() < 1.1
+    monkeypatch.setattr(fusion, "VARIATION", 1e-6)
+    assert roughness() > 1.5

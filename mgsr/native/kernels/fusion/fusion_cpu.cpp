@@ -1,0 +1,137 @@
+// Fusion of votes under total variation, as in Zach (2008), by the primal-dual steps of Chambolle and Pock (2011).
+//
+// The field u minimises  sum over voxels of  votes(d) |u - d|, integrated over d,  +  strength |gradient of u|. A bin's
+// votes are spread evenly over its width, so that the field is not drawn to the bins' middles. The gradient is that of
+// forward differences, 0 where the grid ends.
+#include "kernels/fusion/fusion.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "kernels/common/parallel.h"
+
+namespace mgsr {
+namespace MGSR_ISA {
+namespace {
+
+constexpr int64_t kRows = 16;     // rows along z in a piece of work
+constexpr int64_t kVoxels = 4096; // voxels in a piece of work
+// Both step lengths: the squared norm of the gradient in three dimensions is 12 at most.
+const float kStep = 1 / std::sqrt(12.0f);
+
+// A part of a row along z whose gradients the voxels sought depend on.
+struct Span {
+  int64_t begin = INT64_MAX, end = 0;
+  void add(int64_t z) { begin = std::min(begin, z), end = std::max(end, z + 1); }
+};
+
+class Field {
+ public:
+  explicit Field(const FusionParams& p)
+      : p_(p), row_(p.shape[2]), slice_(p.shape[1] * p.shape[2]), ahead_(p.field, p.field + p.shape[0] * slice_) {
+    for (auto& each : dual_) each.assign(ahead_.size(), 0.0f);
+    find_spans();
+    find_slopes();
+  }
+
+  void run() {
+    for (int round = 0; round < p_.rounds; ++round) {
+      parallel_chunks(int64_t(rows_.size()), kRows, [&](int64_t begin, int64_t end) {
+        for (int64_t i = begin; i < end; ++i) climb(rows_[size_t(i)]);
+      });
+      parallel_chunks(p_.count, kVoxels, [&](int64_t begin, int64_t end) {
+        for (int64_t i = begin; i < end; ++i) descend(i);
+      });
+    }
+  }
+
+ private:
+  void find_spans() {
+    spans_.resize(size_t(p_.shape[0] * p_.shape[1]));
+    for (int64_t i = 0; i < p_.count; ++i) {
+      const int64_t voxel = p_.voxels[i], row = voxel / row_, z = voxel % row_, y = row % p_.shape[1];
+      spans_[size_t(row)].add(z);
+      if (z > 0) spans_[size_t(row)].add(z - 1);
+      if (y > 0) spans_[size_t(row - 1)].add(z);
+      if (row >= p_.shape[1]) spans_[size_t(row - p_.shape[1])].add(z);
+    }
+    for (size_t row = 0; row < spans_.size(); ++row)
+      if (spans_[row].end) rows_.push_back(int64_t(row));
+  }
+
+  // The votes' pull at each edge between bins: the weight of what is larger, less that of what is smaller.
+  void find_slopes() {
+    pulls_.resize(size_t(p_.count * (p_.bins + 1)));
+    for (int64_t i = 0; i < p_.count; ++i) {
+      const float* votes = p_.votes + i * p_.bins;
+      float* pulls = pulls_.data() + i * (p_.bins + 1);
+      float sum = 0;
+      for (int bin = 0; bin < p_.bins; ++bin) sum += votes[bin];
+      pulls[0] = sum;
+      for (int bin = 0; bin < p_.bins; ++bin) pulls[bin + 1] = pulls[bin] - 2 * votes[bin];
+    }
+  }
+
+  // The dual variables of a row follow the field's gradient, to a length of `strength`.
+  void climb(int64_t row) {
+    const Span span = spans_[size_t(row)];
+    const bool last_x = row / p_.shape[1] + 1 == p_.shape[0], last_y = row % p_.shape[1] + 1 == p_.shape[1];
+    const int64_t at = row * row_;
+    const float* u = ahead_.data() + at;
+    const float* right = last_x ? u : u + slice_;
+    const float* below = last_y ? u : u + row_;
+    float *px = dual_[0].data() + at, *py = dual_[1].data() + at, *pz = dual_[2].data() + at;
+    const float strength = p_.strength;
+    for (int64_t z = span.begin; z < span.end; ++z) {
+      const float x = px[z] + kStep * (right[z] - u[z]), y = py[z] + kStep * (below[z] - u[z]);
+      const float along = z + 1 < row_ ? pz[z] + kStep * (u[z + 1] - u[z]) : 0.0f;
+      const float length = std::sqrt(x * x + y * y + along * along);
+      const float share = strength / std::max(strength, length);
+      px[z] = share * x, py[z] = share * y, pz[z] = share * along;
+    }
+  }
+
+  void descend(int64_t i) {
+    const int64_t at = p_.voxels[i], row = at / row_;
+    const float *px = dual_[0].data() + at, *py = dual_[1].data() + at, *pz = dual_[2].data() + at;
+    float divergence = *px + *py + *pz;
+    if (row >= p_.shape[1]) divergence -= px[-slice_];
+    if (row % p_.shape[1] > 0) divergence -= py[-row_];
+    if (at % row_ > 0) divergence -= pz[-1];
+    const float before = p_.field[at];
+    const float now = std::min(nearest(before + kStep * divergence, pulls_.data() + i * (p_.bins + 1)), p_.most[at]);
+    p_.field[at] = now;
+    ahead_[size_t(at)] = 2 * now - before;
+  }
+
+  // The value u in -1..1 at which u - v equals kStep times the votes' pull, which falls from edge to edge.
+  float nearest(float v, const float* pulls) const {
+    const float width = 2.0f / float(p_.bins);
+    float over = -1 - v - kStep * pulls[0];
+    if (over >= 0) return -1;
+    for (int bin = 0; bin < p_.bins; ++bin) {
+      const float edge = -1 + float(bin + 1) * width, next = edge - v - kStep * pulls[bin + 1];
+      if (next >= 0) return edge - width * next / (next - over);
+      over = next;
+    }
+    return 1;
+  }
+
+  const FusionParams& p_;
+  const int64_t row_, slice_;   // voxels from one to the next along y and along x
+  std::vector<float> ahead_;    // the field, extrapolated by its last change
+  std::vector<float> dual_[3];  // along x, y, z
+  std::vector<float> pulls_;    // [count, bins + 1]
+  std::vector<Span> spans_;     // of each row
+  std::vector<int64_t> rows_;   // that have one
+};
+
+void regularise(const FusionParams& p) { Field(p).run(); }
+
+}  // namespace
+
+extern const FusionTable fusion_table{regularise};
+
+}  // namespace MGSR_ISA
+}  // namespace mgsr

@@ -62,6 +62,13 @@ class Camera:
         return index, pixels[index], depths[index]
 
 
+def pinhole_row(camera: Camera) -> np.ndarray:
+    """Return a camera as kernels read it, [16] float64: fx, fy, cx, cy, then the pose's rotation, row by row, and its
+    translation."""
+    K, pose = camera.K, camera.cam_from_world
+    return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *pose[:3, :3].ravel(), *pose[:3, 3]])
+
+
 def pixel_size(cameras: Sequence[Camera], place: np.ndarray) -> float:
     """Return a pixel's size at a place [3] in the world, in the world's unit: the median over the cameras."""
     return float(np.median([np.linalg.norm(camera.center - place) / camera.K[0, 0] for camera in cameras]))

@@ -14,18 +14,17 @@ such a sheet has two sides, and its vertices are moved back afterwards, which le
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.geometry.displace import mean_normals, umbrella
 from mgsr.geometry.triangles import Triangles, drop_small_pieces, face_components, keep_faces, vertex_normals
 from mgsr.native import _fusion
-from mgsr.parallel import map_ahead
 from mgsr.stereo.patch_match import DepthMap
 
 RESOLUTION = 192  # voxels along the hull's longest side, at most
@@ -76,19 +75,13 @@ class _Votes:
     weights: Sequence[np.ndarray]
     reach: float
 
-    def at(self, points: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield of each view the points [P,3] that it tells of, by index [Q], how far behind its surface they lie
-        [Q], in REACH, and the weight of its word [Q]."""
-        return map_ahead(lambda view: self._of(view, points), range(len(self.maps)), None)
-
-    def _of(self, view: int, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        camera, depth = self.cameras[view], self.maps[view].depth
-        index, pixels, depths = camera.project_inside(points)
-        across, down = pixels.astype(int).T
-        weights, behind = self.weights[view][down, across], (depths - depth[down, across]) / self.reach
-        told = (weights > 0) & (behind < SOLID_DEPTH)
-        behind = behind[told]
-        return index[told], behind, weights[told] * np.where(behind < 1, 1, SOLID_WEIGHT)
+    def on(self, points: np.ndarray) -> np.ndarray:
+        """Return the histograms [P,BINS] float32 of how far behind the maps' surfaces points [P,3] lie."""
+        votes = np.empty((len(points), BINS), np.float32)
+        cameras = np.stack([pinhole_row(camera) for camera in self.cameras])
+        depths = [found.depth for found in self.maps]
+        _fusion.vote(points, cameras, depths, self.weights, self.reach, SOLID_WEIGHT, SOLID_DEPTH, votes)
+        return votes
 
 
 class _Grid:
@@ -131,9 +124,7 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
         field = rough.values(centers).astype(np.float32) / votes.reach
         near &= np.abs(field) < NEAR
     active = np.flatnonzero(near)
-    points, histogram = centers[active], np.zeros((len(active), BINS), np.float32)
-    for voxels, behind, weight in votes.at(points):
-        histogram[voxels, _bins(behind)] += weight
+    histogram = votes.on(centers[active])
     for values in histogram.T:
         values[:] = grid.blurred(active, values, POOLED)
     fading = HULL_WEIGHT * np.exp(-np.maximum(depth[active] - 1, 0) / FADING)

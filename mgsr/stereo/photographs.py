@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mgsr.data.camera import Camera
+from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.images import reduce_area
 from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import View, some_of
@@ -28,12 +28,8 @@ class StereoPhotographs:
 
     @cached_property
     def packed_cameras(self) -> np.ndarray:
-        """[N,16] float32: fx, fy, cx, cy, then the rotation, row by row, and the translation of the pose."""
-        rows = [
-            [c.K[0, 0], c.K[1, 1], c.K[0, 2], c.K[1, 2], *c.cam_from_world[:3, :3].ravel(), *c.cam_from_world[:3, 3]]
-            for c in self.cameras
-        ]
-        return np.array(rows, np.float32)
+        """[N,16] float32: a `pinhole_row` a camera."""
+        return np.array([pinhole_row(camera) for camera in self.cameras], np.float32)
 
     def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
         """Return the views, at most `count`, that look at the scene's centre from about `apart` degrees beside."""

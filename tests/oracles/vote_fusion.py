@@ -1,9 +1,14 @@
-"""Votes fused under total variation, as convex programs in float64 for a general solver."""
+"""What depth maps vote on points, one by one, and votes fused under total variation, as convex programs in float64 for
+a general solver."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import linprog, minimize
+
+from mgsr.data.camera import Camera
 
 
 def misfit(field: np.ndarray, votes: np.ndarray) -> np.ndarray:
@@ -66,3 +71,28 @@ def least_energy(votes: np.ndarray, shape: tuple[int, int, int], strength: float
     for size in (0.1, 0.01, 0.001):
         field = minimize(rounded, field, args=(size,), method="L-BFGS-B", bounds=[(-1, 1)] * len(field)).x
     return energy(field.reshape(shape), votes, strength)
+
+
+def vote(
+    point: np.ndarray,
+    cameras: Sequence[Camera],
+    depths: Sequence[np.ndarray],
+    weights: Sequence[np.ndarray],
+    reach: float,
+    solid: tuple[float, float],
+    bins: int,
+) -> np.ndarray:
+    """Return the histogram [bins] of a point [3]; solid: the weight's share far behind a surface, and down to where."""
+    histogram = np.zeros(bins)
+    for camera, depth, weight in zip(cameras, depths, weights, strict=True):
+        x, y, z = camera.cam_from_world[:3, :3] @ point + camera.cam_from_world[:3, 3]
+        if z <= 0:
+            continue
+        column, row = (np.floor(each).astype(int) for each in (camera.K @ [x / z, y / z, 1])[:2])
+        if not (0 <= column < camera.width and 0 <= row < camera.height):
+            continue
+        behind = (z - depth[row, column]) / reach
+        if weight[row, column] > 0 and behind < solid[1]:
+            share = 1 if behind < 1 else solid[0]
+            histogram[min(max(int(np.floor((behind + 1) / 2 * bins)), 0), bins - 1)] += share * weight[row, column]
+    return histogram

@@ -1,12 +1,15 @@
-"""The kernel that fuses votes under total variation, against general solvers of the same convex program."""
+"""The kernels that gather depth maps' votes and fuse them under total variation, against the votes one by one and
+general solvers of the same convex program."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from mgsr.data.camera import Camera, pinhole_row
 from mgsr.native import _fusion, runtime
-from tests.oracles.vote_fusion import best_row, energy, least_energy
+from tests.mesh.shapes import cameras_around
+from tests.oracles.vote_fusion import best_row, energy, least_energy, vote
 
 BINS = 6
 ROUNDS = 4000
@@ -16,6 +19,42 @@ def fused(votes: np.ndarray, shape: tuple[int, int, int], strength: float, round
     field, voxels = np.zeros(shape, np.float32), np.arange(len(votes))
     _fusion.regularise(votes.astype(np.float32), voxels, np.ones(shape, np.float32), strength, rounds, field)
     return field
+
+
+REACH, SOLID = 0.2, (0.25, 4.0)
+
+
+def cameras_of_two_sizes() -> list[Camera]:
+    """Return five cameras around the origin, and one that has it behind."""
+    cameras = [each.resized(30 + 7 * i, 24) for i, each in enumerate(cameras_around(6, side=32))]
+    pose = cameras[5].cam_from_world.copy()
+    pose[2, 3] = -1.0
+    return [*cameras[:5], Camera(cameras[5].K, pose, cameras[5].width, cameras[5].height)]
+
+
+def voted(points: np.ndarray, cameras: list[Camera], depths: list[np.ndarray], weights: list[np.ndarray]) -> np.ndarray:
+    votes = np.full((len(points), BINS), np.nan, np.float32)
+    rows = np.stack([pinhole_row(camera) for camera in cameras])
+    _fusion.vote(points, rows, depths, weights, REACH, *SOLID, votes)
+    return votes
+
+
+def test_votes_are_those_one_by_one() -> None:
+    random, cameras = np.random.default_rng(0), cameras_of_two_sizes()
+    points = random.uniform(-1, 1, (5000, 3))
+    depths = [random.uniform(2, 4, (each.height, each.width)).astype(np.float32) for each in cameras]
+    weights = [np.maximum(random.uniform(-0.3, 1, each.shape), 0).astype(np.float32) for each in depths]
+    expected = np.array([vote(point, cameras, depths, weights, REACH, SOLID, BINS) for point in points])
+    assert (expected.sum(axis=0) > 50).all() and (expected.sum(axis=1) == 0).any()
+    assert voted(points, cameras, depths, weights) == pytest.approx(expected, abs=1e-5)
+
+
+def test_a_map_of_another_size_than_its_weights_is_named() -> None:
+    cameras = cameras_of_two_sizes()[:1]
+    with pytest.raises(ValueError, match="weights: expected the depths' size"):
+        voted(np.zeros((1, 3)), cameras, [np.ones((3, 4), np.float32)], [np.ones((4, 3), np.float32)])
+    with pytest.raises(ValueError, match="expected one for each camera"):
+        voted(np.zeros((1, 3)), cameras, [], [])
 
 
 def random_votes(count: int, seed: int = 0) -> np.ndarray:

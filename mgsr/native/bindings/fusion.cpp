@@ -10,8 +10,39 @@ IsaChoice<FusionTable>& choice() {
   return current;
 }
 
+using Map = Array<const float, nb::ndim<2>>;
+// fx, fy, cx, cy, then the rotation and the translation of the pose, world to camera.
+using Cameras = Array<const double, nb::shape<-1, 16>>;
 template <class T>
 using Grid = Array<T, nb::ndim<3>>;
+
+VotingView view_of(const Map& depth, const Map& weights, const double* camera) {
+  expect(depth.shape(0) == weights.shape(0) && depth.shape(1) == weights.shape(1), "weights: expected the depths' size");
+  VotingView view;
+  view.height = int(depth.shape(0)), view.width = int(depth.shape(1));
+  view.depth = depth.data(), view.weights = weights.data();
+  view.fx = camera[0], view.fy = camera[1], view.cx = camera[2], view.cy = camera[3];
+  std::copy(camera + 4, camera + 13, view.rotation);
+  std::copy(camera + 13, camera + 16, view.translation);
+  return view;
+}
+
+void vote(const Array<const double, nb::shape<-1, 3>>& points, const Cameras& cameras, const std::vector<Map>& depths,
+          const std::vector<Map>& weights, double reach, float solid_weight, float solid_depth,
+          const Array<float, nb::ndim<2>>& votes) {
+  expect(cameras.shape(0) == depths.size() && depths.size() == weights.size(),
+         "depths, weights: expected one for each camera");
+  expect(reach > 0 && solid_depth >= 1, "reach, solid_depth: expected more than 0, and 1 or more");
+  expect(votes.shape(0) == points.shape(0) && votes.shape(1) > 0, "votes: expected a histogram for each point");
+  VotingParams p;
+  for (size_t i = 0; i < depths.size(); ++i)
+    p.views.push_back(view_of(depths[i], weights[i], cameras.data() + 16 * i));
+  p.count = int64_t(points.shape(0)), p.points = points.data(), p.reach = reach;
+  p.solid_weight = solid_weight, p.solid_depth = solid_depth;
+  p.bins = int(votes.shape(1)), p.votes = votes.data();
+  nb::gil_scoped_release release;
+  choice()->vote(p);
+}
 
 void regularise(const Array<const float, nb::ndim<2>>& votes, const Array<const int64_t, nb::ndim<1>>& voxels,
                 const Grid<const float>& most, float strength, int rounds, const Grid<float>& field) {
@@ -37,6 +68,8 @@ void regularise(const Array<const float, nb::ndim<2>>& votes, const Array<const 
 NB_MODULE(_fusion, m) {
   using namespace mgsr;
   bind_choices(m, choice());
+  m.def("vote", &vote, nb::arg("points"), nb::arg("cameras"), nb::arg("depths"), nb::arg("weights"), nb::arg("reach"),
+        nb::arg("solid_weight"), nb::arg("solid_depth"), nb::arg("votes").noconvert());
   m.def("regularise", &regularise, nb::arg("votes"), nb::arg("voxels"), nb::arg("most"), nb::arg("strength"),
         nb::arg("rounds"), nb::arg("field").noconvert());
 }

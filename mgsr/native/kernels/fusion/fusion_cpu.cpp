@@ -1,4 +1,5 @@
-// Fusion of votes under total variation, as in Zach (2008), by the primal-dual steps of Chambolle and Pock (2011).
+// Votes of depth maps, and their fusion under total variation, as in Zach (2008), by the primal-dual steps of Chambolle
+// and Pock (2011).
 //
 // The field u minimises  sum over voxels of  votes(d) |u - d|, integrated over d,  +  strength |gradient of u|. A bin's
 // votes are spread evenly over its width, so that the field is not drawn to the bins' middles. The gradient is that of
@@ -16,7 +17,7 @@ namespace MGSR_ISA {
 namespace {
 
 constexpr int64_t kRows = 16;     // rows along z in a piece of work
-constexpr int64_t kVoxels = 4096; // voxels in a piece of work
+constexpr int64_t kVoxels = 4096; // voxels or points in a piece of work
 // Both step lengths: the squared norm of the gradient in three dimensions is 12 at most.
 const float kStep = 1 / std::sqrt(12.0f);
 
@@ -129,9 +130,34 @@ class Field {
 
 void regularise(const FusionParams& p) { Field(p).run(); }
 
+// Adds the word of one map on a point to the point's histogram.
+void vote_on(const VotingParams& p, const VotingView& view, const double* at, float* votes) {
+  const double *turn = view.rotation, *move = view.translation;
+  const double z = turn[6] * at[0] + turn[7] * at[1] + turn[8] * at[2] + move[2];
+  if (!(z > 0)) return;
+  const double x = turn[0] * at[0] + turn[1] * at[1] + turn[2] * at[2] + move[0];
+  const double y = turn[3] * at[0] + turn[4] * at[1] + turn[5] * at[2] + move[1];
+  const double across = x / z * view.fx + view.cx, down = y / z * view.fy + view.cy;
+  if (!(across >= 0 && across < view.width && down >= 0 && down < view.height)) return;
+  const int64_t pixel = int64_t(down) * view.width + int64_t(across);
+  const float weight = view.weights[pixel];
+  const double behind = (z - double(view.depth[pixel])) / p.reach;
+  if (!(weight > 0 && behind < double(p.solid_depth))) return;
+  const int bin = int(std::clamp((behind + 1) / 2 * p.bins, 0.0, double(p.bins - 1)));
+  votes[bin] += behind < 1 ? weight : weight * p.solid_weight;
+}
+
+void vote(const VotingParams& p) {
+  parallel_chunks(p.count, kVoxels, [&](int64_t begin, int64_t end) {
+    std::fill(p.votes + begin * p.bins, p.votes + end * p.bins, 0.0f);
+    for (const VotingView& view : p.views)
+      for (int64_t i = begin; i < end; ++i) vote_on(p, view, p.points + 3 * i, p.votes + i * p.bins);
+  });
+}
+
 }  // namespace
 
-extern const FusionTable fusion_table{regularise};
+extern const FusionTable fusion_table{vote, regularise};
 
 }  // namespace MGSR_ISA
 }  // namespace mgsr

@@ -22,6 +22,7 @@ from mgsr.bench.length_page import early_ends, length_section
 from mgsr.bench.need_page import need_section
 from mgsr.bench.plots import write_kernel_plot, write_plots
 from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, latest, read_curves, read_rows
+from mgsr.bench.sets_page import SETS, SetRow, sets_section
 from mgsr.bench.table import markdown, number
 
 PAGE, IMAGES = "evidence.md", Path("images") / "evidence"
@@ -54,6 +55,7 @@ class Evidence:
     exposures: list[ExposureRow] = field(default_factory=list)
     behind: list[Row] = field(default_factory=list)
     choices: list[KernelRow] = field(default_factory=list)
+    sets: list[SetRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -72,7 +74,8 @@ def read_evidence(results: Path) -> Evidence:
     kernels, choices = (read_kernels(results / name) for name in (KERNELS, CHOICES))
     exposures = read_csv(results / EXPOSURES, ExposureRow)
     curves, behind = read_curves(results / CURVES), [row for row in rows if row not in newest]
-    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices)
+    sets = read_csv(results / SETS, SetRow)
+    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets)
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
@@ -92,6 +95,7 @@ def evidence_page(evidence: Evidence) -> str:
         _lead(evidence),
         _weak_section(evidence),
         _surface_section(evidence),
+        sets_section(evidence.sets),
         _methods_section(evidence),
         _curve_section(evidence),
         _light_section(evidence),

@@ -19,6 +19,7 @@ from mgsr.bench.exposure_page import (
     exposure_section,
 )
 from mgsr.bench.results import Curve, Row, keep_rows, write_rows
+from mgsr.bench.sets_page import JUDGING, TUNING, SetRow, sets_section
 from tests.bench.samples import sample_row, sample_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -160,6 +161,20 @@ def test_an_older_run_stays_for_another_method_of_its_commit() -> None:
     assert [(row.method, row.commit) for row in kept] == [("2dgs", "abc1234"), ("mgsr", "def"), ("mgsr", "abc1234")]
     kept = keep_rows(kept, [replace(sample_row("apple", method="2dgs", psnr=31.0), commit="def")])
     assert [(row.method, row.commit) for row in kept] == [("2dgs", "def"), ("mgsr", "def")]
+
+
+def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
+    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 3.0, 10.0, 40.0, 120.0, "standard", 0, "abc")
+    pear = replace(apple, scene="pear", chamfer=2.5, hull_chamfer=10.0)
+    fig = replace(apple, scene="fig", set=JUDGING, chamfer=4.4, hull_chamfer=4.0)
+    write_csv(tmp_path / "sets.csv", SetRow, [apple, pear, fig], digits=5)
+    assert read_csv(tmp_path / "sets.csv", SetRow) == [apple, pear, fig]
+    text = sets_section([apple, pear, fig])
+    assert text.index("pear") < text.index("apple") < text.index("fig") and "| 2.50 (10.00) | 25% |" in text
+    assert "tuning set's 2 scenes: Chamfer 2.00, normal error 4.0 degrees. No scene is worse than its hull." in text
+    assert "Worse than the hull: fig." in text
+    assert "Chamfer is 38% of the hull's on the tuning set and 110% on the judging set." in text
+    assert "gap" not in sets_section([apple]) and sets_section([]) == ""
 
 
 def test_what_differing_exposures_cost(tmp_path: Path) -> None:

@@ -1,0 +1,99 @@
+"""Scores of the benchmark's scenes, of both sets:
+
+    python -m benchmarks.scene_scores RENDERED -o benchmarks/results/sets.csv --runs FOLDER [--scenes NAME ...]
+
+RENDERED: what `python -m benchmarks.render_scenes` made; the ready-made scenes lie in ../shared/data/scenes. Runs are
+kept in FOLDER and those that are finished there are not repeated. Rows of other scenes stay in the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.scene_sets import SCENES, BenchmarkScene
+from mgsr.bench.csv_rows import read_csv, write_csv
+from mgsr.bench.machine import program_commit
+from mgsr.bench.sets_page import SetRow
+from mgsr.cli.evaluation import find_truth, surface_scores
+from mgsr.cli.pipeline import run_scene
+from mgsr.config import make_config
+from mgsr.data.hull import carve, hull_surface
+from mgsr.data.readers import load_scene
+from mgsr.data.silhouettes import silhouettes
+from mgsr.geometry.triangles import vertex_normals
+from mgsr.mesh.surface import SurfaceMesh
+from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
+
+READY_MADE = Path(__file__).resolve().parents[2] / "shared/data/scenes"
+
+
+def main() -> None:
+    given = arguments()
+    rows = read_csv(given.out, SetRow)
+    for scene in SCENES:
+        if given.scenes and scene.name not in given.scenes:
+            continue
+        row = replace(measured(scene, find(scene, given.rendered), given), commit=given.commit or program_commit())
+        rows = [each for each in rows if each.scene != scene.name] + [row]
+        print(row, flush=True)
+        write_csv(given.out, SetRow, rows, digits=5)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rendered", type=Path)
+    parser.add_argument("-o", dest="out", type=Path, required=True)
+    parser.add_argument("--runs", type=Path, required=True)
+    parser.add_argument("--scenes", nargs="*", default=[])
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--commit", help="of the program that made the finished runs")
+    return parser.parse_args()
+
+
+def find(scene: BenchmarkScene, rendered: Path) -> Path:
+    """Return the scene's folder."""
+    return READY_MADE / scene.name if scene.source is None else rendered / scene.name
+
+
+def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> SetRow:
+    """Return the scores of a scene's run and of its hull, without the commit; the run is made unless it is there."""
+    out: Path = given.runs / scene.name
+    if not (out / "report.json").is_file():
+        run_scene(path, out, make_config(given.preset, overrides=[f"seed={given.seed}"]))
+    report = json.loads((out / "report.json").read_text())
+    hull = hull_scores(path)
+    return SetRow(
+        scene=scene.name,
+        set=scene.set.value,
+        kind=scene.kind.value,
+        chamfer=1000 * report["gt"]["chamfer"],
+        normal_error=report["gt"]["normal_error"],
+        hull_chamfer=1000 * hull["chamfer"],
+        hull_normal_error=hull["normal_error"],
+        psnr=report["psnr_test"],
+        seconds=report["seconds"]["total"],
+        preset=report["preset"],
+        seed=report["seed"],
+        commit="",
+    )
+
+
+def hull_scores(path: Path) -> dict[str, float]:
+    """Return the scores of the visual hull of a scene's masks against its truth."""
+    scene = load_scene(path, make_config("standard").data)
+    vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, RESOLUTION))
+    placed = scene.user_from_scene.to_user(vertices)
+    normals = vertex_normals(placed, faces)
+    mesh = SurfaceMesh(placed, faces, normals, np.zeros_like(placed, np.uint8))
+    scores: dict[str, float] = surface_scores(mesh, find_truth(scene), scene)["gt"]
+    return scores
+
+
+if __name__ == "__main__":
+    main()

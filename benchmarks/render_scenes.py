@@ -161,6 +161,24 @@ def plate(centre: np.ndarray, sizes: np.ndarray) -> Part:
     return Part(centre - sizes / 2, centre + sizes / 2, distance)
 
 
+def gill(turn: float, reach: float, lower: float, thickness: float, cap: np.ndarray) -> Part:
+    """Return a standing plate below a cap, from the z axis outwards at an angle.
+
+    reach: its length; lower: the z of its lower edge; cap: radius, height and the z of the middle of the ellipsoid
+    that it ends at.
+    """
+    ahead, beside = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    ends = np.stack([along * ahead + across * beside for along in (0, reach) for across in (-thickness, thickness)])
+    box = plate(np.array([reach / 2, 0, (lower + 1) / 2]), np.array([reach, thickness, 1 - lower]))
+
+    def distance(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        along, across = x * ahead[0] + y * ahead[1], x * beside[0] + y * beside[1]
+        from_middle = np.sqrt((along / cap[0]) ** 2 + (across / cap[0]) ** 2 + ((z - cap[2]) / cap[1]) ** 2)
+        return np.maximum(box.distance(along, across, z), (from_middle - 1) * cap[1])
+
+    return Part(np.append(ends.min(axis=0), lower), np.append(ends.max(axis=0), cap[1] + cap[2]), distance)
+
+
 def segment_distance(points: tuple[np.ndarray, ...], start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """How far points, given by their coordinates, are from a segment."""
     along = end - start
@@ -200,6 +218,7 @@ def union(parts: list[Part], cell: float) -> trimesh.Trimesh:
 
 BOWL_THICKNESS, CUP_THICKNESS, HANDLE_THICKNESS = 0.07, 0.05, 0.1
 ROD_THICKNESS, PLATE_THICKNESS = 0.04, 0.03
+CAP_THICKNESS, STEM_THICKNESS, GILL_THICKNESS = 0.07, 0.34, 0.04
 
 
 def bowl() -> trimesh.Trimesh:
@@ -234,7 +253,17 @@ def rack() -> trimesh.Trimesh:
     return union([base, *standing, *rods, top], cell=0.0085)
 
 
-SHAPES = {Shape.BOWL: bowl, Shape.CUP: cup, Shape.RACK: rack}
+def mushroom() -> trimesh.Trimesh:
+    """Return a mushroom: a cap of width 1.8, a stem, and 24 gills that hang between the two."""
+    cap = np.array([0.86, 0.6, 0.15])  # radius, height and the z of the rim
+    angle = np.linspace(0, np.pi / 2, 33)
+    profile = np.stack([cap[0] * np.sin(angle), cap[2] + cap[1] * np.cos(angle)], axis=1)
+    stem = rod(np.array([0, 0, -0.85]), np.array([0, 0, 0.54]), STEM_THICKNESS)
+    gills = [gill(turn, 0.83, 0.17, GILL_THICKNESS, cap) for turn in np.arange(24) * 2 * np.pi / 24]
+    return union([*along_line(turned, profile, CAP_THICKNESS), stem, *gills], cell=0.009)
+
+
+SHAPES = {Shape.BOWL: bowl, Shape.CUP: cup, Shape.RACK: rack, Shape.MUSHROOM: mushroom}
 
 if __name__ == "__main__":
     main()

@@ -49,6 +49,7 @@ class Shape(StrEnum):
     BOWL = "bowl"
     CUP = "cup"
     RACK = "rack"
+    MUSHROOM = "mushroom"
 
 
 @dataclass(frozen=True)
@@ -78,8 +79,9 @@ READY_MADE = (
     BenchmarkScene("boot_hdr_400", Kind.CONCAVE, SceneSet.TUNING),
 )
 
-# Light reaches the inside of bowl and cup along few paths: they take more samples than COMMON, or it is all grain.
-# With --up z, the front of the figures in homer.obj and hand.obj faces +z, where the cone's cameras are.
+# Light reaches the inside of bowl and cup, and the mushroom's gills, along few paths: they take more samples than
+# COMMON, or it is all grain. With --up z, the front of the figures in homer.obj and hand.obj faces +z, where the cone's
+# cameras are.
 RENDERED = (
     BenchmarkScene(
         "homer_gold_hdr",
@@ -95,6 +97,14 @@ RENDERED = (
         Shape.BOWL,
         "--up z --tilt 20 --solid marble --freq 3 --color 0.70,0.58,0.36 --color2 0.12,0.16,0.30 --light soft "
         "--spp 192 --seed 202",
+    ),
+    BenchmarkScene(
+        "mushroom_soft",
+        Kind.CONCAVE,
+        SceneSet.TUNING,
+        Shape.MUSHROOM,
+        "--up z --tilt 15 --solid marble --freq 4 --color 0.66,0.52,0.36 --color2 0.24,0.12,0.07 --light soft --spp 96 "
+        "--seed 208",
     ),
     BenchmarkScene(
         "homer_cone",

@@ -16,12 +16,15 @@ import trimesh
 
 from benchmarks.render_scenes import (
     BOWL_THICKNESS,
+    CAP_THICKNESS,
     CUP_THICKNESS,
+    GILL_THICKNESS,
     HANDLE_THICKNESS,
     LAST_WRITTEN,
     PLATE_THICKNESS,
     ROD_THICKNESS,
     SHAPES,
+    STEM_THICKNESS,
     UPPER_HEIGHTS,
     RenderError,
     render,
@@ -62,7 +65,7 @@ def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:
 
 
 def test_names_and_seeds_are_unique() -> None:
-    assert len({scene.name for scene in SCENES}) == len(SCENES) == 24
+    assert len({scene.name for scene in SCENES}) == len(SCENES) == 25
     seeds = [scene.arguments.split()[scene.arguments.split().index("--seed") + 1] for scene in RENDERED]
     assert len(set(seeds)) == len(RENDERED)
 
@@ -82,7 +85,7 @@ def test_sources_and_ready_made_scenes_lie_beside_the_checkout(shared_data: Path
 def test_the_renderer_takes_the_arguments(scene: BenchmarkScene, tool_source: str) -> None:
     taken = parsed(scene, tool_source)
     views = {"cow_flash_16": 16, "homer_cone": 32, "hand_cone_hdr": 32}.get(scene.name, 48)
-    samples = {"bowl_soft": 192, "cup_coat_hdr": 128}.get(scene.name, 64)
+    samples = {"bowl_soft": 192, "cup_coat_hdr": 128, "mushroom_soft": 96}.get(scene.name, 64)
     assert (taken.res, taken.views, taken.test_views, taken.spp) == (256, views, 8, samples)
     lights = [word for word in scene.name.split("_") if word in ("soft", "sky", "hdr", "flash", "dark")]
     assert lights in ([], [taken.light]), "the name says another light"
@@ -154,7 +157,7 @@ def crossings(mesh: trimesh.Trimesh, axis: int, place: tuple[float, float]) -> n
     return np.sort((shares * mesh.triangles[hit][:, :, axis]).sum(axis=1))
 
 
-@pytest.mark.parametrize(("shape", "handles"), [(Shape.BOWL, 0), (Shape.CUP, 1), (Shape.RACK, 9)])
+@pytest.mark.parametrize(("shape", "handles"), [(Shape.BOWL, 0), (Shape.CUP, 1), (Shape.RACK, 9), (Shape.MUSHROOM, 0)])
 def test_shapes_are_closed_and_have_their_handles(shape: Shape, handles: int) -> None:
     mesh = solid(shape)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
@@ -181,6 +184,7 @@ def test_shapes_have_about_the_size_of_a_scene(shape: Shape) -> None:
         pytest.param(Shape.RACK, 2, (0.403, 0.407), [PLATE_THICKNESS], id="base of the rack"),
         pytest.param(Shape.RACK, 0, (0.1, -0.1), [PLATE_THICKNESS] * 2, id="standing plates"),
         pytest.param(Shape.RACK, 1, (0.28, 0.013), [ROD_THICKNESS] * 2, id="an arch's rods"),
+        pytest.param(Shape.MUSHROOM, 0, (0.013, -0.3), [STEM_THICKNESS], id="stem of the mushroom"),
     ],
 )
 def test_shapes_are_as_thick_as_asked(
@@ -189,3 +193,11 @@ def test_shapes_are_as_thick_as_asked(
     through = crossings(solid(shape), axis, place)
     # 4%: a rod is some cells of the grid across, and between their corners the surface is flat.
     assert np.diff(through)[::2] == pytest.approx(thicknesses, rel=0.04)
+
+
+def test_the_mushroom_has_its_gills() -> None:
+    """A line beside the stem goes through seven of them, obliquely, and through the cap before and after."""
+    thicknesses = np.diff(crossings(solid(Shape.MUSHROOM), 1, (0.5, 0.25)))[::2]
+    turns = np.radians(np.arange(-45, 46, 15))
+    assert thicknesses[1:-1] == pytest.approx(GILL_THICKNESS / np.cos(turns), rel=0.04)
+    assert (thicknesses[[0, -1]] > CAP_THICKNESS).all()

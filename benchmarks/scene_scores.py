@@ -24,9 +24,11 @@ from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.metrics.truth import TrueSurface
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 
 READY_MADE = Path(__file__).resolve().parents[2] / "shared/data/scenes"
@@ -87,11 +89,15 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
 def hull_scores(path: Path) -> dict[str, float]:
     """Return the scores of the visual hull of a scene's masks against its truth."""
     scene = load_scene(path, make_config("standard").data)
-    vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, RESOLUTION))
+    hull = carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, RESOLUTION)
+    return scores_of(*hull_surface(hull), scene, find_truth(scene))
+
+
+def scores_of(vertices: np.ndarray, faces: np.ndarray, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:
+    """Return the scores of a mesh in the scene's frame, vertices [V,3] and faces [F,3], against the truth."""
     placed = scene.user_from_scene.to_user(vertices)
-    normals = vertex_normals(placed, faces)
-    mesh = SurfaceMesh(placed, faces, normals, np.zeros_like(placed, np.uint8))
-    scores: dict[str, float] = surface_scores(mesh, find_truth(scene), scene)["gt"]
+    mesh = SurfaceMesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
+    scores: dict[str, float] = surface_scores(mesh, truth, scene)["gt"]
     return scores
 
 

@@ -20,6 +20,7 @@ from mgsr.bench.exposure_page import (
 )
 from mgsr.bench.results import Curve, Row, keep_rows, write_rows
 from mgsr.bench.sets_page import JUDGING, TUNING, SetRow, sets_section
+from mgsr.bench.start_page import ALL, StartRow, start_section
 from tests.bench.samples import sample_row, sample_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -175,6 +176,17 @@ def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
     assert "Worse than the hull: fig." in text
     assert "Chamfer is 38% of the hull's on the tuning set and 110% on the judging set." in text
     assert "gap" not in sets_section([apple]) and sets_section([]) == ""
+
+
+def test_what_the_parts_of_the_start_are_worth(tmp_path: Path) -> None:
+    figures = {("apple", ALL): (2.0, 30.0), ("pear", ALL): (4.0, 20.0)}
+    figures |= {("apple", "stereo"): (5.0, 20.0), ("pear", "stereo"): (3.0, 16.0), ("fig", "stereo"): (9.0, 1.0)}
+    rows = [StartRow(scene, part, chamfer, 6.0, s, "abc") for (scene, part), (chamfer, s) in figures.items()]
+    write_csv(tmp_path / "start_parts.csv", StartRow, rows, digits=5)
+    assert read_csv(tmp_path / "start_parts.csv", StartRow) == rows
+    text = start_section(rows)
+    assert "| stereo | +1.00 | +0.0 | 1 | 1 | apple +3.00 | pear -1.00 | 7.0 |" in text and "2 scenes" in text
+    assert start_section([row for row in rows if row.without != ALL]) == start_section([]) == ""
 
 
 def test_what_differing_exposures_cost(tmp_path: Path) -> None:

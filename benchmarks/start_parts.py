@@ -1,0 +1,120 @@
+"""What each part of finding the starting surface is worth:
+
+    python -m benchmarks.start_parts RENDERED -o benchmarks/results/start_parts.csv [--scenes NAME ...]
+
+For each scene of the tuning set, the surface that training begins on is found with all parts, and once without each of
+them. Stereo's search is the same in all, and made once. Rows of other scenes stay in the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.scene_scores import find, scores_of
+from benchmarks.scene_sets import SCENES, SceneSet
+from mgsr.bench.csv_rows import read_csv, write_csv
+from mgsr.bench.machine import program_commit
+from mgsr.bench.start_page import ALL, StartRow
+from mgsr.cli.evaluation import find_truth
+from mgsr.config import make_config
+from mgsr.data.hull import carve
+from mgsr.data.readers import load_scene
+from mgsr.data.silhouettes import silhouettes
+from mgsr.geometry.raycast import RayCaster
+from mgsr.shading.refine import Light, Refined
+from mgsr.start import masked_surface
+from mgsr.start.masked_surface import find_surface
+from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
+from mgsr.stereo import fusion
+from mgsr.stereo.patch_match import DepthMap, match_views
+from mgsr.stereo.photographs import StereoPhotographs
+
+Part = Callable[[], Sequence[AbstractContextManager[Any]]]
+
+
+def _replaced(**parts: Any) -> list[AbstractContextManager[Any]]:
+    return [patch.object(masked_surface, name, part) for name, part in parts.items()]
+
+
+def _unbent(vertices: np.ndarray, *rest: Any, **more: Any) -> Refined:
+    return Refined(vertices, Light.UNKNOWN)
+
+
+def _unmoved(vertices: np.ndarray, *rest: Any, **more: Any) -> np.ndarray:
+    return vertices
+
+
+def _nothing(*rest: Any) -> tuple[np.ndarray, np.ndarray]:
+    return np.empty((0, 3)), np.empty((0, 3), np.int64)
+
+
+PARTS: dict[str, Part] = {
+    "stereo": lambda: _replaced(fuse_roughly=_nothing),
+    "stereo at half the size": lambda: _replaced(weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]),
+    "total variation": lambda: [patch.object(fusion, "VARIATION", 1e-6)],
+    "the hull where it is likelier": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
+    "shading": lambda: _replaced(refine_by_shading=_unbent),
+    "parallax": lambda: _replaced(refine_by_parallax=_unmoved),
+}
+
+
+def main() -> None:
+    given = arguments()
+    rows = read_csv(given.out, StartRow)
+    for scene in SCENES:
+        if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
+            continue
+        found = measured(find(scene, given.rendered))
+        rows = [row for row in rows if row.scene != scene.name] + found
+        print(*found, sep="\n", flush=True)
+        write_csv(given.out, StartRow, rows, digits=5)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rendered", type=Path)
+    parser.add_argument("-o", dest="out", type=Path, required=True)
+    parser.add_argument("--scenes", nargs="*", default=[])
+    return parser.parse_args()
+
+
+def measured(path: Path) -> list[StartRow]:
+    """Return a row for the start with all parts and for the start without each."""
+    scene = load_scene(path, make_config("standard").data)
+    outlines, truth, rows = silhouettes(scene.train, MASK_SIDE), find_truth(scene), []
+    hull = carve(outlines, np.zeros(3), 1.05, RESOLUTION)
+
+    maps: dict[int, list[DepthMap]] = {}
+
+    def once(photographs: StereoPhotographs, caster: RayCaster, seed: int, **more: Any) -> list[DepthMap]:
+        width = photographs.cameras[0].width
+        if width not in maps:
+            maps[width] = match_views(photographs, caster, seed)
+        return maps[width]
+
+    for without, part in {ALL: lambda: [], **PARTS}.items():
+        with ExitStack() as stack:
+            for change in (*_replaced(match_views=once), *part()):
+                stack.enter_context(change)
+            if without == ALL:
+                find_surface(scene.train, outlines, hull, 0)  # makes stereo's maps
+            began = time.monotonic()
+            surface = find_surface(scene.train, outlines, hull, 0)
+            seconds = time.monotonic() - began
+        scores = scores_of(surface.vertices, surface.faces, scene, truth)
+        rows.append(
+            StartRow(path.name, without, 1000 * scores["chamfer"], scores["normal_error"], seconds, program_commit())
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,63 @@
+"""What each part of finding the starting surface is worth, as `benchmarks/start_parts.py` measures it, and its section
+of the evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from mgsr.bench.table import markdown
+
+START_PARTS = "start_parts.csv"
+ALL = "all parts"
+
+
+@dataclass(frozen=True)
+class StartRow:
+    """The starting surface of a scene with one part left out, or with ALL. Chamfer in thousandths of the object's
+    radius, the normal error in degrees, seconds: of finding the surface without stereo's search."""
+
+    scene: str
+    without: str
+    chamfer: float
+    normal_error: float
+    seconds: float
+    commit: str
+
+
+def start_section(rows: Sequence[StartRow]) -> str:
+    """The table of parts; empty without rows."""
+    whole = {row.scene: row for row in rows if row.without == ALL}
+    parts = list(dict.fromkeys(row.without for row in rows if row.without != ALL))
+    if not whole or not parts:
+        return ""
+    commits = ", ".join(dict.fromkeys(row.commit for row in rows))
+    head = ["left out", "Chamfer, mean", "normal error, mean", "helps", "hurts", "helps most", "hurts most", "s"]
+    without = [[row for row in rows if row.without == part and row.scene in whole] for part in parts]
+    return "\n\n".join(
+        (
+            "## What the parts of the start are worth",
+            "The surface that training begins on, found once with all parts and once without each of them. The table "
+            "tells by how much leaving a part out raises the Chamfer distance and the normal error, in the mean over "
+            f"{len(whole)} scenes of the tuning set ({', '.join(whole)}); on how many scenes the part changes the "
+            "Chamfer distance by more than 1% for the better or the worse; and the seconds that it takes. Program at "
+            f"{commits}; made by `python -m benchmarks.start_parts`.",
+            markdown(head, [_part(of_part, whole) for of_part in without if of_part]),
+        )
+    )
+
+
+def _part(rows: Sequence[StartRow], whole: dict[str, StartRow]) -> list[str]:
+    gains = {row.scene: row.chamfer - whole[row.scene].chamfer for row in rows}
+    shares = [gains[row.scene] / whole[row.scene].chamfer for row in rows]
+    best, worst = max(gains, key=lambda scene: gains[scene]), min(gains, key=lambda scene: gains[scene])
+    return [
+        rows[0].without,
+        f"{sum(gains.values()) / len(rows):+.2f}",
+        f"{sum(row.normal_error - whole[row.scene].normal_error for row in rows) / len(rows):+.1f}",
+        str(sum(share > 0.01 for share in shares)),
+        str(sum(share < -0.01 for share in shares)),
+        f"{best} {gains[best]:+.2f}",
+        f"{worst} {gains[worst]:+.2f}",
+        f"{sum(whole[row.scene].seconds - row.seconds for row in rows) / len(rows):.1f}",
+    ]

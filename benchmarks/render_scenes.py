@@ -218,7 +218,7 @@ def union(parts: list[Part], cell: float) -> trimesh.Trimesh:
 
 BOWL_THICKNESS, CUP_THICKNESS, HANDLE_THICKNESS = 0.07, 0.05, 0.1
 ROD_THICKNESS, PLATE_THICKNESS = 0.04, 0.03
-CAP_THICKNESS, STEM_THICKNESS, GILL_THICKNESS = 0.07, 0.34, 0.04
+CAP_THICKNESS, STEM_THICKNESS, GILL_THICKNESS, VASE_THICKNESS = 0.07, 0.34, 0.04, 0.07
 
 
 def bowl() -> trimesh.Trimesh:
@@ -263,7 +263,16 @@ def mushroom() -> trimesh.Trimesh:
     return union([*along_line(turned, profile, CAP_THICKNESS), stem, *gills], cell=0.009)
 
 
-SHAPES = {Shape.BOWL: bowl, Shape.CUP: cup, Shape.RACK: rack, Shape.MUSHROOM: mushroom}
+def vase() -> trimesh.Trimesh:
+    """Return a vase of height 1.7, whose neck is half as wide as its belly."""
+    height = np.linspace(-0.8, 0.85, 45)
+    radius = np.interp(height, [-0.8, -0.3, 0.35, 0.6, 0.85], [0.3, 0.62, 0.36, 0.31, 0.42])
+    radius = np.convolve(np.pad(radius, 4, mode="edge"), np.full(9, 1 / 9), mode="valid")
+    profile = np.concatenate([[[0.0, height[0]]], np.stack([radius, height], axis=1)])
+    return union(along_line(turned, profile, VASE_THICKNESS), cell=0.014)
+
+
+SHAPES = {Shape.BOWL: bowl, Shape.CUP: cup, Shape.RACK: rack, Shape.MUSHROOM: mushroom, Shape.VASE: vase}
 
 if __name__ == "__main__":
     main()

@@ -50,6 +50,7 @@ class Shape(StrEnum):
     CUP = "cup"
     RACK = "rack"
     MUSHROOM = "mushroom"
+    VASE = "vase"
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,9 @@ READY_MADE = (
     BenchmarkScene("boot_hdr_400", Kind.CONCAVE, SceneSet.TUNING),
 )
 
-# Light reaches the inside of bowl and cup, and the mushroom's gills, along few paths: they take more samples than
-# COMMON, or it is all grain. With --up z, the front of the figures in homer.obj and hand.obj faces +z, where the cone's
-# cameras are.
+# Light reaches the inside of bowl, cup and vase, and the mushroom's gills, along few paths: they take more samples
+# than COMMON, or it is all grain. With --up z, the front of the figures in homer.obj and hand.obj faces +z, where the
+# cone's cameras are.
 RENDERED = (
     BenchmarkScene(
         "homer_gold_hdr",
@@ -163,10 +164,27 @@ RENDERED = (
     BenchmarkScene(
         "cup_coat_hdr",
         Kind.CONCAVE,
-        SceneSet.JUDGING,
+        SceneSet.TUNING,
         Shape.CUP,
         "--up z --tilt 15 --rotz 60 --solid blobs --freq 4 --color 0.50,0.42,0.30 --color2 0.06,0.18,0.22 "
         "--material clearcoat --light hdr --spp 128 --seed 303",
+    ),
+    BenchmarkScene(
+        "vase_sky",
+        Kind.CONCAVE,
+        SceneSet.JUDGING,
+        Shape.VASE,
+        "--up z --tilt 25 --rotz 10 --solid stripes --freq 4 --color 0.62,0.40,0.24 --color2 0.16,0.22,0.30 "
+        "--material satin --light sky --spp 128 --seed 309",
+    ),
+    BenchmarkScene(
+        "penguin_cone",
+        Kind.ONE_SIDE,
+        SceneSet.JUDGING,
+        "penguin.obj",
+        "--up z --views 32 --solid blobs --freq 4 --color 0.58,0.54,0.46 --color2 0.14,0.16,0.22 --material plastic "
+        "--roughness 0.2 --light soft --seed 310",
+        Cameras.CONE,
     ),
     BenchmarkScene(
         "brucewick_porcelain_hdr",
@@ -204,7 +222,7 @@ RENDERED = (
     BenchmarkScene(
         "hand_cone_hdr",
         Kind.ONE_SIDE,
-        SceneSet.JUDGING,
+        SceneSet.TUNING,
         "hand.obj",
         "--up z --views 32 --solid stripes --freq 6 --color 0.60,0.42,0.30 --color2 0.12,0.16,0.24 "
         "--material clearcoat --light hdr --seed 307",

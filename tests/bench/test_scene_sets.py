@@ -26,6 +26,7 @@ from benchmarks.render_scenes import (
     SHAPES,
     STEM_THICKNESS,
     UPPER_HEIGHTS,
+    VASE_THICKNESS,
     RenderError,
     render,
     tool_arguments,
@@ -65,7 +66,7 @@ def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:
 
 
 def test_names_and_seeds_are_unique() -> None:
-    assert len({scene.name for scene in SCENES}) == len(SCENES) == 25
+    assert len({scene.name for scene in SCENES}) == len(SCENES) == 27
     seeds = [scene.arguments.split()[scene.arguments.split().index("--seed") + 1] for scene in RENDERED]
     assert len(set(seeds)) == len(RENDERED)
 
@@ -84,8 +85,8 @@ def test_sources_and_ready_made_scenes_lie_beside_the_checkout(shared_data: Path
 @pytest.mark.parametrize("scene", RENDERED, ids=lambda scene: scene.name)
 def test_the_renderer_takes_the_arguments(scene: BenchmarkScene, tool_source: str) -> None:
     taken = parsed(scene, tool_source)
-    views = {"cow_flash_16": 16, "homer_cone": 32, "hand_cone_hdr": 32}.get(scene.name, 48)
-    samples = {"bowl_soft": 192, "cup_coat_hdr": 128, "mushroom_soft": 96}.get(scene.name, 64)
+    views = {"cow_flash_16": 16, "homer_cone": 32, "hand_cone_hdr": 32, "penguin_cone": 32}.get(scene.name, 48)
+    samples = {"bowl_soft": 192, "cup_coat_hdr": 128, "mushroom_soft": 96, "vase_sky": 128}.get(scene.name, 64)
     assert (taken.res, taken.views, taken.test_views, taken.spp) == (256, views, 8, samples)
     lights = [word for word in scene.name.split("_") if word in ("soft", "sky", "hdr", "flash", "dark")]
     assert lights in ([], [taken.light]), "the name says another light"
@@ -157,7 +158,9 @@ def crossings(mesh: trimesh.Trimesh, axis: int, place: tuple[float, float]) -> n
     return np.sort((shares * mesh.triangles[hit][:, :, axis]).sum(axis=1))
 
 
-@pytest.mark.parametrize(("shape", "handles"), [(Shape.BOWL, 0), (Shape.CUP, 1), (Shape.RACK, 9), (Shape.MUSHROOM, 0)])
+@pytest.mark.parametrize(
+    ("shape", "handles"), [(Shape.BOWL, 0), (Shape.CUP, 1), (Shape.RACK, 9), (Shape.MUSHROOM, 0), (Shape.VASE, 0)]
+)
 def test_shapes_are_closed_and_have_their_handles(shape: Shape, handles: int) -> None:
     mesh = solid(shape)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
@@ -184,6 +187,7 @@ def test_shapes_have_about_the_size_of_a_scene(shape: Shape) -> None:
         pytest.param(Shape.RACK, 2, (0.403, 0.407), [PLATE_THICKNESS], id="base of the rack"),
         pytest.param(Shape.RACK, 0, (0.1, -0.1), [PLATE_THICKNESS] * 2, id="standing plates"),
         pytest.param(Shape.RACK, 1, (0.28, 0.013), [ROD_THICKNESS] * 2, id="an arch's rods"),
+        pytest.param(Shape.VASE, 2, (0.013, 0.011), [VASE_THICKNESS], id="bottom of the vase"),
         pytest.param(Shape.MUSHROOM, 0, (0.013, -0.3), [STEM_THICKNESS], id="stem of the mushroom"),
     ],
 )

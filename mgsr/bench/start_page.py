@@ -15,7 +15,7 @@ ALL = "all parts"
 @dataclass(frozen=True)
 class StartRow:
     """The starting surface of a scene with one part left out, or with ALL. Chamfer in thousandths of the object's
-    radius, the normal error in degrees, seconds: of processor time, of finding the surface without stereo's search."""
+    radius, the normal error in degrees; seconds: the processor's, of finding the surface without stereo's search."""
 
     scene: str
     without: str
@@ -40,8 +40,8 @@ def start_section(rows: Sequence[StartRow]) -> str:
             "The surface that training begins on, found once with all parts and once without each of them. The table "
             "tells by how much leaving a part out raises the Chamfer distance and the normal error, in the mean over "
             f"{len(whole)} scenes of the tuning set ({', '.join(whole)}); on how many scenes the part changes the "
-            "Chamfer distance by more than 1% for the better or the worse; and the seconds of processor time that it takes, "
-            "without stereo's search. Program at "
+            "Chamfer distance by more than 1% for the better or the worse; and the seconds that it takes. Seconds are "
+            "the processor's, without stereo's search, which is the same in all rows. Program at "
             f"{commits}; made by `python -m benchmarks.start_parts`.",
             markdown(head, [_part(of_part, whole) for of_part in without if of_part]),
         )

@@ -79,7 +79,6 @@ def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> Se
         hull_chamfer=1000 * hull["chamfer"],
         hull_normal_error=hull["normal_error"],
         psnr=report["psnr_test"],
-        seconds=report["seconds"]["total"],
         preset=report["preset"],
         seed=report["seed"],
         commit="",

@@ -25,7 +25,6 @@ class SetRow:
     hull_chamfer: float
     hull_normal_error: float
     psnr: float
-    seconds: float
     preset: str
     seed: int
     commit: str
@@ -51,7 +50,7 @@ def sets_section(rows: Sequence[SetRow]) -> str:
 
 
 def _table(rows: Sequence[SetRow]) -> str:
-    head = ["scene", "kind", "Chamfer (hull)", "of the hull's", "normal error (hull)", "PSNR", "s"]
+    head = ["scene", "kind", "Chamfer (hull)", "of the hull's", "normal error (hull)", "PSNR"]
     cells = [
         [
             row.scene,
@@ -60,7 +59,6 @@ def _table(rows: Sequence[SetRow]) -> str:
             f"{row.chamfer / row.hull_chamfer:.0%}",
             f"{row.normal_error:.1f} ({row.hull_normal_error:.1f})",
             number(row.psnr, ".2f"),
-            f"{row.seconds:.0f}",
         ]
         for row in sorted(rows, key=lambda row: row.chamfer / row.hull_chamfer)
     ]

@@ -165,7 +165,7 @@ def test_an_older_run_stays_for_another_method_of_its_commit() -> None:
 
 
 def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
-    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 3.0, 10.0, 40.0, 120.0, "standard", 0, "abc")
+    apple = SetRow("apple", TUNING, "matte", 1.5, 4.0, 3.0, 10.0, 40.0, "standard", 0, "abc")
     pear = replace(apple, scene="pear", chamfer=2.5, hull_chamfer=10.0)
     fig = replace(apple, scene="fig", set=JUDGING, chamfer=4.4, hull_chamfer=4.0)
     write_csv(tmp_path / "sets.csv", SetRow, [apple, pear, fig], digits=5)

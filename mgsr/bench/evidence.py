@@ -65,7 +65,7 @@ class Evidence:
 
 
 def read_evidence(results: Path) -> Evidence:
-    """The files of a results folder."""
+    """Read the files of a results folder."""
     with open(results / SCENES, newline="", encoding="utf-8") as file:
         scenes = [
             SceneFacts(row.pop("scene"), row.pop("what"), *(float(text) for text in row.values()))
@@ -81,7 +81,7 @@ def read_evidence(results: Path) -> Evidence:
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
-    """The page and its plots; its path."""
+    """Write the page and its plots; return its path."""
     evidence = read_evidence(results)
     write_plots(docs / IMAGES, evidence.rows, evidence.curves)
     points = [(row.kernel, row.variant, row.cost, row.error_max) for row in evidence.kernels]
@@ -92,7 +92,7 @@ def write_evidence(results: Path, docs: Path) -> Path:
 
 
 def evidence_page(evidence: Evidence) -> str:
-    """The page as Markdown."""
+    """Return the page as Markdown."""
     sections = (
         _lead(evidence),
         _weak_section(evidence),
@@ -128,7 +128,7 @@ def _lead(evidence: Evidence) -> str:
 
 
 def _weak_section(evidence: Evidence) -> str:
-    """What speaks against us, before anything that speaks for us."""
+    """Tell what speaks against the program, before anything that speaks for it."""
     points = [*_weak_scores(evidence), *_weak_measurements(evidence)]
     return "## What is weak\n\n" + "\n".join(f"- {point}" for point in points) if points else ""
 
@@ -205,7 +205,7 @@ def _beside_the_hull(row: Row, fact: SceneFacts) -> list[str]:
 
 
 def _with_one_change(evidence: Evidence) -> list[str]:
-    """Runs without masks, and those before shading refined the surface."""
+    """Compare runs without masks, and those before shading refined the surface."""
     told, runs = [], plain_runs(evidence.rows)
     unmasked = plain_runs(evidence.rows, variant="masks=off")
     if unmasked:
@@ -228,7 +228,7 @@ def _beside_masks(row: Row, masked: Row | None) -> list[str]:
 
 
 def _methods_section(evidence: Evidence) -> str:
-    """The plot of error over seconds, and the rows behind it."""
+    """Return the plot of error over seconds, and the rows behind it."""
     plain = [row for row in evidence.rows if not row.variant]
     head = ["scene", "method", "preset", "seconds", "start", "train", "mesh", "PSNR", "on the object", "Chamfer", "NC"]
     forms = (
@@ -257,7 +257,7 @@ def _methods_section(evidence: Evidence) -> str:
 
 
 def _run_cells(row: Row) -> list[str]:
-    """What tells a run from others of its variant: scene, method and preset, with the seed where it is not 0."""
+    """Return what tells a run from others of its variant: scene, method and preset, with the seed where it is not 0."""
     return [row.scene, row.method, row.preset + (f", seed {row.seed}" if row.seed else "")]
 
 

@@ -31,7 +31,7 @@ class SetRow:
 
 
 def sets_section(rows: Sequence[SetRow]) -> str:
-    """The tables of both sets and their means; empty without rows."""
+    """Return the tables of both sets and their means; empty without rows."""
     if not rows:
         return ""
     presets, seeds = ", ".join(sorted({row.preset for row in rows})), ", ".join(sorted({str(row.seed) for row in rows}))

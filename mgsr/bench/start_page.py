@@ -26,7 +26,7 @@ class StartRow:
 
 
 def start_section(rows: Sequence[StartRow]) -> str:
-    """The table of parts; empty without rows."""
+    """Return the table of parts; empty without rows."""
     whole = {row.scene: row for row in rows if row.without == ALL}
     parts = list(dict.fromkeys(row.without for row in rows if row.without != ALL))
     if not whole or not parts:

@@ -69,7 +69,8 @@ def _means(name: str, rows: Sequence[SetRow]) -> str:
     count, above = len(rows), [row.scene for row in rows if row.chamfer > row.hull_chamfer]
     chamfer, error = (sum(getattr(row, field) for row in rows) / count for field in ("chamfer", "normal_error"))
     worse = f" Worse than the hull: {', '.join(above)}." if above else " No scene is worse than its hull."
-    return f"Mean of the {name} set's {count} scenes: Chamfer {chamfer:.2f}, normal error {error:.1f} degrees.{worse}"
+    scenes = "1 scene" if count == 1 else f"{count} scenes"
+    return f"Mean of the {name} set's {scenes}: Chamfer {chamfer:.2f}, normal error {error:.1f} degrees.{worse}"
 
 
 def _gap(rows: Sequence[SetRow]) -> list[str]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.render_scenes import SHARED
 from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
@@ -30,8 +31,6 @@ from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
-
-READY_MADE = Path(__file__).resolve().parents[2] / "shared/data/scenes"
 
 
 def main() -> None:
@@ -60,7 +59,7 @@ def arguments() -> argparse.Namespace:
 
 def find(scene: BenchmarkScene, rendered: Path) -> Path:
     """Return the scene's folder."""
-    return READY_MADE / scene.name if scene.source is None else rendered / scene.name
+    return SHARED / "data" / "scenes" / scene.name if scene.source is None else rendered / scene.name
 
 
 def measured(scene: BenchmarkScene, path: Path, given: argparse.Namespace) -> SetRow:

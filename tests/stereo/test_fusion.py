@@ -156,13 +156,14 @@ def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, mon
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]
 
     weights, grid = heavy(maps) + heavy(through, 0.06), grid_of(hull)
-    monkeypatch.setattr(fusion, "VARIATION", 1e-6)  # which would close the middle
     votes = fusion._Votes(TWICE, maps + through, weights, fusion.REACH * PIXEL)
 
     def volume() -> float:
         inside = (fusion._fused(votes, grid, hull, None).field > 0).sum()
         return float(inside * grid.voxel**3 / ball.volume)
 
+    assert 0.95 < volume() < 1.02
+    monkeypatch.setattr(fusion, "VARIATION", 1e-6)  # which would close the middle too
     assert 0.95 < volume() < 1.02
     monkeypatch.setattr(fusion, "SOLID_WEIGHT", 0.0)
     assert volume() < 0.9, "the faint maps alone tell of the middle"
@@ -228,8 +229,13 @@ def well() -> RayCaster:
     return RayCaster(np.concatenate(rings), np.array([*sides, [8, 9, 10], [8, 10, 11]]))
 
 
-def test_faint_words_empty_a_deep_cavity(well: RayCaster, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few cameras see its floor, and their words weigh a twelfth."""
+@pytest.mark.parametrize(("weight", "variation"), [(0.05, 1e-6), (1 / 12, fusion.VARIATION)])
+def test_faint_words_empty_a_deep_cavity(
+    weight: float, variation: float, well: RayCaster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Few cameras see its floor. Under total variation, which prefers the short way across its mouth, they must say
+    more."""
+    monkeypatch.setattr(fusion, "VARIATION", variation)
     cameras = cameras_above(COUNT, SIDE)
     hits = [well.cast(camera) for camera in cameras]
     maps = [DepthMap(hit.depth, hit.normal, hit.mask.astype(np.float32)) for hit in hits]
@@ -238,7 +244,7 @@ def test_faint_words_empty_a_deep_cavity(well: RayCaster, monkeypatch: pytest.Mo
     floor = (true := well.cast(above).depth) > 3.2
 
     def depth() -> float:
-        seen = RayCaster(*fuse(cameras, maps, heavy(maps, 1 / 12), block(HALF), pixel)).cast(above).depth
+        seen = RayCaster(*fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel)).cast(above).depth
         return float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)

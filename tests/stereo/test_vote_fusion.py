@@ -65,8 +65,7 @@ def random_votes(count: int, seed: int = 0) -> np.ndarray:
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_row_is_that_of_a_linear_program(axis: int, strength: float) -> None:
     votes = random_votes(9)
-    shape = tuple(9 if each == axis else 1 for each in range(3))
-    found = fused(votes, shape, strength).ravel()  # type: ignore[arg-type]
+    found = fused(votes, [(9, 1, 1), (1, 9, 1), (1, 1, 9)][axis], strength).ravel()
     assert found == pytest.approx(best_row(votes, strength), abs=1 / (BINS * 24) + 1e-3)
 
 

@@ -22,7 +22,7 @@ from benchmarks.scene_scores import find, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
-from mgsr.bench.start_page import ALL, StartRow
+from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.cli.evaluation import find_truth
 from mgsr.config import make_config
 from mgsr.data.hull import carve
@@ -68,14 +68,14 @@ PARTS: dict[str, Part] = {
 
 def main() -> None:
     given = arguments()
-    rows = read_csv(given.out, StartRow)
+    rows = read_csv(given.out, PartRow)
     for scene in SCENES:
         if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
             continue
         found = measured(find(scene, given.rendered))
         rows = [row for row in rows if row.scene != scene.name] + found
         print(*found, sep="\n", flush=True)
-        write_csv(given.out, StartRow, rows, digits=5)
+        write_csv(given.out, PartRow, rows, digits=5)
 
 
 def arguments() -> argparse.Namespace:
@@ -86,7 +86,7 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def measured(path: Path) -> list[StartRow]:
+def measured(path: Path) -> list[PartRow]:
     """Return a row for the start with all parts and for the start without each."""
     scene = load_scene(path, make_config("standard").data)
     outlines, truth, rows = silhouettes(scene.train, MASK_SIDE), find_truth(scene), []
@@ -111,7 +111,7 @@ def measured(path: Path) -> list[StartRow]:
             seconds = time.process_time() - began
         scores = scores_of(surface.vertices, surface.faces, scene, truth)
         rows.append(
-            StartRow(path.name, without, 1000 * scores["chamfer"], scores["normal_error"], seconds, program_commit())
+            PartRow(path.name, without, 1000 * scores["chamfer"], scores["normal_error"], seconds, program_commit())
         )
     return rows
 

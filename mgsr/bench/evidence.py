@@ -20,10 +20,10 @@ from mgsr.bench.kernel_page import kernel_section
 from mgsr.bench.kernel_results import CHOICES, KERNELS, KernelRow, read_kernels
 from mgsr.bench.length_page import early_ends, length_section
 from mgsr.bench.need_page import need_section
+from mgsr.bench.parts_page import FINISH_PARTS, START_PARTS, PartRow, finish_section, start_section
 from mgsr.bench.plots import write_kernel_plot, write_plots
 from mgsr.bench.results import CURVES, DONE, RUNS, Curve, Row, latest, read_curves, read_rows
 from mgsr.bench.sets_page import SETS, SetRow, sets_section
-from mgsr.bench.start_page import START_PARTS, StartRow, start_section
 from mgsr.bench.table import markdown, number
 
 PAGE, IMAGES = "evidence.md", Path("images") / "evidence"
@@ -57,7 +57,8 @@ class Evidence:
     behind: list[Row] = field(default_factory=list)
     choices: list[KernelRow] = field(default_factory=list)
     sets: list[SetRow] = field(default_factory=list)
-    start: list[StartRow] = field(default_factory=list)
+    start: list[PartRow] = field(default_factory=list)
+    finish: list[PartRow] = field(default_factory=list)
 
     @property
     def all_rows(self) -> list[Row]:
@@ -76,8 +77,9 @@ def read_evidence(results: Path) -> Evidence:
     kernels, choices = (read_kernels(results / name) for name in (KERNELS, CHOICES))
     exposures = read_csv(results / EXPOSURES, ExposureRow)
     curves, behind = read_curves(results / CURVES), [row for row in rows if row not in newest]
-    sets, start = read_csv(results / SETS, SetRow), read_csv(results / START_PARTS, StartRow)
-    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets, start)
+    sets = read_csv(results / SETS, SetRow)
+    start, finish = (read_csv(results / name, PartRow) for name in (START_PARTS, FINISH_PARTS))
+    return Evidence(newest, curves, scenes, kernels, exposures, behind, choices, sets, start, finish)
 
 
 def write_evidence(results: Path, docs: Path) -> Path:
@@ -105,6 +107,7 @@ def evidence_page(evidence: Evidence) -> str:
         length_section(evidence.all_rows),
         exposure_section(evidence.exposures),
         start_section(evidence.start),
+        finish_section(evidence.finish),
         ablation_section(evidence.all_rows),
         choices_section(evidence.all_rows),
         kernel_section(evidence.kernels, evidence.choices),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,9 +19,9 @@ from mgsr.bench.exposure_page import (
     ExposureRow,
     exposure_section,
 )
+from mgsr.bench.parts_page import ALL, PartRow, finish_section, start_section
 from mgsr.bench.results import Curve, Row, keep_rows, write_rows
 from mgsr.bench.sets_page import JUDGING, TUNING, SetRow, sets_section
-from mgsr.bench.start_page import ALL, StartRow, start_section
 from tests.bench.samples import sample_row, sample_rows
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -178,15 +179,16 @@ def test_the_two_sets_and_the_gap_between_them(tmp_path: Path) -> None:
     assert "gap" not in sets_section([apple]) and sets_section([]) == ""
 
 
-def test_what_the_parts_of_the_start_are_worth(tmp_path: Path) -> None:
+@pytest.mark.parametrize("section", [start_section, finish_section])
+def test_what_the_parts_are_worth(section: Callable[[Sequence[PartRow]], str], tmp_path: Path) -> None:
     figures = {("apple", ALL): (2.0, 30.0), ("pear", ALL): (4.0, 20.0)}
     figures |= {("apple", "stereo"): (5.0, 20.0), ("pear", "stereo"): (3.0, 16.0), ("fig", "stereo"): (9.0, 1.0)}
-    rows = [StartRow(scene, part, chamfer, 6.0, s, "abc") for (scene, part), (chamfer, s) in figures.items()]
-    write_csv(tmp_path / "start_parts.csv", StartRow, rows, digits=5)
-    assert read_csv(tmp_path / "start_parts.csv", StartRow) == rows
-    text = start_section(rows)
+    rows = [PartRow(scene, part, chamfer, 6.0, s, "abc") for (scene, part), (chamfer, s) in figures.items()]
+    write_csv(tmp_path / "parts.csv", PartRow, rows, digits=5)
+    assert read_csv(tmp_path / "parts.csv", PartRow) == rows
+    text = section(rows)
     assert "| stereo | +1.00 | +0.0 | 1 | 1 | apple +3.00 | pear -1.00 | 7.0 |" in text and "2 scenes" in text
-    assert start_section([row for row in rows if row.without != ALL]) == start_section([]) == ""
+    assert section([row for row in rows if row.without != ALL]) == section([]) == ""
 
 
 def test_what_differing_exposures_cost(tmp_path: Path) -> None:

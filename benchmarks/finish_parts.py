@@ -1,0 +1,106 @@
+"""What each part that finishes the trained surface is worth:
+
+    python -m benchmarks.finish_parts RENDERED --runs FOLDER -o benchmarks/results/finish_parts.csv [--scenes NAME ...]
+
+FOLDER: the finished runs that `python -m benchmarks.scene_scores` left. For each scene of the tuning set that has one,
+the surface is extracted from the run's surfels with all parts, and once without each of them. Rows of other scenes
+stay in the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from benchmarks.scene_scores import find
+from benchmarks.scene_sets import SCENES, SceneSet
+from mgsr.bench.csv_rows import read_csv, write_csv
+from mgsr.bench.machine import program_commit
+from mgsr.bench.parts_page import ALL, PartRow
+from mgsr.cli.evaluation import find_truth, surface_scores
+from mgsr.cli.outputs import REPORT, at_known_exposures, read_models
+from mgsr.cli.rendering import outlined_scene, scene_silhouettes, surface_views
+from mgsr.config import MeshConfig, make_config
+from mgsr.data.readers import load_scene
+from mgsr.geometry.triangles import Triangles
+from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.surface import SurfaceMesh
+from mgsr.start.starting_points import starting_points
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the surface is extracted with: settings, and the surface that training began on, None to leave it out."""
+
+    config: MeshConfig
+    start: Triangles | None
+
+
+WITHOUT: dict[str, Callable[[Parts], Parts]] = {
+    "the views' agreement": lambda parts: replace(parts, config=replace(parts.config, consistency=None)),
+    "the start where it is likelier": lambda parts: replace(parts, start=None),
+    "the masks' hull": lambda parts: replace(parts, config=replace(parts.config, hull_margin=None)),
+    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, outline_smoothing=None)),
+    "shading and parallax": lambda parts: replace(parts, config=replace(parts.config, shading_ratio=None)),
+    "parallax": lambda parts: replace(parts, config=replace(parts.config, parallax_reach=None)),
+    "opening where photographs differ": lambda parts: replace(parts, config=replace(parts.config, disagreement=None)),
+    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, wave_angle=None)),
+    "smoothing of facets": lambda parts: replace(parts, config=replace(parts.config, smoothing_angle=None)),
+}
+
+
+def main() -> None:
+    given = arguments()
+    rows = read_csv(given.out, PartRow)
+    for scene in SCENES:
+        run: Path = given.runs / scene.name
+        if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
+            continue
+        if not (run / REPORT).is_file():
+            print(f"{scene.name}: no finished run in {run}", flush=True)
+            continue
+        found = measured(find(scene, given.rendered), run)
+        rows = [row for row in rows if row.scene != scene.name] + found
+        print(*found, sep="\n", flush=True)
+        write_csv(given.out, PartRow, rows, digits=5)
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rendered", type=Path)
+    parser.add_argument("-o", dest="out", type=Path, required=True)
+    parser.add_argument("--runs", type=Path, required=True)
+    parser.add_argument("--scenes", nargs="*", default=[])
+    return parser.parse_args()
+
+
+def measured(path: Path, run: Path) -> list[PartRow]:
+    """Return a row for the surface with all parts and for the surface without each."""
+    config = make_config("standard")
+    scene = at_known_exposures(run, load_scene(path, config.data))
+    truth, models = find_truth(scene), read_models(run, scene)
+    views, outlined = surface_views(models, scene, config), outlined_scene(models, scene, config)
+    outlines = scene_silhouettes(outlined)
+    whole = Parts(config.mesh, starting_points(scene, 1, config.seed).surface if scene.masked else None)
+
+    def extracted(parts: Parts) -> SurfaceMesh:
+        mesh = extract_mesh(views, parts.config, outlines, outlined.train, start=parts.start)
+        return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
+
+    rows = []
+    for without, parts in {ALL: whole, **{name: change(whole) for name, change in WITHOUT.items()}}.items():
+        began = time.process_time()
+        mesh = extracted(parts)
+        seconds = time.process_time() - began
+        scores = surface_scores(mesh, truth, scene)["gt"]
+        rows.append(
+            PartRow(path.name, without, 1000 * scores["chamfer"], scores["normal_error"], seconds, program_commit())
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    main()

@@ -36,7 +36,7 @@ from mgsr.config import Config, make_config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import about_origin, origin_of_frame
-from mgsr.export.mirrored_light import write_mirrored_light
+from mgsr.export.mirrored_light import StoredLight, write_mirrored_light
 from mgsr.export.splats import write_splats
 from mgsr.training.evaluate import mean_psnr, surfel_picture, volume_picture
 from mgsr.training.progress import Progress, TrainResult
@@ -120,7 +120,8 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
     if trained.light is not None:
-        write_mirrored_light(out / LEARNT[2], trained.light.maps().numpy())
+        light = StoredLight(trained.light.maps().numpy(), trained.light.bounce().numpy())
+        write_mirrored_light(out / LEARNT[2], light)
 
 
 def digests(out: Path) -> dict[str, str]:

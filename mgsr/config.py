@@ -305,6 +305,8 @@ class MirrorConfig:
     fade_from: float = 0.5  # fraction of the run after which the rate begins to fade
     final: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
+    iterations: int = 300  # of the 3D branch and the light after the surface was made, which then mirrors instead of
+    # the 2D branch; masked scenes only; 0 is never
     weight_hold: float = 5e-7  # pull of each splat's reflection weight to its start
 
 
@@ -414,6 +416,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "warmup.volume_iterations": "300",
         "mutual.iterations": "200",
         "trial.iterations": "0",
+        "mirror.iterations": "100",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "volumes.max_start": "5000",

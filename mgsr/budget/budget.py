@@ -158,6 +158,11 @@ class TimeBudget:
         self._cut |= not fits
         return fits
 
+    def room(self, splats: Mapping[str, int]) -> int:
+        """Return about how many iterations the stage FINISH will have. splats: by branch."""
+        left = self._aim - self.slowness * costs.closing_cost(self._facts) - self.spent
+        return max(0, int(left / self._expected(FINISH, splats)))
+
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps of it."""
         return {

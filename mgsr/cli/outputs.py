@@ -23,12 +23,13 @@ from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.gltf import Up as UpDirection
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
-from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
+from mgsr.export.mirrored_light import StoredLight, load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import SurfaceMesh
@@ -131,7 +132,7 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
         (out / LIGHT).unlink(missing_ok=True)
         return
     with whole(out / LIGHT) as path:
-        write_mirrored_light(path, models.light.maps().numpy())
+        write_mirrored_light(path, _stored(models.light, scene), origin_of_frame(scene.user_from_scene))
 
 
 def read_models(out: Path, scene: Scene) -> Models:
@@ -143,8 +144,24 @@ def read_models(out: Path, scene: Scene) -> Models:
     volumes = None
     if VOLUMES in found:
         volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
-    light = MirroredLight.of(load_mirrored_light(out / LIGHT)) if (out / LIGHT).exists() else None
+    light = _read_light(out / LIGHT, scene) if (out / LIGHT).exists() else None
     return Models(surfels, volumes, light)
+
+
+def _stored(light: MirroredLight, scene: Scene) -> StoredLight:
+    """Return a light in the user's frame."""
+    surface = light.reflector
+    placed = None if surface is None else (scene.user_from_scene.to_user(surface.vertices), surface.faces)
+    return StoredLight(light.maps().numpy(), light.bounce().numpy(), placed)
+
+
+def _read_light(path: Path, scene: Scene) -> MirroredLight:
+    """Return a file's light in the scene's frame."""
+    stored = load_mirrored_light(path)
+    reflector = None
+    if stored.surface is not None:
+        reflector = Reflector(scene.user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
+    return MirroredLight.of(stored.maps, stored.bounce, reflector)
 
 
 def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig) -> None:

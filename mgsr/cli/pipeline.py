@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from mgsr.budget.budget import TimeBudget
 from mgsr.cli import outputs
 from mgsr.cli.beginning import begin, load
@@ -84,6 +86,9 @@ def run_scene(
         drawn = _draw(mesh, truth, scene)
     if budget is not None:
         budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
+    mirrors = budget is None or budget.room(models.counts) >= config.train.mirror.iterations
+    mirrors = mirrors and training.mirror_at(scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+    if budget is not None or mirrors:
         trained = training.run(before_surface=False)
         models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
     with step("render", f"rendering and measuring {len(scene.test)} test views"):
@@ -110,15 +115,15 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does, and leave the splats in `out`; the same arguments and errors, but a time budget is
-    refused: it is for whole runs."""
+    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`; the same arguments and
+    errors, but a time budget is refused: it is for whole runs."""
     if config.time_budget is not None:
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
     scene, start = begin(scene, config, out, step)
-    return _Training(scene, start, config, out, step, chosen, resume).run()
+    return _Training(scene, start, config, out, step, chosen, resume).run(before_surface=True)
 
 
 def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
@@ -204,6 +209,10 @@ class _Training:
                 device=device.torch,
                 pace=budget,
             )
+
+    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """See `Training.mirror_at`."""
+        return self._training.mirror_at(vertices, faces)
 
     def run(self, before_surface: bool = False) -> TrainResult:
         """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""

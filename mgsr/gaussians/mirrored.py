@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from mgsr.gaussians.reflector import Reflector
 from mgsr.ops.activations import shares
+
+
+@dataclass(frozen=True)
+class Light:
+    """texels [2,S,S,3]: the light of each direction, the scene's map and the camera's; bounce [1,3]: the share of it
+    that a second bounce leaves. All 0..1."""
+
+    texels: Tensor
+    bounce: Tensor
 
 
 @dataclass
@@ -16,23 +26,26 @@ class MirroredLight:
     """Two maps of the light that comes from each direction: one stands still in the scene (lamps, windows, the sky),
     one moves with the camera (a flash, the photographer).
 
-    logits [2*S*S,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by row.
-    Each map unfolds the directions' octahedron into a square (`octahedral` in `mgsr.render.mirrored`): in the scene's
-    axes, z in the middle; in the camera's, its middle the way back to the camera.
+    logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by
+    row; last, of the share of the light that a second bounce leaves. Each map unfolds the directions' octahedron into a
+    square (`octahedral` in `mgsr.render.mirrored`): in the scene's axes, z in the middle; in the camera's, its middle
+    the way back to the camera.
+    reflector: the surface that mirrors; None where the 2D branch's does.
     """
 
     logits: Tensor
+    reflector: Reflector | None = None
 
     @classmethod
-    def uniform(cls, side: int, start: float) -> MirroredLight:
+    def uniform(cls, side: int, start: float, reflector: Reflector | None = None) -> MirroredLight:
         """Return maps of side x side texels, all of the light `start`, inside (0, 1)."""
-        return cls(torch.full((2 * side * side, 3), start).logit())
+        return cls(torch.full((2 * side * side + 1, 3), start).logit(), reflector)
 
     @classmethod
-    def of(cls, maps: np.ndarray) -> MirroredLight:
-        """From what `maps` gave, [2,3,S,S]."""
-        light = torch.from_numpy(np.clip(maps, 1e-6, 1 - 1e-6).astype(np.float32))
-        return cls(light.permute(0, 2, 3, 1).reshape(-1, 3).logit())
+    def of(cls, maps: np.ndarray, bounce: np.ndarray, reflector: Reflector | None = None) -> MirroredLight:
+        """Return the light of what `maps` and `bounce` gave, [2,3,S,S] and [3]."""
+        rows = np.concatenate([np.moveaxis(maps, 1, -1).reshape(-1, 3), np.reshape(bounce, (1, 3))])
+        return cls(torch.from_numpy(np.clip(rows, 1e-6, 1 - 1e-6).astype(np.float32)).logit(), reflector)
 
     def __len__(self) -> int:
         return self.logits.shape[0]
@@ -40,15 +53,20 @@ class MirroredLight:
     @property
     def side(self) -> int:
         """Texels along a side of each map."""
-        return round((len(self) / 2) ** 0.5)
+        return round(((len(self) - 1) / 2) ** 0.5)
 
-    def texels(self) -> Tensor:
-        """Return the light [2,S,S,3]."""
-        return shares(self.logits).view(2, self.side, self.side, 3)
+    def light(self) -> Light:
+        """Return the light, for rendering."""
+        light = shares(self.logits)
+        return Light(light[:-1].view(2, self.side, self.side, 3), light[-1:])
 
     def maps(self) -> Tensor:
         """Return the light [2,3,S,S]."""
-        return self.texels().permute(0, 3, 1, 2)
+        return self.light().texels.permute(0, 3, 1, 2)
+
+    def bounce(self) -> Tensor:
+        """Return the share [3] of the light that a second bounce leaves."""
+        return self.light().bounce[0]
 
     def parameters(self) -> dict[str, Tensor]:
         """Every stored tensor by name."""
@@ -56,8 +74,8 @@ class MirroredLight:
 
     def detached(self) -> MirroredLight:
         """Return a copy that carries no gradients."""
-        return MirroredLight(self.logits.detach().clone())
+        return replace(self, logits=self.logits.detach().clone())
 
     def to(self, device: torch.device) -> MirroredLight:
         """Return the same light on a device (no copy where it already is)."""
-        return MirroredLight(self.logits.to(device))
+        return replace(self, logits=self.logits.to(device))

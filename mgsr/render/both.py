@@ -28,5 +28,7 @@ def render_both(
     flat = None if surfels is None else render_surfels(surfels, camera, background, lit=lit)
     if volumes is None:
         return flat, None
-    mirrored = None if light is None or flat is None else mirrored_light(light, flat.normal, camera)
+    mirrored = None
+    if light is not None and (flat is not None or light.reflector is not None):
+        mirrored = mirrored_light(light, camera, None if flat is None else flat.normal)
     return flat, render_volumes(volumes, camera, background, depth=depth, mirrored=mirrored, lit=lit)

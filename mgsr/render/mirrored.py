@@ -1,7 +1,8 @@
 """What a surface mirrors in each pixel: the shared light, looked up where the normal throws the line of sight.
 
-Deferred shading: the 2D branch's normals are blended first and mirrored once a pixel. Highlights so follow the shape,
-also in views and places where no photograph saw them; and where photographs show them, they shape the normals.
+Deferred shading: the sight is mirrored once a pixel, at the 2D branch's blended normals, or at the mesh once there is
+one. Highlights so follow the shape, also in views and places where no photograph saw them; and where photographs show
+them, they shape the 2D branch's normals.
 """
 
 from __future__ import annotations
@@ -10,17 +11,35 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.mirrored import Light, MirroredLight
 from mgsr.ops.mirrored import look_up_mirrored
 
 
-def mirrored_light(light: MirroredLight, normal: Tensor, camera: Camera, pixels: Tensor | None = None) -> Tensor:
+def mirrored_light(
+    light: MirroredLight,
+    camera: Camera,
+    normal: Tensor | None = None,
+    pixels: Tensor | None = None,
+    shining: Light | None = None,
+) -> Tensor:
     """The light [H,W,3] that comes from where each pixel's surface mirrors the camera's sight to.
 
-    normal [H,W,3]: world frame, of any length; where it is zero, the result means nothing. pixels [P] int64: which to
-    look at, row x W + column, each once; elsewhere the result is 0. Gradients flow to the light and to the normals.
+    normal [H,W,3]: the 2D branch's, world frame, of any length, for a light without a reflector; where it is zero, the
+    result means nothing. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by
+    default all, or those at the reflector. shining: what `light.light` gives, where that is at hand. Gradients flow to
+    the light and to the normals.
     """
-    return look_up_mirrored(light.texels(), normal, camera, pixels)
+    shining = light.light() if shining is None else shining
+    if light.reflector is None:
+        assert normal is not None
+        return look_up_mirrored(shining.texels, normal, camera, pixels)
+    seen = light.reflector.seen_by(camera, shining.texels.device)
+    shown = look_up_mirrored(shining.texels, seen.normals.float(), camera, seen.near if pixels is None else pixels)
+    if not len(seen.bounced):
+        return shown
+    left = shown.new_ones(camera.height * camera.width, 3)
+    left = left.index_copy(0, seen.bounced, shining.bounce.expand(len(seen.bounced), 3))
+    return shown * left.view(camera.height, camera.width, 3)
 
 
 def octahedral(directions: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: Mi
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
         color = color_tensor(background, model.means.device)
-        mirror = None if mirrored is None else surfels
+        mirror = surfels if mirrored is not None and mirrored.reflector is None else None
         _, full = render_both(mirror, model, mirrored, camera, color, depth=False, lit=light)
         assert full is not None
         return full.color

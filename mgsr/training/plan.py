@@ -13,6 +13,7 @@ from mgsr.data.backdrop import Backdrop, Color, backdrop
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
 from mgsr.errors import TrainingError
+from mgsr.gaussians.reflector import Reflector
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
@@ -41,6 +42,15 @@ class Plan:
         """Of what the 3D branch adds to the transmitted light, where that was left to it."""
         return next((stage.trial for stage in self.stages if stage.trial is not None), None)
 
+    def mirror_at(self, reflector: Reflector) -> bool:
+        """Let a mesh mirror the light from the stage FINISH on, where it is learned; return whether it is."""
+        finish, light = self.stages[-1], self.parts.light
+        used = finish.name == FINISH and light is not None and light.used
+        if used and light is not None:
+            light.model.reflector = reflector
+            finish.iterations = light.settings.iterations
+        return used
+
 
 @dataclass(frozen=True)
 class _Photographs:
@@ -67,8 +77,9 @@ class _Photographs:
 def make_plan(
     scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU, finish: bool = False
 ) -> Plan:
-    """Branches on the starting points, all on `device`, and the stages that the settings ask for; with `finish`, one
-    more, of no iterations yet, in which the branch that renders goes on at the last learning rates.
+    """Branches on the starting points, all on `device`, and the stages that the settings ask for; with `finish`, or
+    where a mesh may mirror the light in the end, one more, of no iterations yet, in which the branch that renders goes
+    on alone.
 
     Raises TrainingError for too few training views.
     """
@@ -85,7 +96,7 @@ def make_plan(
     if parts.volumes is not None:
         stages.append(_volume_warmup(parts, photographs, last, config, tried))
     stages.append(last)
-    if finish:
+    if finish or (parts.light is not None and scene.masked and config.train.mirror.iterations):
         stages.append(_finish(parts, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
     return Plan(parts, stages, curve_views, behind)
@@ -219,17 +230,25 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
 
 
 def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
-    """The branch that renders, alone, while the other stands still. It has no schedule, so it may end anywhere."""
+    """The branch that renders, alone, while the other stands still, at the last learning rates; it may end anywhere.
+    Light that has a new surface to mirror it begins at those of the whole training's middle."""
     cycle = ViewCycle(len(views), seeded(config, 6))
     if parts.volumes is None:
         assert parts.surfels is not None
         compute = surfels_alone(parts.surfels, config.train, warming=False)
         return Stage(FINISH, [parts.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
-    mirrored = None
-    if parts.light is not None and parts.surfels is not None:
-        mirrored = WhatIsMirrored(parts.light, parts.surfels)
+    light, mirrored = parts.light, None
+    if light is not None and parts.surfels is not None:
+        mirrored = WhatIsMirrored(light, parts.surfels)
+
+    def progress(part: Trained, iteration: int) -> float:
+        if light is None or light.model.reflector is None:
+            return 1.0
+        return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)
+
     compute = volumes_alone(parts.volumes, config.train, warming=False, mirrored=mirrored)
-    return Stage(FINISH, [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0, light=parts.light)
+    stage = [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), progress
+    return Stage(FINISH, *stage, light=light)
 
 
 def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:

@@ -6,11 +6,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import GpuError
+from mgsr.gaussians.reflector import Reflector
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
 from mgsr.training.pace import FINISH, Pace
@@ -50,7 +52,8 @@ class Training:
     resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
     deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
     much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-    pace: sets the lengths of all stages, of which there then is one more, FINISH.
+    pace: sets the lengths of all stages, of which there then is one more, FINISH; so is there for light that the
+    finished mesh may mirror (`mirror_at`).
 
     Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
     branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be
@@ -84,10 +87,18 @@ class Training:
             if resume and checkpoint_path is not None and checkpoint_path.exists():
                 self._trainer.resume()
 
-    def run(self, finish: bool = True) -> TrainResult:
-        """The branches as they are after all stages; without `finish`, before the stage FINISH."""
+    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """Let the finished mesh, vertices [V,3] in the scene's frame and faces [F,3], mirror the light from here on;
+        return whether the stage FINISH has something to do then. Call it before that stage."""
         with one_torch_thread(), card_explained():
-            self._trainer.run(before=None if finish else FINISH)
+            return self._trainer.plan.mirror_at(Reflector(vertices, faces))
+
+    def run(self, finish: bool = True) -> TrainResult:
+        """Return the branches as they are after all stages; without `finish`, before the stage FINISH. A pace or
+        `mirror_at` gives that stage something to do."""
+        plan, paced = self._trainer.plan, self._trainer.pace is not None
+        with one_torch_thread(), card_explained():
+            self._trainer.run(before=None if finish and (paced or plan.stages[-1].iterations) else FINISH)
         return _result(self._trainer)
 
 

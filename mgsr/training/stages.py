@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.gaussians.mirrored import Light
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.loss import Loss
 from mgsr.losses.mirrored import light_terms
 from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
-from mgsr.ops.mirrored import look_up_mirrored
+from mgsr.render.mirrored import mirrored_light
 from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
 from mgsr.render.surfels import render_surfels
 from mgsr.render.volumes import render_volumes
@@ -136,7 +137,8 @@ class Stage:
 
 @dataclass(frozen=True)
 class WhatIsMirrored:
-    """The light that the surface mirrors, and the 2D branch whose normals throw it; only the light learns.
+    """The light that the surface mirrors, and the 2D branch whose normals throw it where the light has no reflector;
+    only the light learns.
 
     The 2D branch must stand still, for its normals are kept, as float16, while KEPT_NORMALS lasts."""
 
@@ -144,8 +146,11 @@ class WhatIsMirrored:
     surfels: SurfelBranch
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
-    def shown(self, view: TrainingView, texels: Tensor) -> Tensor:
-        """Return what each pixel of a view mirrors, [H,W,3], of the light's texels [2,S,S,3]."""
+    def shown(self, view: TrainingView, shining: Light) -> Tensor:
+        """Return what each pixel of a view mirrors of the light, [H,W,3]."""
+        model = self.light.model
+        if model.reflector is not None:
+            return mirrored_light(model, view.camera, pixels=view.covered, shining=shining)
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:
@@ -153,7 +158,7 @@ class WhatIsMirrored:
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
                 self.kept[key] = normal
-        return look_up_mirrored(texels, normal.float(), view.camera, view.covered)
+        return mirrored_light(model, view.camera, normal.float(), view.covered, shining)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
@@ -190,8 +195,8 @@ def volumes_alone(
         shown: Tensor | None = None
         held: Terms = {}
         if mirrored is not None and mirrored.light.used:
-            texels = mirrored.light.model.texels()
-            shown, held = mirrored.shown(view, texels), light_terms(texels, branch.model, config)
+            shining = mirrored.light.model.light()
+            shown, held = mirrored.shown(view, shining), light_terms(shining.texels, branch.model, config)
         behind = color_tensor(background, branch.device)
         outputs = _see_volumes(branch, view, behind, degree, refl_degree, needs_depth, shown)
         terms = volume_terms(outputs, view.target(behind), config) | held
@@ -212,9 +217,9 @@ def both_teach(
         shown: Tensor | None = None
         held: Terms = {}
         if light is not None and light.used:
-            normal, texels = flat.normal if both else flat.normal.detach(), light.model.texels()
-            shown = look_up_mirrored(texels, normal, view.camera, view.covered)
-            held = light_terms(texels, volumes.model, config)
+            normal, shining = flat.normal if both else flat.normal.detach(), light.model.light()
+            shown = mirrored_light(light.model, view.camera, normal, view.covered, shining)
+            held = light_terms(shining.texels, volumes.model, config)
         degrees = volumes.model.sh_degree, volumes.model.refl_sh_degree
         full = _see_volumes(volumes, view, behind, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(behind), config) | held

@@ -43,7 +43,7 @@ def test_a_packed_scene_trains_to_files(tmp_path: Path) -> None:
     for name, branch in (("splats_2d.ply", "surfels"), ("splats_3d.ply", "volumes")):
         assert len(load_splats(out / name)["means"]) == facts["splats"][branch]
         assert facts["psnr"][branch] > 10
-    assert load_mirrored_light(out / "mirrored_light.npz").shape[:2] == (2, 3)
+    assert load_mirrored_light(out / "mirrored_light.npz").maps.shape[:2] == (2, 3)
     assert read_number(out / "splats_3d.ply", LOW_PASS) == CONFIG.train.volumes.low_pass
     assert (out / "flash.npz").read_bytes() == b"found before"
     assert cuda_training.digests(out) == facts["sha256"]

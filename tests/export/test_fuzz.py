@@ -22,6 +22,7 @@ from mgsr.export.ply_notes import read_origin
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.export.spz import load_spz, read_spz_origin, write_spz
 from tests.export.test_flash import lighting
+from tests.export.test_mirrored_light import stored_light
 from tests.export.test_packed_splats import splats
 from tests.fuzzing import LONG, QUICK, byte_changes, fuzz
 
@@ -38,7 +39,7 @@ SPLATS: dict[str, tuple[Callable[..., None], Callable[[Path], Any]]] = {
 }
 LIGHTS: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
     "flash.npz": (lambda path: write_flash(path, lighting(), ORIGIN), load_flash),
-    "mirrored_light.npz": (lambda path: write_mirrored_light(path, np.ones((2, 3, 4, 4))), load_mirrored_light),
+    "mirrored_light.npz": (partial(write_mirrored_light, light=stored_light(), origin=ORIGIN), load_mirrored_light),
 }
 MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": write_glb, "mesh.obj": write_obj}
 

@@ -8,7 +8,9 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.reflector import Reflector
 from mgsr.render.mirrored import mirrored_light, octahedral
+from tests.gaussians.test_reflector import corner, corner_camera, sights
 from tests.oracles import mirrored as oracle
 
 SIDE = 64
@@ -57,7 +59,7 @@ def glow(directions: np.ndarray) -> np.ndarray:
 
 
 def light(scene: np.ndarray, held: np.ndarray) -> MirroredLight:
-    return MirroredLight.of(np.moveaxis(np.stack([scene, held]), -1, 1))
+    return MirroredLight.of(np.moveaxis(np.stack([scene, held]), -1, 1), np.ones(3))
 
 
 def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
@@ -70,7 +72,7 @@ def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
 def test_still_light_is_found_where_the_sight_is_thrown() -> None:
     normal = normals(np.random.default_rng(0))
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
-    shown = mirrored_light(lit, torch.tensor(normal).float(), camera())
+    shown = mirrored_light(lit, camera(), torch.tensor(normal).float())
     assert_close(shown, glow(mirrored_directions(normal)))
 
 
@@ -78,7 +80,7 @@ def test_light_on_the_camera_moves_with_it() -> None:
     normal = normals(np.random.default_rng(1))
     away = mirrored_directions(normal) @ camera().cam_from_world[:3, :3].T
     lit = light(np.zeros((SIDE, SIDE, 3)), glow(unfolded(SIDE)))
-    shown = mirrored_light(lit, torch.tensor(normal).float(), camera())
+    shown = mirrored_light(lit, camera(), torch.tensor(normal).float())
     assert_close(shown, glow(away * [1, 1, -1]))
 
 
@@ -91,12 +93,12 @@ def test_a_surface_that_faces_the_camera_mirrors_the_maps_middle() -> None:
     rows, columns = np.mgrid[: view.height, : view.width] + 0.5
     back = -np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(view.K).T
     normal = torch.tensor(back @ view.cam_from_world[:3, :3]).float()
-    shown = mirrored_light(light(np.zeros_like(flash), flash), normal, view)
+    shown = mirrored_light(light(np.zeros_like(flash), flash), view, normal)
     assert np.abs(shown.numpy() - 0.9).max() < 1e-3
 
 
 def test_gradients_are_the_plain_ways() -> None:
-    logits = torch.randn(2 * 6 * 6, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    logits = torch.randn(2 * 6 * 6 + 1, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     pixels, view = torch.tensor([17, 3, 8, 0, 19]), camera().resized(5, 4)
     normal = torch.tensor(normals(np.random.default_rng(2))[:4, :5])
     K, pose = torch.tensor(view.K), torch.tensor(view.cam_from_world)
@@ -104,9 +106,9 @@ def test_gradients_are_the_plain_ways() -> None:
     def gradients(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
         held, turned = logits.to(dtype).requires_grad_(), normal.to(dtype).requires_grad_()
         if dtype == torch.float32:
-            shown = mirrored_light(MirroredLight(held), turned, view, pixels)
+            shown = mirrored_light(MirroredLight(held), view, turned, pixels)
         else:
-            shown = oracle.look_up_mirrored(held.sigmoid().view(2, 6, 6, 3), turned, K, pose, pixels)
+            shown = oracle.look_up_mirrored(held[:-1].sigmoid().view(2, 6, 6, 3), turned, K, pose, pixels)
         return torch.autograd.grad(shown.square().sum(), (held, turned))
 
     for ours, true in zip(gradients(torch.float32), gradients(torch.float64), strict=True):
@@ -118,7 +120,7 @@ def test_only_the_chosen_pixels_are_looked_at() -> None:
     lit = light(glow(unfolded(8)), glow(unfolded(8))[::-1])
     chosen = np.random.default_rng(6).random((16, 24)) < 0.3
     pixels = torch.from_numpy(np.flatnonzero(chosen))
-    whole, part = mirrored_light(lit, normal, camera()), mirrored_light(lit, normal, camera(), pixels)
+    whole, part = mirrored_light(lit, camera(), normal), mirrored_light(lit, camera(), normal, pixels)
     assert torch.allclose(part[chosen], whole[chosen], atol=1e-6)
     assert part[~chosen].abs().max() == 0
 
@@ -127,7 +129,7 @@ def test_nothing_there_gives_finite_light_and_gradients() -> None:
     normal = torch.zeros(16, 24, 3, requires_grad=True)
     lit = MirroredLight.uniform(8, 0.01)
     lit.logits.requires_grad_()
-    mirrored_light(lit, normal, camera()).sum().backward()
+    mirrored_light(lit, camera(), normal).sum().backward()
     assert normal.grad is not None and torch.isfinite(normal.grad).all() and torch.isfinite(lit.logits.grad).all()
 
 
@@ -140,4 +142,27 @@ def test_octahedral_is_the_inverse_of_unfolding(side: int) -> None:
 
 def test_maps_come_back_from_their_own_values() -> None:
     maps = np.random.default_rng(4).uniform(0.01, 0.99, (2, 3, 5, 5))
-    assert np.abs(MirroredLight.of(maps).maps().numpy() - maps).max() < 1e-5
+    light = MirroredLight.of(maps, np.array([0.1, 0.5, 0.9]))
+    assert np.abs(light.maps().numpy() - maps).max() < 1e-5
+    assert np.abs(light.bounce().numpy() - [0.1, 0.5, 0.9]).max() < 1e-5
+
+
+def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_itself() -> None:
+    lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
+    lit.reflector = Reflector(*corner())
+    lit.logits[-1] = torch.tensor([0.2, 0.5, 0.8]).logit()
+    lit.logits.requires_grad_()
+    view = corner_camera()
+    shown = mirrored_light(lit, view)
+    seen = lit.reflector.seen_by(view, torch.device("cpu"))
+    twice = np.zeros(view.height * view.width, bool)
+    twice[seen.bounced.numpy()] = True
+    twice = twice.reshape(view.height, view.width)
+    assert 0.1 < twice.mean() < 0.9
+    # Two mirrors at a right angle throw the sight back but for its part along their edge, y.
+    back = sights(view) * [-1, 1, -1]
+    share = np.array([0.2, 0.5, 0.8])
+    assert np.abs(shown.detach().numpy() - share * glow(back))[twice].max() < 1e-2
+    (gradient,) = torch.autograd.grad(shown.sum(), lit.logits)
+    told = (glow(back)[twice] * share * (1 - share)).sum(axis=0)
+    assert np.abs(gradient[-1].numpy() / told - 1).max() < 1e-2

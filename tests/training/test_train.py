@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from mgsr.config import Config, Reflection, make_config
 from mgsr.data.camera import Camera
@@ -225,6 +226,32 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     middle = slice(lit.light.side // 2 - 1, lit.light.side // 2 + 1)
     assert held[:, middle, middle].mean() > 5 * held[:, :2, :2].mean()  # bright on the way back to the camera
     assert held[:, middle, middle].mean() > 5 * still.mean()
+
+
+def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
+    scene = ball_scene(32, train=10, test=4, gloss=0.6)
+    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
+    config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared"])
+    training = Training(scene, ball_points(600, RADIUS), config)
+    before = training.run()
+    assert before.light is not None and before.light.reflector is None
+    assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_volumes", "mutual"]
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    after = training.run()
+    assert after.light is not None and after.light.reflector is not None
+    assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.mirror.iterations
+    assert after.curve[-1].psnr_volumes > before.curve[-1].psnr_volumes + 0.3
+    assert torch.equal(after.surfels.means, before.surfels.means)
+
+
+@pytest.mark.parametrize("setting", ["reflection=off", "mirror.iterations=0"])
+def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
+    training = Training(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", setting))
+    before = training.run()
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
+    assert not training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert len(training.run().stages) == len(before.stages)
 
 
 def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:

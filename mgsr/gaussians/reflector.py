@@ -1,0 +1,106 @@
+"""The finished mesh as the surface that mirrors: its normals in each pixel, and where it mirrors itself.
+
+A normal that is off by a degree moves what is mirrored by two, and the mesh's normals are several times as true as
+those of blended splats. Where the mirrored ray meets the mesh again, the light comes from where it is thrown to from
+there: one bounce is followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import distance_transform_edt
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.geometry.displace import edge_length
+from mgsr.geometry.raycast import PixelHits, RayCaster
+from mgsr.geometry.triangles import vertex_normals
+
+KEPT = 256 * 2**20  # bytes of what cameras see that are kept
+GAP = 0.005  # of the mesh's longest side, at most
+BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
+
+
+@dataclass(frozen=True)
+class Mirroring:
+    """What a camera sees of a surface that mirrors. normals [H,W,3] float16, unit, scene's frame: the surface's, or
+    where the mirrored ray meets the surface again, the normal that would throw the sight to where the second bounce
+    does; beside the surface as at its nearest pixel, zero where there is none. near [N], bounced [P] int64: the pixels
+    at most BESIDE off the surface, and those of the second bounce, row x W + column."""
+
+    normals: Tensor
+    near: Tensor
+    bounced: Tensor
+
+    @property
+    def size(self) -> int:
+        """Bytes that it takes."""
+        return self.normals.nbytes + self.near.nbytes + self.bounced.nbytes
+
+
+class Reflector:
+    """A mesh that mirrors: vertices [V,3] in the scene's frame and outward faces [F,3]."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self.vertices, self.faces = vertices, faces
+        self._caster = RayCaster(vertices, faces)
+        self._normals = vertex_normals(vertices, faces).astype(np.float64)
+        # How far from the surface mirrored rays begin: facets bend away from the normals between their corners.
+        self._gap = min(edge_length(vertices, faces), GAP * float(np.ptp(vertices, axis=0).max()))
+        self._kept: dict[tuple[bytes, bytes, int, int, torch.device], Mirroring] = {}
+        self._size = 0
+
+    def seen_by(self, camera: Camera, device: torch.device) -> Mirroring:
+        """Return what a camera sees, on a device. It is kept for the next time while KEPT lasts."""
+        key = (camera.K.tobytes(), camera.cam_from_world.tobytes(), camera.width, camera.height, device)
+        seen = self._kept.get(key)
+        if seen is None:
+            seen = Mirroring(*(torch.from_numpy(array).to(device) for array in self._trace(camera)))
+            if self._size + seen.size <= KEPT:
+                self._kept[key] = seen
+                self._size += seen.size
+        return seen
+
+    def _trace(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """`Mirroring`'s arrays."""
+        middles = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
+        hits = self._caster.cast_pixels(camera, middles)
+        pixels = np.flatnonzero(hits.mask)
+        normals = np.zeros((camera.height * camera.width, 3))
+        if not len(pixels):
+            return normals.reshape(camera.height, camera.width, 3).astype(np.float16), pixels, pixels
+        points, own = self._at(hits)
+        eye = _unit(camera.center - points)
+        bounced, turned = self._second(points, own, eye)
+        normals[pixels] = own
+        normals[pixels[bounced]] = turned
+        image = normals.reshape(camera.height, camera.width, 3)
+        away, nearest = distance_transform_edt(~hits.mask, return_indices=True)
+        return image[tuple(nearest)].astype(np.float16), np.flatnonzero(away <= BESIDE), pixels[bounced]
+
+    def _second(self, points: np.ndarray, normals: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return which of the points [P,3], seen from unit directions [P,3], mirror the surface itself, by index [Q],
+        and the unit vectors [Q,3] halfway between the eye and where the second bounce leads."""
+        first = _mirrored(eye, normals)
+        hits = self._caster.cast_rays(points + self._gap * normals, first)
+        bounced = np.flatnonzero(hits.mask)
+        _, there = self._at(hits)
+        return bounced, _unit(eye[bounced] + _mirrored(-first[bounced], there))
+
+    def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
+        """Return places [P,3] and unit normals [P,3] of the rays that meet the surface."""
+        corners, shares = self.faces[hits.face[hits.mask]], hits.barycentric[hits.mask].astype(np.float64)
+        place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in (self.vertices, self._normals))
+        return place, _unit(normal)
+
+
+def _mirrored(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Return where unit directions [P,3] are thrown to by unit normals [P,3]."""
+    return np.asarray(2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9))

@@ -21,7 +21,7 @@ def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     maps = np.full((2, 3, side, side), 0.01)
     maps[part][:, (towards @ direction) > 0.97] = 0.9
-    return MirroredLight.of(maps)
+    return MirroredLight.of(maps, np.ones(3))
 
 
 def the_only(pictures: list[Picture]) -> np.ndarray:

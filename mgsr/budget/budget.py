@@ -240,7 +240,7 @@ class TimeBudget:
         """Seconds of one iteration: as measured, but with so many splats."""
         like = name if name in self._costs else list(self._costs)[-1]
         reference = costs.iteration_cost(like, self._facts, self._probed)
-        return self._costs[like] * costs.iteration_cost(like, self._facts, splats) / reference
+        return self._costs[like] * costs.iteration_cost(name, self._facts, splats) / reference
 
     def _present(self, name: str, splats: Mapping[str, int]) -> float:
         """Seconds of one iteration at present; how they differ from what was expected tells how the machine does."""

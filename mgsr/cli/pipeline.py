@@ -86,8 +86,11 @@ def run_scene(
         drawn = _draw(mesh, truth, scene)
     if budget is not None:
         budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
-    mirrors = budget is None or budget.room(models.counts) >= config.train.mirror.iterations
-    mirrors = mirrors and training.mirror_at(scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+    # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
+    fit = config.mesh.max_faces is None
+    if budget is not None:
+        fit = fit and budget.room(models.counts) >= config.train.mirror.iterations
+    mirrors = fit and training.mirror_at(scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
     if budget is not None or mirrors:
         trained = training.run(before_surface=False)
         models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)

@@ -43,13 +43,16 @@ class Plan:
         return next((stage.trial for stage in self.stages if stage.trial is not None), None)
 
     def mirror_at(self, reflector: Reflector) -> bool:
-        """Let a mesh mirror the light from the stage FINISH on, where it is learned; return whether it is."""
+        """Let a mesh mirror the light from the stage FINISH on, where there is such light, and masks tell the object;
+        return whether it does."""
         finish, light = self.stages[-1], self.parts.light
-        used = finish.name == FINISH and light is not None and light.used
-        if used and light is not None:
-            light.model.reflector = reflector
-            finish.iterations = light.settings.iterations
-        return used
+        if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
+            return False
+        if any(view.mask is None for view in finish.views):
+            return False
+        light.model.reflector = reflector
+        finish.iterations = light.settings.iterations
+        return True
 
 
 @dataclass(frozen=True)

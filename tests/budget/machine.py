@@ -67,14 +67,15 @@ class Stage:
 
 @dataclass(frozen=True)
 class Ran:
-    """How a run went: its seconds, its budget, its stages, the settings of its surface, and the share of the rounds of
-    refinement that this had."""
+    """How a run went: its seconds, its budget, its stages, the settings of its surface, the share of the rounds of
+    refinement that this had, and the iterations that the budget expected of the last stage."""
 
     seconds: float
     budget: TimeBudget
     stages: list[Stage]
     mesh: MeshConfig
     refined: float
+    room: int
 
 
 def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ran:
@@ -104,9 +105,10 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
         done += 1
     judging = machine.work("evaluate", costs.judging_cost(facts))
     budget.learn_surface(surface, judging)
+    room = budget.room(full)
     _run_stage(machine, budget, stages, 3, facts, full)
     machine.work("report", costs.closing_cost(facts))
-    return Ran(machine.now, budget, stages, mesh, done / rounds)
+    return Ran(machine.now, budget, stages, mesh, done / rounds, room)
 
 
 def _run_stage(

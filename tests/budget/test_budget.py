@@ -76,6 +76,12 @@ def test_time_to_spare_goes_to_the_renders_since_more_training_makes_the_surface
     assert 0.9 <= ran.seconds / 3000 <= 1.05
 
 
+@pytest.mark.parametrize(("seconds", "least", "most"), [(3000.0, 0.8, 1.25), (120.0, 0.5, 2.0)])
+def test_the_last_stage_gets_the_iterations_that_were_expected(seconds: float, least: float, most: float) -> None:
+    ran = run_on(Machine(steady(1.0)), USUAL, CONFIG, seconds)
+    assert least <= ran.stages[3].iteration / max(1, ran.room) <= most
+
+
 def test_large_photographs_are_made_smaller_only_where_time_is_short() -> None:
     large = Facts(views=60, tests=8, pixels=1200.0 * 1600, truth=False)
     scales = [run_on(Machine(steady(1.0)), large, CONFIG, seconds).budget.scale for seconds in (60, 400, 5000)]

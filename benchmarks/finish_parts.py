@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from benchmarks.scene_scores import find
+from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, SceneSet
-from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.cli.evaluation import find_truth, surface_scores
@@ -56,7 +55,6 @@ WITHOUT: dict[str, Callable[[Parts], Parts]] = {
 
 def main() -> None:
     given = arguments()
-    rows = read_csv(given.out, PartRow)
     for scene in SCENES:
         run: Path = given.runs / scene.name
         if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
@@ -65,9 +63,7 @@ def main() -> None:
             print(f"{scene.name}: no finished run in {run}", flush=True)
             continue
         found = measured(find(scene, given.rendered), run)
-        rows = [row for row in rows if row.scene != scene.name] + found
-        print(*found, sep="\n", flush=True)
-        write_csv(given.out, PartRow, rows, digits=5)
+        replace_rows(given.out, PartRow, found)
 
 
 def arguments() -> argparse.Namespace:

@@ -12,6 +12,7 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from benchmarks.render_scenes import SHARED
 from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
+from mgsr.bench.parts_page import PartRow
 from mgsr.bench.sets_page import SetRow
 from mgsr.cli.evaluation import find_truth, surface_scores
 from mgsr.cli.pipeline import run_scene
@@ -32,17 +34,23 @@ from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 
+SceneRow = TypeVar("SceneRow", SetRow, PartRow)
+
 
 def main() -> None:
     given = arguments()
-    rows = read_csv(given.out, SetRow)
     for scene in SCENES:
         if given.scenes and scene.name not in given.scenes:
             continue
         row = replace(measured(scene, find(scene, given.rendered), given), commit=given.commit or program_commit())
-        rows = [each for each in rows if each.scene != scene.name] + [row]
-        print(row, flush=True)
-        write_csv(given.out, SetRow, rows, digits=5)
+        replace_rows(given.out, SetRow, [row])
+
+
+def replace_rows(out: Path, kind: type[SceneRow], found: list[SceneRow]) -> None:
+    """Print a scene's rows and write them to the file, in place of those that it has of the scene."""
+    print(*found, sep="\n", flush=True)
+    others = [row for row in read_csv(out, kind) if row.scene != found[0].scene]
+    write_csv(out, kind, others + found, digits=5)
 
 
 def arguments() -> argparse.Namespace:

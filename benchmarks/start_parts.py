@@ -18,9 +18,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.scene_scores import find, scores_of
+from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
-from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.cli.evaluation import find_truth
@@ -68,14 +67,11 @@ PARTS: dict[str, Part] = {
 
 def main() -> None:
     given = arguments()
-    rows = read_csv(given.out, PartRow)
     for scene in SCENES:
         if scene.set != SceneSet.TUNING or (given.scenes and scene.name not in given.scenes):
             continue
         found = measured(find(scene, given.rendered))
-        rows = [row for row in rows if row.scene != scene.name] + found
-        print(*found, sep="\n", flush=True)
-        write_csv(given.out, PartRow, rows, digits=5)
+        replace_rows(given.out, PartRow, found)
 
 
 def arguments() -> argparse.Namespace:

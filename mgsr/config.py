@@ -487,12 +487,12 @@ def make_config(preset: str = "standard", method: str = "mgsr", seed: int = 0, o
 
 
 def ablation_overrides(row: str) -> list[str]:
-    """The ``key=value`` overrides of one ablation row, A to N. Raises ConfigError for another name."""
+    """Return the ``key=value`` overrides of one ablation row, A to N. Raises ConfigError for another name."""
     return [f"{key}={value}" for key, value in ABLATIONS[_known("ablation", row, ABLATIONS)].items()]
 
 
 def apply_overrides(config: Config, overrides: Sequence[str]) -> Config:
-    """The configuration with ``key=value`` pairs set, later ones last. Raises ConfigError (see `make_config`)."""
+    """Return the configuration with ``key=value`` pairs set, later ones last. Raises ConfigError as `make_config`."""
     paths = field_types(config)
     for override in overrides:
         key, equals, text = override.partition("=")
@@ -571,7 +571,7 @@ def _known(kind: str, name: str, table: Mapping[str, Any]) -> str:
 
 
 def _find_path(key: str, paths: list[str]) -> str:
-    """The one field that a key names: its full path, or parts of it in order that end in the field's name."""
+    """Return the one field that a key names: its full path, or parts of it in order that end in the field's name."""
     if key in paths:
         return key
     parts = key.split(".")
@@ -596,7 +596,7 @@ def _sections(paths: list[str]) -> list[str]:
 
 
 def _parse(path: str, text: str, kind: Any) -> Any:
-    """The text as a value of the field's type."""
+    """Return the text as a value of the field's type."""
     if get_origin(kind) in (Union, types.UnionType):
         if text.lower() == "none":
             return None

@@ -85,7 +85,7 @@ class TimeBudget:
         self._drift = self._latest = 1.0
 
     def choose_scale(self, facts: Facts) -> float:
-        """The largest size of the photographs at which the settings of the preset draft fit; the smallest if none."""
+        """Return the largest size of the photographs at which the preset draft fits; the smallest if none."""
         draft = self.line.at(0.0)
         for scale in SCALES:
             smaller = _scaled(facts, scale)
@@ -99,7 +99,7 @@ class TimeBudget:
         return self.scale
 
     def choose_place(self, facts: Facts, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
-        """The place on the line whose plan fills the time that is left.
+        """Return the place on the line whose plan fills the time that is left.
 
         measured: seconds of one iteration, by stage in their order; splats: by branch, as they were then.
         """
@@ -136,7 +136,7 @@ class TimeBudget:
         return min(iterations, self._ceilings.get(stage.name, iterations))
 
     def mesh_settings(self) -> MeshConfig:
-        """The best settings of the surface, up to those of the plan, that still fit; of its refinement, the least."""
+        """Return the best settings of the surface that still fit, up to the plan's; of its refinement, the least."""
         assert self.place is not None
         place, least = self.place, min(self.refined, LEAST_REFINED)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
@@ -164,7 +164,7 @@ class TimeBudget:
         return max(0, int(left / self._expected(FINISH, splats)))
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps of it."""
+        """Return what a checkpoint keeps of it."""
         return {
             "spent": self.spent,
             "place": self.place,
@@ -227,7 +227,7 @@ class TimeBudget:
         return training + self._after(self._facts, config.mesh, unsure, refined)
 
     def _refinable(self, config: Config) -> float:
-        """The share of the refinement's time that these settings leave for it, at most 1; 0 where there is none."""
+        """Return the share of the refinement's time that these settings leave for it, 0..1; 0 without refinement."""
         whole = self.slowness * costs.refinement_cost(self._facts, config.mesh)
         left = self._aim - self.spent - self._total(config, refined=0.0)
         return min(left / whole, 1.0) if whole else 0.0
@@ -276,7 +276,7 @@ def _scaled(facts: Facts, scale: float) -> Facts:
 
 
 def _iterations(config: Config, stage: str) -> int:
-    """That the settings plan for a stage."""
+    """Return the iterations that the settings plan for a stage."""
     train = config.train
     if stage == "warmup_surfels":
         return train.warmup.surfel_iterations
@@ -286,7 +286,7 @@ def _iterations(config: Config, stage: str) -> int:
 
 
 def _work(config: Config, stage: str) -> int:
-    """Iterations of a stage, with those of a trial's candidates that are thrown away."""
+    """Return iterations of a stage, with those of a trial's candidates that are thrown away."""
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
         return iterations
@@ -312,7 +312,7 @@ def _reference_training(facts: Facts, config: Config) -> float:
 
 
 def _stages(config: Config) -> tuple[str, ...]:
-    """The stages that a run with these settings has."""
+    """Return the stages that a run with these settings has."""
     if config.train.branches is Branches.BOTH:
         return ("warmup_surfels", "warmup_volumes", "mutual")
     return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_volumes", "alone")

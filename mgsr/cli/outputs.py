@@ -80,8 +80,8 @@ def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
 
 
 def at_known_exposures(out: Path, scene: Scene) -> Scene:
-    """The scene as the run that left its results in `out` saw it. Raises MgsrError for a file that is damaged or of
-    other photographs."""
+    """Return the scene as the run that left its results in `out` saw it. Raises MgsrError for a file that is damaged or
+    of other photographs."""
     if not (out / EXPOSURES).is_file():
         return scene
     try:
@@ -108,15 +108,15 @@ def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
 
 
 def as_lit(out: Path, scene: Scene) -> Scene:
-    """The scene with what the flash that the run in `out` found makes of its views, if it found one. Raises SceneError
-    for a file that is damaged."""
+    """Return the scene with what the flash that the run in `out` found makes of its views, if it found one. Raises
+    SceneError for a file that is damaged."""
     if not (out / FLASH).is_file():
         return scene
     return lit_scene(scene, load_flash(out / FLASH).moved(scene.user_from_scene.inverse))
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
-    """The branches as splat files, in the output's unit and about the frame's origin or one near the scene (see
+    """Write the branches as splat files, in the output's unit and about the frame's origin or one near the scene (see
     `origin_of_frame`), and the light; what is not there leaves none, also none of an earlier run."""
     origin = origin_of_frame(scene.user_from_scene, output.scale)
     file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
@@ -136,7 +136,7 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
 
 
 def read_models(out: Path, scene: Scene) -> Models:
-    """The branches that an earlier run left in `out`, in the scene's frame. Raises MgsrError where there are none."""
+    """Read the branches that a run left in `out`, in the scene's frame. Raises MgsrError where there are none."""
     found = {name: _read_tensors(out / name, scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
     if not found:
         raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
@@ -193,7 +193,7 @@ def _up(scene: Scene, output: OutputConfig) -> UpDirection:
 
 
 def read_mesh(out: Path) -> SurfaceMesh:
-    """The mesh that an earlier run left in `out`, in the user's frame and unit. Raises MgsrError where there is
+    """Read the mesh that an earlier run left in `out`, in the user's frame and unit. Raises MgsrError where there is
     none."""
     import trimesh
 
@@ -234,7 +234,7 @@ def _export_form(view: ViewImages, unit: float) -> RenderedView:
 
 
 def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
-    """A splat file's arrays, taken from the file's unit and origin to the scene's frame."""
+    """Read a splat file's arrays, taken from the file's unit and origin to the scene's frame."""
     arrays, unit, origin = load_splats(path), read_number(path, UNIT), read_origin(path)
     file_from_scene = about_origin(scene.user_from_scene, unit, origin)
     arrays["means"] = file_from_scene.to_scene(arrays["means"].astype(np.float64))

@@ -54,7 +54,7 @@ class Reflector:
         self._size = 0
 
     def seen_by(self, camera: Camera, device: torch.device) -> Mirroring:
-        """Return what a camera sees, on a device. It is kept for the next time while KEPT lasts."""
+        """Return what a camera sees, on a device. Results are kept for the next call, up to KEPT bytes in all."""
         key = (camera.K.tobytes(), camera.cam_from_world.tobytes(), camera.width, camera.height, device)
         seen = self._kept.get(key)
         if seen is None:
@@ -65,7 +65,7 @@ class Reflector:
         return seen
 
     def _trace(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`Mirroring`'s arrays."""
+        """Return `Mirroring`'s arrays: normals [H,W,3], near [N] and bounced [P]."""
         middles = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
         hits = self._caster.cast_pixels(camera, middles)
         pixels = np.flatnonzero(hits.mask)

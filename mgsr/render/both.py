@@ -23,7 +23,7 @@ def render_both(
     depth: bool = True,
     lit: Tensor | None = None,
 ) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    """What each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time; lit:
+    """Return what each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time; lit:
     as for `render_volumes`."""
     flat = None if surfels is None else render_surfels(surfels, camera, background, lit=lit)
     if volumes is None:

@@ -22,7 +22,7 @@ def mirrored_light(
     pixels: Tensor | None = None,
     shining: Light | None = None,
 ) -> Tensor:
-    """The light [H,W,3] that comes from where each pixel's surface mirrors the camera's sight to.
+    """Return the light [H,W,3] that comes from where each pixel's surface mirrors the camera's sight to.
 
     normal [H,W,3]: the 2D branch's, world frame, of any length, for a light without a reflector; where it is zero, the
     result means nothing. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by

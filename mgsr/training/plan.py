@@ -70,7 +70,7 @@ class _Photographs:
         return len(self.views) - self.held_back
 
     def sparing(self, count: int) -> _Photographs:
-        """The same with `count` views, at even distances, kept from the stage."""
+        """Return the same with `count` views, at even distances, kept from the stage."""
         spared = _spread(range(len(self.views)), count)
         order = [i for i in range(len(self.views)) if i not in spared] + spared
         small = None if self.small is None else [self.small[i] for i in order]
@@ -106,12 +106,12 @@ def make_plan(
 
 
 def mutual_iterations(config: Config) -> int:
-    """Iterations of the last stage."""
+    """Return iterations of the last stage."""
     return round(config.train.mutual.iterations * config.train.mutual.iterations_factor)
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
-    """What the 3D branch adds to the transmitted light at first, and whether a trial decides on more."""
+    """Return what the 3D branch adds to the transmitted light at first, and whether a trial decides on more."""
     asked, alone = config.train.volumes.reflection, config.train.branches is Branches.VOLUMES
     if asked is not Reflection.AUTO:
         return asked, False
@@ -158,7 +158,7 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
 
 
 def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
-    """Drops the branch's splats that together carry the share of the light that its settings can do without, and
+    """Drop the branch's splats that together carry the share of the light that its settings can do without, and
     counts them."""
     share = branch.densify.drop_carrying
 
@@ -206,8 +206,8 @@ def _warmup(
 
 
 def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
-    """The mutual phase, or, for one branch alone, as many more iterations of its own. stages: those of the run, which
-    may be filled in later."""
+    """Return the stage of the mutual phase; for one branch alone, of as many more iterations of its own. stages: those
+    of the run, which may be filled in later."""
 
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
@@ -233,8 +233,8 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
 
 
 def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
-    """The branch that renders, alone, while the other stands still, at the last learning rates; it may end anywhere.
-    Light that has a new surface to mirror it begins at those of the whole training's middle."""
+    """Return the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
+    Once a mesh mirrors the light, the rates begin at those of the middle of training instead."""
     cycle = ViewCycle(len(views), seeded(config, 6))
     if parts.volumes is None:
         assert parts.surfels is not None
@@ -255,7 +255,7 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
 
 
 def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:
-    """A branch's PSNR on the views that are kept from its warm-up."""
+    """Return a branch's PSNR on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(parts.picture(branch), held_back, photographs.behind)
 
@@ -266,13 +266,13 @@ def _silhouettes_count(config: Config) -> bool:
 
 
 def _held_back(config: Config, views: int) -> int:
-    """Views that are kept from a whole warm-up, to judge its convergence."""
+    """Return views that are kept from a whole warm-up, to judge its convergence."""
     held_back = config.train.warmup.stop_rule is StopRule.HELD_BACK
     return min(config.train.warmup.held_back_views, views // 2) if held_back else 0
 
 
 def _spared(config: Config, views: int) -> int:
-    """Views that are kept for a trial."""
+    """Return views that are kept for a trial."""
     return min(config.train.trial.views, views // 4)
 
 

@@ -20,7 +20,7 @@ STEPS = ("start", "mesh", "evaluate", "report", "warmup_surfels", "warmup_volume
 
 
 def any_scene(random: np.random.Generator) -> tuple[Facts, dict[str, float]]:
-    """A scene, and by how much its steps cost more or less than is usual: up to half on real ones."""
+    """Return a scene, and by how much its steps cost more or less than is usual: up to half on real ones."""
     side = float(random.choice([64, 128, 256, 800]))
     views, tests = int(random.integers(10, 100)), int(random.integers(0, 12))
     truth, shiny, flash = (bool(random.random() < 0.5) for _ in range(3))
@@ -34,7 +34,7 @@ def least(facts: Facts, odd: dict[str, float], slowness: float) -> float:
 
 
 def speeds(slowness: float, seconds: float, kind: str) -> Speed:
-    """A machine at least as fast as `slowness` says."""
+    """Return a machine at least as fast as `slowness` says."""
     if kind == "waves":
         return wavy(slowness / 1.5, seconds / 7, 0.5)
     if kind == "later slower":

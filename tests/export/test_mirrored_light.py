@@ -13,7 +13,7 @@ MESH = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
 
 
 def stored_light() -> StoredLight:
-    """A light with a triangle that mirrors, far from the origin."""
+    """Return a light with a triangle that mirrors, far from the origin."""
     generator = np.random.default_rng(0)
     maps = generator.random((2, 3, 4, 4)).astype(np.float32)
     corners = np.add(np.eye(3), [512346.25, 4501234.5, 431.0])

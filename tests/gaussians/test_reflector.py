@@ -43,7 +43,7 @@ def corner_camera() -> Camera:
 
 
 def sights(camera: Camera) -> np.ndarray:
-    """Unit world directions [H,W,3] in which the pixels' centres look."""
+    """Return unit world directions [H,W,3] in which the pixels' centres look."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.cam_from_world[:3, :3]

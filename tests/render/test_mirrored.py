@@ -44,7 +44,7 @@ def mirrored_directions(normal: np.ndarray) -> np.ndarray:
 
 
 def unfolded(side: int) -> np.ndarray:
-    """Unit directions [S,S,3] of the texels' centres."""
+    """Return unit directions [S,S,3] of the texels' centres."""
     rows, columns = (np.mgrid[:side, :side] + 0.5) / side * 2 - 1
     z = 1 - np.abs(rows) - np.abs(columns)
     x = np.where(z < 0, (1 - np.abs(rows)) * np.sign(columns), columns)
@@ -54,7 +54,7 @@ def unfolded(side: int) -> np.ndarray:
 
 
 def glow(directions: np.ndarray) -> np.ndarray:
-    """A smooth light of each direction [...,3], another one in each channel."""
+    """Return a smooth light of each direction [...,3], another one in each channel."""
     return 0.5 + 0.2 * directions + 0.2 * directions[..., [1, 2, 0]] * directions[..., [2, 0, 1]]
 
 

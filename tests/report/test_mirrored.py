@@ -25,7 +25,7 @@ def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
 
 
 def the_only(pictures: list[Picture]) -> np.ndarray:
-    """The other map is dark, so it has none."""
+    """Take the one picture: the other map is dark, so it has none."""
     assert len(pictures) == 1
     return pictures[0].pixels
 

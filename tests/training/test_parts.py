@@ -125,7 +125,7 @@ def test_backgrounds() -> None:
 
 
 def feed(test: EpochMeans | LossRange, losses: list[float], epoch: int = 4) -> int | None:
-    """The iteration at which a test stops, if any."""
+    """Return the iteration at which a test stops, if any."""
     for i, loss in enumerate(losses, start=1):
         if test.converged(torch.tensor(loss), i, i % epoch == 0):
             return i

@@ -214,10 +214,25 @@ class RatesConfig:
     eps: float = 1e-15
 
 
+class Growth(StrEnum):
+    """What tells where splats are added. gradient: clone and split on the screen-space gradient (3DGS, section 5).
+    error: new ones where renderings differ visibly from the photographs; masked scenes only, others go by the gradient,
+    as the depth of their background is seldom known well enough."""
+
+    GRADIENT = "gradient"
+    ERROR = "error"
+
+
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Clone, split and prune on the screen-space gradient (3DGS, section 5)."""
+    """How a branch gains splats, and loses those that show nothing."""
 
+    by: Growth = Growth.GRADIENT
+    tolerance: float = 0.04  # difference, sRGB 0..1 of the mean over 3 x 3 pixels, from which one is visible
+    growth: float = 0.25  # share of the count that is added at once, at most
+    replace: float = 0.1  # share of the count, those that carry least, that is replaced at once, at most
+    growth_views: int = 8  # training views that are looked at each time
+    new_opacity: float = 0.6  # of splats that are added where errors are
     gradient_threshold: float = 2e-4  # mean gradient of the loss per half image side (so independent of image size)
     every: int = 100  # iterations
     start: float = 0.05  # fraction of the warm-up
@@ -229,7 +244,7 @@ class DensifyConfig:
     split_above: float = 0.01  # splats longer than this times the extent are split, shorter ones cloned
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
-    max_count: int = 40_000  # splats; densification stops adding there
+    max_count: int = 40_000  # splats; none are added beyond them
     drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
     # scenes only: in others a few huge ones in the background carry most of it
 
@@ -290,8 +305,12 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
+    # Where Gaussians come and go by errors. By the gradient, in a background of unknown depth, they would make haze.
+    error_rates: RatesConfig = field(default_factory=lambda: RatesConfig(scale=2e-2, beta2=0.99))
     densify: DensifyConfig = field(
-        default_factory=lambda: DensifyConfig(prune_opacity=0.005, max_count=20_000, drop_carrying=0.01)
+        default_factory=lambda: DensifyConfig(
+            by=Growth.ERROR, prune_opacity=0.005, max_count=1_000_000, drop_carrying=0.01
+        )
     )
 
 
@@ -422,7 +441,6 @@ PRESETS: dict[str, dict[str, str]] = {
         "volumes.max_start": "5000",
         "volumes.sh_degree": "1",  # to which a trial comes, where there is time for one
         "surfels.densify.max_count": "10000",
-        "volumes.densify.max_count": "8000",
         "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
         "volumes.densify.drop_carrying": "0",
         "mesh.view_scale": "1.0",
@@ -434,7 +452,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
         "volumes.max_start": "20000",
-        "volumes.densify.max_count": "40000",
+        "volumes.densify.tolerance": "0.02",
     },
 }
 
@@ -447,6 +465,7 @@ METHODS: dict[str, dict[str, str]] = {
         "flash": "off",
         "volumes.sh_degree": "3",
         "transmitted_tv_weight": "0",
+        "volumes.densify.by": "gradient",
         "volumes.densify.drop_carrying": "0",
     },
 }
@@ -534,6 +553,13 @@ def validate(config: Config) -> None:
     if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
         kind = train.volumes.reflection
         raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
+    if train.surfels.densify.by is not Growth.GRADIENT:
+        raise ConfigError(f"train.surfels.densify.by: expected gradient, got {train.surfels.densify.by}")
+    if not 0 < train.volumes.densify.new_opacity < 1:
+        raise ConfigError(
+            "train.volumes.densify.new_opacity: expected a value between 0 and 1, got "
+            f"{train.volumes.densify.new_opacity:g}"
+        )
     if train.warmup.coarse > train.trial.start:
         raise ConfigError(
             f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
@@ -545,7 +571,7 @@ def validate(config: Config) -> None:
             f"warm-up ends; got {train.trial.start}"
         )
     for path in field_types(config):
-        if ".rates." in path and _value(config, path) == 0:
+        if (".rates." in path or ".error_rates." in path) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path == "time_budget" and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")

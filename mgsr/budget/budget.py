@@ -233,7 +233,7 @@ class TimeBudget:
         return min(left / whole, 1.0) if whole else 0.0
 
     def _stage(self, name: str, config: Config) -> float:
-        splats = _splats(name, config)
+        splats = _splats(name, self._facts, config)
         return _work(config, name) * self._expected(name, splats)
 
     def _expected(self, name: str, splats: Mapping[str, int]) -> float:
@@ -293,22 +293,28 @@ def _work(config: Config, stage: str) -> int:
     return iterations + THROWN_AWAY * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
 
 
-def _splats(stage: str, config: Config) -> dict[str, int]:
+def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     """By branch, in the middle of a stage."""
     branches: dict[str, SurfelConfig | VolumeConfig]
     branches = {"surfels": config.train.surfels, "volumes": config.train.volumes}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
+    most = {name: min(b.densify.max_count, costs.usual_count(b.max_start, facts)) for name, b in branches.items()}
     if not stage.startswith("warmup"):
-        return {name: branch.densify.max_count for name, branch in branches.items()}
-    return {name: (branch.max_start + branch.densify.max_count) // 2 for name, branch in branches.items()}
+        return most
+    return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
 
 
 def _reference_training(facts: Facts, config: Config) -> float:
     """Seconds of training on the reference machine."""
     return sum(
-        _work(config, name) * costs.iteration_cost(name, facts, _splats(name, config)) for name in _stages(config)
+        _work(config, name) * costs.iteration_cost(name, facts, _splats(name, facts, config))
+        for name in _stages(config)
     )
+
+
+def _reference_iteration(stage: str, facts: Facts, config: Config) -> float:
+    return costs.iteration_cost(stage, facts, _splats(stage, facts, config))
 
 
 def _stages(config: Config) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from mgsr.config import MeshConfig
 
 USUAL_PIXELS = 256 * 256
+GROWN = 0.15  # splats that are added, for each pixel of a view
 STEREO = 0.4  # a view
 WAVES = 3.0  # of the surface, taken off
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
@@ -60,6 +61,11 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
     if stage == "mutual":
         return 1.15 * (surfels + volumes)
     return surfels if stage == "warmup_surfels" or not full else volumes
+
+
+def usual_count(start: int, facts: Facts) -> int:
+    """How many splats a branch that starts with so many usually comes to have; scenes differ by a factor of two."""
+    return start + round(GROWN * facts.pixels)
 
 
 def surface_cost(facts: Facts, config: MeshConfig) -> float:

@@ -42,7 +42,7 @@ def start_surfels(
         quats=_tensor(quats_from_normals(normals)),
         log_scales=_tensor(np.repeat(log_scale[:, None], 2, axis=1)),
         opacity_logits=torch.full((len(positions),), logit(config.start_opacity)),
-        sh=_sh(colors, config.sh_degree),
+        sh=_sh(_tensor(colors), config.sh_degree),
     )
 
 
@@ -58,28 +58,50 @@ def start_volumes(
     arguments and errors as in `start_surfels`."""
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
-    count = len(positions)
-    model = VolumeModel(
-        means=_tensor(positions),
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        log_scales=_tensor(np.repeat(np.log(spacing * config.start_scale)[:, None], 3, axis=1)),
-        opacity_logits=torch.full((count,), logit(config.start_opacity)),
-        sh=_sh(colors, config.sh_degree),
-        low_pass=config.low_pass,
-    )
+    sizes = _tensor(spacing * config.start_scale)
+    tensors = round_volumes(_tensor(positions), sizes, _tensor(colors), config.start_opacity, config.sh_degree)
+    model = VolumeModel(**tensors, low_pass=config.low_pass)
     if not split:
         return model
     return VolumeModel(**model.parameters(), **reflected_half(model, config), low_pass=config.low_pass)
 
 
+def round_volumes(
+    positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, sh_degree: int
+) -> dict[str, Tensor]:
+    """Return the stored tensors of round Gaussians without a reflected half, on the positions' device.
+
+    positions [P,3] in the scene's frame; sizes [P]: standard deviations, in the scene's unit; colors [P,3] sRGB 0..1.
+    """
+    count, device = len(positions), positions.device
+    return {
+        "means": positions,
+        "quats": torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device).repeat(count, 1),
+        "log_scales": sizes.log()[:, None].repeat(1, 3),
+        "opacity_logits": torch.full((count,), logit(opacity), device=device),
+        "sh": _sh(colors, sh_degree),
+    }
+
+
+def new_volumes(
+    model: VolumeModel, positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, config: VolumeConfig
+) -> dict[str, Tensor]:
+    """Return the stored tensors of round Gaussians that can join a model's: with its degrees of colour, and a reflected
+    half where it has one. Other arguments as in `round_volumes`."""
+    tensors = round_volumes(positions, sizes, colors, opacity, model.sh_degree)
+    if not model.split:
+        return tensors
+    return tensors | reflected_half(VolumeModel(**tensors, low_pass=model.low_pass), config)
+
+
 def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:
     """The tensors that give Gaussians without a reflected half one to start with."""
     count, device = len(model), model.means.device
-    reflected = np.full((count, 3), config.start_reflected)
+    reflected = torch.full((count, 3), config.start_reflected, device=device)
     return {
         "refl_opacity_logits": model.opacity_logits.detach().clone(),
         "weight_logits": torch.full((count,), logit(config.start_weight), device=device),
-        "refl_sh": _sh(reflected, config.reflected_sh_degree).to(device),
+        "refl_sh": _sh(reflected, config.reflected_sh_degree),
     }
 
 
@@ -134,9 +156,9 @@ def _neighbourhood(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(spacing, 0.05 * middle, 10 * middle), neighbours
 
 
-def _sh(colors: np.ndarray, degree: int) -> Tensor:
-    sh = torch.zeros(len(colors), (degree + 1) ** 2, 3)
-    sh[:, 0] = (_tensor(colors) - 0.5) / SH_CONSTANT
+def _sh(colors: Tensor, degree: int) -> Tensor:
+    sh = torch.zeros(len(colors), (degree + 1) ** 2, 3, device=colors.device)
+    sh[:, 0] = (colors - 0.5) / SH_CONSTANT
     return sh
 
 

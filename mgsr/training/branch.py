@@ -72,10 +72,7 @@ class Branch(Trained[Splats]):
                 f"{self.name}: every splat was pruned, so nothing of the images was explained; check the poses and "
                 "masks, or lower prune_opacity"
             )
-        self.optimizer.keep(change.kept)
-        self.optimizer.extend(change.added)
-        self.adopt()
-        self.densify_state = DensifyState.empty(len(self.model), self.device)
+        self.exchange(change.kept, change.added)
         if self.device.type != "cpu" and self.steps % ORDER_EVERY < self.densify.every:
             self.reorder()
 
@@ -83,6 +80,14 @@ class Branch(Trained[Splats]):
         """Put neighbours in space next to each other in memory. For when nothing is gathered of the splats."""
         self.optimizer.keep(morton_order(self.model.means.detach()))
         self.adopt()
+
+    def exchange(self, kept: Tensor, added: dict[str, Tensor]) -> None:
+        """Keep the splats of ascending indices [M] int64, append new ones (tensors as the model's), and begin to gather
+        anew."""
+        self.optimizer.keep(kept)
+        self.optimizer.extend(added)
+        self.adopt()
+        self.densify_state = DensifyState.empty(len(self.model), self.device)
 
     def keep(self, rows: Tensor) -> None:
         """Drop all splats but those of these ascending indices [M] int64, and begin to gather anew."""

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from mgsr.config import Branches, Config, Reflection
+from mgsr.config import Branches, Config, Growth, Reflection
 from mgsr.data.scene import Scene
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.start import start_surfels, start_volumes
@@ -90,12 +90,18 @@ def make_parts(
         generator = seeded(config, 2)
         split = reflection in (Reflection.OWN, Reflection.BOTH)
         full = start_volumes(*points, train.volumes, generator, split).to(device)
-        volumes = Branch("volumes", full, train.volumes.rates, train.volumes.densify, extent, generator)
+        rates = train.volumes.error_rates if grows_by_errors(scene, config) else train.volumes.rates
+        volumes = Branch("volumes", full, rates, train.volumes.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
         maps = MirroredLight.uniform(train.mirror.side, train.mirror.start).to(device)
         light = LightInTraining(maps, train.mirror, used)
     return Parts(surfels, volumes, light)
+
+
+def grows_by_errors(scene: Scene, config: Config) -> bool:
+    """Whether the 3D branch grows where renderings differ from photographs, and not by the gradient."""
+    return scene.masked and config.train.volumes.densify.by is Growth.ERROR
 
 
 def camera_extent(scene: Scene) -> float:

@@ -17,8 +17,9 @@ from mgsr.gaussians.reflector import Reflector
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
+from mgsr.training.growth import ErrorGrowth
 from mgsr.training.pace import FINISH
-from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
+from mgsr.training.parts import Parts, StartingPoints, grows_by_errors, make_parts, seeded
 from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
 from mgsr.training.trained import Trained
 from mgsr.training.trial import ReflectionTrial
@@ -92,12 +93,17 @@ def make_plan(
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
+    growth = None
+    if parts.volumes is not None and grows_by_errors(scene, config):
+        growth = ErrorGrowth(parts.volumes, parts, config.train.volumes, behind.color)
     stages: list[Stage] = []
     last = _last_stage(parts, photographs.views, stages, config)
+    last.growth = growth
     if parts.surfels is not None:
         stages.append(_surfel_warmup(parts, photographs, last, config))
     if parts.volumes is not None:
         stages.append(_volume_warmup(parts, photographs, last, config, tried))
+        stages[-1].growth = growth
     stages.append(last)
     if finish or (parts.light is not None and scene.masked and config.train.mirror.iterations):
         stages.append(_finish(parts, photographs.views, config))

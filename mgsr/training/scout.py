@@ -47,9 +47,8 @@ def train_scout(
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
-    settings = make_config(
-        seed=seed, overrides=["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
-    )
+    kind = ["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
+    settings = make_config(seed=seed, overrides=[*kind, "volumes.densify.by=gradient"])
     parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
     branch = parts.volumes
     assert branch is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -58,6 +58,15 @@ class Coarse:
     share: float
 
 
+class Growing(Protocol):
+    """Something that adapts the splats of one branch to a stage's views (see `mgsr.training.growth`)."""
+
+    @property
+    def branch(self) -> Branch: ...
+
+    def grow(self, views: Sequence[TrainingView]) -> None: ...
+
+
 class Trial(Protocol):
     """Something that is decided in a stage by trying (see `mgsr.training.trial`, also for psnr and degrees)."""
 
@@ -80,7 +89,8 @@ class Stage:
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
     densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
-    coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns.
+    coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns; growth: what adapts the
+    splats of a branch that does not go by the gradient.
     """
 
     name: str
@@ -96,6 +106,7 @@ class Stage:
     trial: Trial | None = None
     coarse: Coarse | None = None
     thin: Callable[[], int] | None = None
+    growth: Growing | None = None
     iteration: int = 0
     seconds: float = 0.0
 
@@ -106,10 +117,19 @@ class Stage:
 
     def next_view(self) -> TrainingView:
         """Return the view whose turn it is."""
-        index = self.cycle.next()
+        return self._current_views()[self.cycle.next()]
+
+    def adapt(self, branch: Branch) -> None:
+        """Add splats to a branch of the stage, and prune it."""
+        if self.growth is None or self.growth.branch is not branch:
+            branch.adapt()
+        else:
+            self.growth.grow(self._current_views()[: self.cycle.count])
+
+    def _current_views(self) -> list[TrainingView]:
         if self.coarse is not None and self.iteration < round(self.coarse.share * self.iterations):
-            return self.coarse.views[index]
-        return self.views[index]
+            return self.coarse.views
+        return self.views
 
     def state(self) -> dict[str, Any]:
         """Where the stage stands, for a checkpoint."""

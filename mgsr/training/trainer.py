@@ -208,7 +208,7 @@ class Trainer:
                 if seen.branch is branch:
                     branch.gather(seen.stats, width, height, seen.weight, guard.bad)
             if stage.iteration % branch.densify.every == 0 and stage.iteration >= first:
-                branch.adapt()
+                stage.adapt(branch)
             reset = branch.densify.reset_every
             if reset is not None and stage.iteration % reset == 0 and stage.iteration + reset <= last:
                 branch.reset_opacities()

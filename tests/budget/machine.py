@@ -93,7 +93,10 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     train = budget.settings.train
     lengths = (train.warmup.surfel_iterations, train.warmup.volume_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
-    full = {"surfels": train.surfels.densify.max_count, "volumes": train.volumes.densify.max_count}
+    full = {
+        "surfels": train.surfels.densify.max_count,
+        "volumes": costs.usual_count(train.volumes.max_start, facts),
+    }
     for index in range(3):
         _run_stage(machine, budget, stages, index, facts, full)
     mesh = budget.mesh_settings()

@@ -61,7 +61,7 @@ def test_more_time_gives_more_of_all() -> None:
     for numbers in (
         [ran.budget.place for ran in runs],
         [ran.stages[2].iteration for ran in runs],
-        [ran.budget.settings.train.volumes.densify.max_count for ran in runs],
+        [ran.budget.settings.train.volumes.max_start for ran in runs],
     ):
         assert numbers == sorted(set(numbers))
 

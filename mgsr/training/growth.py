@@ -1,0 +1,55 @@
+"""Lets the 3D branch grow where its renderings differ from the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from mgsr.config import VolumeConfig
+from mgsr.data.backdrop import Color
+from mgsr.densify.error_driven import RenderedView, growth, new_points, visible_error, without_least_carrying
+from mgsr.gaussians.start import new_volumes
+from mgsr.render.both import render_both
+from mgsr.training.parts import Parts
+from mgsr.training.stages import VolumeBranch
+from mgsr.training.views import TrainingView, color_tensor
+
+
+@dataclass(frozen=True)
+class ErrorGrowth:
+    """Adds Gaussians to `branch`, which is that of `parts`; behind: the colour on which renderings are judged."""
+
+    branch: VolumeBranch
+    parts: Parts
+    config: VolumeConfig
+    behind: Color
+
+    def grow(self, views: Sequence[TrainingView]) -> None:
+        """Prune, and replace and add Gaussians by what some of the views show; they are drawn by the branch's
+        generator. Raises TrainingError when no Gaussian is left."""
+        branch, densify = self.branch, self.config.densify
+        branch.adapt(grow=False)
+        drawn = torch.randperm(len(views), generator=branch.generator)[: densify.growth_views].tolist()
+        rendered = [self._rendered(views[index]) for index in drawn]
+        error = [visible_error(view, densify.tolerance) for view in rendered]
+        replaced, added = growth(error, len(branch.model), densify)
+        points = new_points(rendered, error, replaced + added, branch.generator)
+        if not len(points.positions):
+            return
+        kept = without_least_carrying(branch.model, rendered, min(replaced, len(points.positions)))
+        new = new_volumes(branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config)
+        branch.exchange(kept, new)
+
+    @torch.no_grad()
+    def _rendered(self, view: TrainingView) -> RenderedView:
+        surfels, volumes, light = self.parts.models
+        mirror = surfels if light is not None and light.reflector is None else None
+        behind = color_tensor(self.behind, self.branch.device)
+        _, shown = render_both(mirror, volumes, light, view.camera, behind, lit=view.light())
+        assert shown is not None and shown.depth is not None
+        target = view.target(behind)
+        known = None if view.unknown is None else target.known(torch.ones_like(shown.alpha)) > 0
+        base = shown.transmitted if shown.even is None else shown.even
+        return RenderedView(view.camera, target.color, shown.color, base, shown.depth, shown.alpha, known)

@@ -1,0 +1,158 @@
+"""Where Gaussians are added by the errors of renderings, how many, and which make room."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.config import DensifyConfig, make_config
+from mgsr.data.camera import Camera
+from mgsr.densify.carried import carried
+from mgsr.densify.error_driven import (
+    RenderedView,
+    growth,
+    new_points,
+    visible_error,
+    without_least_carrying,
+)
+from mgsr.errors import ConfigError
+from mgsr.gaussians.start import new_volumes, start_volumes
+from tests.training.ball import ball_scene
+
+HEIGHT, WIDTH = 20, 30
+CONFIG = make_config().train.volumes
+
+
+def turned_camera() -> Camera:
+    """A camera that looks askew, with its principal point off the middle."""
+    angle = 0.7
+    pose = np.eye(4)
+    pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    pose[:3, 3] = [0.3, -0.2, 4.0]
+    return Camera(np.array([[25.0, 0, 14.0], [0, 25.0, 11.0], [0, 0, 1]]), pose, WIDTH, HEIGHT)
+
+
+def rendered(wanted: torch.Tensor, known: torch.Tensor | None = None) -> RenderedView:
+    """A grey rendering of a surface 3.5 in front of the camera, and what it should be."""
+    grey = torch.full((HEIGHT, WIDTH, 3), 0.5)
+    plane = torch.ones(HEIGHT, WIDTH)
+    return RenderedView(turned_camera(), wanted, grey, grey - 0.1, 3.5 * plane, plane, known)
+
+
+def with_patch(color: float, known: torch.Tensor | None = None) -> RenderedView:
+    """A rendering that lacks a patch of 5 x 5 pixels."""
+    wanted = torch.full((HEIGHT, WIDTH, 3), 0.5)
+    wanted[8:13, 10:15] = color
+    return rendered(wanted, known)
+
+
+def test_only_what_differs_visibly_counts() -> None:
+    assert not visible_error(with_patch(0.53), 0.04).any()
+    error = visible_error(with_patch(0.8), 0.04)
+    assert error[10, 12] == pytest.approx(0.3, abs=1e-6)
+    assert not error[:6].any()
+    assert not error[:, 18:].any()
+
+
+def test_noise_of_single_pixels_counts_less_than_a_patch() -> None:
+    noise = 0.08 * torch.randn(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0))
+    noisy = visible_error(rendered(0.5 + noise), 0.04)
+    patch = visible_error(rendered(torch.full((HEIGHT, WIDTH, 3), 0.58)), 0.04)
+    assert (noisy > 0).float().mean() < 0.1
+    assert (patch[1:-1, 1:-1] > 0).all()
+
+
+def test_unknown_pixels_and_empty_ones_do_not_count() -> None:
+    known = torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+    known[8:13, 10:15] = False
+    assert not visible_error(with_patch(0.9, known), 0.04).any()
+    view = with_patch(0.9)
+    view.alpha.zero_()
+    assert not visible_error(view, 0.04).any()
+
+
+def test_the_number_follows_the_differing_pixels_and_has_bounds() -> None:
+    config = DensifyConfig(growth=0.25, replace=0.1, max_count=1100)
+    some = [torch.zeros(10, 10), torch.ones(10, 10)]
+    assert growth([torch.zeros(10, 10)], 1000, config) == (0, 0)
+    assert growth(some, 400, config) == (40, 50)  # 50 pixels in the mean; a tenth of 400
+    assert growth(some, 100, config) == (10, 25)
+    assert growth(some, 1090, config) == (50, 10)  # up to max_count
+    assert growth(some, 2000, config) == (50, 0)
+
+
+def test_new_points_project_to_the_pixels_that_differ_at_the_surface() -> None:
+    view = with_patch(0.9)
+    error = [visible_error(view, 0.04)]
+    points = new_points([view], error, 20, torch.Generator().manual_seed(0))
+    assert points.positions.shape == (20, 3)
+    pose, K = view.camera.cam_from_world, view.camera.K
+    seen = points.positions.double().numpy() @ pose[:3, :3].T + pose[:3, 3]
+    pixels = (seen @ K.T)[:, :2] / seen[:, 2:]
+    np.testing.assert_allclose(seen[:, 2], 3.5, atol=1e-5)
+    np.testing.assert_allclose(pixels % 1, 0.5, atol=1e-3)  # pixel centres
+    column, row = np.floor(pixels).astype(int).T
+    assert (error[0].numpy()[row, column] > 0).all()
+    assert len({*zip(column, row, strict=True)}) == 20, "no pixel twice"
+    torch.testing.assert_close(points.sizes, torch.full((20,), 3.5 / 25.0))
+    # Inside the patch the photograph lacks 0.4, which is added to the Gaussians' own 0.4.
+    inside = (column >= 10) & (column < 15) & (row >= 8) & (row < 13)
+    assert inside.any()
+    torch.testing.assert_close(points.colors[torch.from_numpy(inside)], torch.full((int(inside.sum()), 3), 0.8))
+
+
+def test_points_come_from_all_views_in_proportion_to_their_errors() -> None:
+    views = [rendered(torch.full((HEIGHT, WIDTH, 3), color)) for color in (0.6, 0.9)]
+    error = [visible_error(view, 0.04) for view in views]
+    dark = 0
+    for seed in range(60):
+        points = new_points(views, error, 4, torch.Generator().manual_seed(seed))
+        dark += int((points.colors[:, 0] < 0.51).sum())
+    assert dark / 240 == pytest.approx(0.2, abs=0.08)  # errors of 0.1 and 0.4
+
+
+def test_fewer_pixels_than_asked_for_give_fewer_points() -> None:
+    view = with_patch(0.9)
+    error = [visible_error(view, 0.04)]
+    most = int((error[0] > 0).sum())
+    assert len(new_points([view], error, 10_000, torch.Generator()).positions) == most
+    assert not len(new_points([view], [torch.zeros(HEIGHT, WIDTH)], 10, torch.Generator()).positions)
+
+
+def test_those_that_carry_least_make_room() -> None:
+    scene = ball_scene(size=24, train=3)
+    positions = np.random.default_rng(0).normal(scale=0.3, size=(40, 3))
+    model = start_volumes(positions, None, np.full((40, 3), 0.5), CONFIG, torch.Generator(), split=False)
+    views = [
+        RenderedView(view.camera, *(torch.zeros(0, 0, 3),) * 3, torch.zeros(0, 0), torch.zeros(0, 0))
+        for view in scene.train
+    ]
+    kept = without_least_carrying(model, views, 15)
+    light = carried(model, [view.camera for view in scene.train])
+    assert len(kept) == 25
+    assert (kept.diff() > 0).all()
+    gone = torch.ones(40, dtype=torch.bool)
+    gone[kept] = False
+    assert light[gone].max() <= light[kept].min()
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_new_gaussians_fit_the_model_that_they_join(split: bool) -> None:
+    generator = torch.Generator()
+    colors = torch.rand(5, 3)
+    model = start_volumes(np.random.rand(9, 3), None, np.random.rand(9, 3), CONFIG, generator, split)
+    new = new_volumes(model, torch.rand(5, 3), torch.full((5,), 0.02), colors, 0.6, CONFIG)
+    assert new.keys() == model.parameters().keys()
+    for name, tensor in model.parameters().items():
+        assert new[name].shape == (5, *tensor.shape[1:])
+    torch.testing.assert_close(new["opacity_logits"].sigmoid(), torch.full((5,), 0.6))
+    torch.testing.assert_close(new["log_scales"].exp(), torch.full((5, 3), 0.02))
+    torch.testing.assert_close(new["sh"][:, 0] * 0.28209479 + 0.5, colors)
+
+
+def test_surfels_go_by_the_gradient_alone() -> None:
+    with pytest.raises(ConfigError, match="expected gradient, got error"):
+        make_config(overrides=["surfels.densify.by=error"])
+    with pytest.raises(ConfigError, match="new_opacity: expected a value between 0 and 1"):
+        make_config(overrides=["volumes.densify.new_opacity=1"])

@@ -229,10 +229,12 @@ class DensifyConfig:
 
     by: Growth = Growth.GRADIENT
     tolerance: float = 0.04  # difference, sRGB 0..1 of the mean over 3 x 3 pixels, from which one is visible
-    growth: float = 0.25  # share of the count that is added at once, at most
+    growth: float = 0.5  # share of the count that is added at once, at most
     replace: float = 0.1  # share of the count, those that carry least, that is replaced at once, at most
     growth_views: int = 8  # training views that are looked at each time
     new_opacity: float = 0.6  # of splats that are added where errors are
+    scale_rate: float = 2e-2  # where splats come and go by errors, in place of rates.scale
+    beta2: float = 0.99  # likewise, in place of rates.beta2; with either, a background of unknown depth turns to haze
     gradient_threshold: float = 2e-4  # mean gradient of the loss per half image side (so independent of image size)
     every: int = 100  # iterations
     start: float = 0.05  # fraction of the warm-up
@@ -305,8 +307,6 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    # Where Gaussians come and go by errors. By the gradient, in a background of unknown depth, they would make haze.
-    error_rates: RatesConfig = field(default_factory=lambda: RatesConfig(scale=2e-2, beta2=0.99))
     densify: DensifyConfig = field(
         default_factory=lambda: DensifyConfig(
             by=Growth.ERROR, prune_opacity=0.005, max_count=1_000_000, drop_carrying=0.01
@@ -571,7 +571,7 @@ def validate(config: Config) -> None:
             f"warm-up ends; got {train.trial.start}"
         )
     for path in field_types(config):
-        if (".rates." in path or ".error_rates." in path) and _value(config, path) == 0:
+        if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path == "time_budget" and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")

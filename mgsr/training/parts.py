@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -90,8 +90,10 @@ def make_parts(
         generator = seeded(config, 2)
         split = reflection in (Reflection.OWN, Reflection.BOTH)
         full = start_volumes(*points, train.volumes, generator, split).to(device)
-        rates = train.volumes.error_rates if grows_by_errors(scene, config) else train.volumes.rates
-        volumes = Branch("volumes", full, rates, train.volumes.densify, extent, generator)
+        rates, densify = train.volumes.rates, train.volumes.densify
+        if grows_by_errors(scene, config):
+            rates = replace(rates, scale=densify.scale_rate, beta2=densify.beta2)
+        volumes = Branch("volumes", full, rates, densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
         maps = MirroredLight.uniform(train.mirror.side, train.mirror.start).to(device)

@@ -1,0 +1,67 @@
+"""Growth of the 3D branch in a training."""
+
+from __future__ import annotations
+
+import torch
+
+from mgsr.config import Config, make_config
+from mgsr.training.plan import Plan, make_plan
+from mgsr.training.run import Training
+from tests.training.ball import RADIUS, ball_points, ball_scene
+
+SHORT = ["surfel_iterations=10", "volume_iterations=60", "mutual.iterations=10", "stop_rule=none", "reflection=off"]
+OFTEN = ["volumes.densify.every=10", "volumes.densify.start=0.1"]
+
+
+def config(*overrides: str) -> Config:
+    return make_config("draft", overrides=[*SHORT, *OFTEN, *overrides])
+
+
+def plan(masked: bool = True, *overrides: str) -> Plan:
+    return make_plan(ball_scene(48, train=16, masked=masked), ball_points(300, RADIUS), config(*overrides))
+
+
+def test_gaussians_are_added_on_the_ball_up_to_a_share_of_the_count() -> None:
+    made = plan(True, "volumes.densify.replace=0", "volumes.start_scale=0.5", "volumes.start_opacity=0.95")
+    stage, branch = made.stages[1], made.parts.volumes
+    before = branch.model.means.detach().clone()
+    stage.adapt(branch)
+    assert len(branch.model) == 450  # half of 300 more
+    torch.testing.assert_close(branch.model.means[:300].detach(), before)
+    distance = branch.model.means[300:].detach().norm(dim=1)
+    # Gaussians of this width blend to a depth that is off by a fraction of their spacing, 0.1.
+    assert (distance - RADIUS).abs().median() < 0.03
+
+
+def test_gaussians_are_replaced_without_changing_the_count() -> None:
+    made = plan(True, "volumes.densify.growth=0")
+    stage, branch = made.stages[1], made.parts.volumes
+    before = {tuple(row) for row in branch.model.means.tolist()}
+    stage.adapt(branch)
+    assert len(branch.model) == 300
+    assert len(before & {tuple(row) for row in branch.model.means.tolist()}) == 270  # a tenth is new
+
+
+def test_nothing_is_added_where_all_is_within_the_tolerance() -> None:
+    made = plan(True, "volumes.densify.tolerance=1")
+    stage, branch = made.stages[1], made.parts.volumes
+    stage.adapt(branch)
+    assert len(branch.model) == 300
+
+
+def test_the_surfels_and_scenes_without_masks_go_by_the_gradient() -> None:
+    masked, unmasked = plan(True), plan(False)
+    assert masked.stages[1].growth.branch is masked.parts.volumes
+    assert masked.stages[0].growth is None
+    assert all(stage.growth is None for stage in unmasked.stages)
+    assert masked.parts.volumes.settings.beta2 == 0.99
+    assert unmasked.parts.volumes.settings.beta2 == 0.999
+
+
+def test_a_finer_tolerance_ends_with_more_gaussians_and_a_smaller_loss() -> None:
+    scene, points = ball_scene(48, train=16), ball_points(300, RADIUS)
+    coarse, fine = (
+        Training(scene, points, config(f"volumes.densify.tolerance={value}")).run() for value in (0.2, 0.02)
+    )
+    assert len(fine.volumes) > len(coarse.volumes)
+    assert fine.curve[-1].psnr_volumes > coarse.curve[-1].psnr_volumes

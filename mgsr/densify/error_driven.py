@@ -2,7 +2,8 @@
 those that carry least make room for as many more.
 
 A new Gaussian has a pixel's size and the photograph's colour, and lies on the pixel's ray at the rendered depth, as in
-ConeGS (Baranowski et al. 2025). The number of differing pixels, not a fixed count, says how many are added.
+ConeGS (Baranowski et al. 2025). The number of differing pixels that other views confirm, not a fixed count, says how
+many are added.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from mgsr.densify.carried import carried
 from mgsr.gaussians.volumes import VolumeModel
 
 SOLID = 0.3  # alpha from which a rendered depth is taken for a surface's
+HIDDEN = 3.0  # pixels' sizes by which a point may lie off the rendered surface of a view that sees it
 WINDOW = 3  # pixels along a side over which differences are averaged, so that sensor noise hardly counts
 
 
@@ -43,19 +45,22 @@ class RenderedView:
 @dataclass(frozen=True)
 class NewPoints:
     """Where Gaussians are added: positions [M,3] in the scene's frame, sizes [M]: a pixel's side there, in the scene's
-    unit; colors [M,3], sRGB 0..1."""
+    unit; colors [M,3], sRGB 0..1; lacking [M,3]: what the rendering lacks of the photograph there."""
 
     positions: Tensor
     sizes: Tensor
     colors: Tensor
+    lacking: Tensor
+
+    def rows(self, chosen: Tensor) -> NewPoints:
+        """Return some of the points, by a mask or indices."""
+        return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.lacking[chosen])
 
 
 def visible_error(view: RenderedView, tolerance: float) -> Tensor:
     """Return how much each pixel differs, [H,W]: the mean over the channels of the locally averaged difference, and 0
     where it is under the tolerance (sRGB 0..1), where no surface is rendered, and where the photograph is not known."""
-    difference = (view.wanted - view.color).permute(2, 0, 1)
-    if view.known is not None:
-        difference = difference * view.known
+    difference = _lacking(view).view_as(view.wanted).permute(2, 0, 1)
     smooth = torch.nn.functional.avg_pool2d(difference[None], WINDOW, 1, WINDOW // 2)[0]
     error = smooth.abs().mean(dim=0)
     counts = (error > tolerance) & (view.alpha > SOLID)
@@ -94,6 +99,30 @@ def new_points(
     return NewPoints(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
+def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoints:
+    """Return the points where the other views that see them lack the same rather than the opposite: of a highlight
+    that one view lacks, the others have too much, and of noise as often as not. Points that no other view sees are
+    left out, too."""
+    agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))
+    # A point's own view is among them, and agrees with itself.
+    return points.rows(agreed > points.lacking.square().sum(dim=1))
+
+
+def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
+    """Return the products [M] of what the points' views lack and what this one lacks there, 0 where it does not see
+    them."""
+    intrinsics, pose = _matrices(view)
+    height, width = view.depth.shape
+    local = points.positions @ pose[:3, :3].T + pose[:3, 3]
+    x, y, w = (local @ intrinsics.T).unbind(1)
+    column, row = (x / w).floor().long(), (y / w).floor().long()
+    inside = (w > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel = torch.where(inside, row * width + column, 0)
+    seen = inside & ((view.depth.reshape(-1)[pixel] - w).abs() < HIDDEN * points.sizes)
+    lacking = _lacking(view)[pixel]
+    return (points.lacking * lacking).sum(dim=1) * seen
+
+
 def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], count: int) -> Tensor:
     """Return ascending indices [N - count] int64 of the Gaussians without those that carry least of the views'
     light."""
@@ -101,16 +130,26 @@ def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], co
     return light.argsort(stable=True)[count:].sort().values
 
 
-def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Positions, sizes and colours of pixels [P], row x W + column."""
+def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
+    """Positions, sizes, colours, and what is lacking, of pixels [P], row x W + column."""
     width = view.depth.shape[1]
-    intrinsics, pose = (
-        torch.from_numpy(matrix).to(view.depth) for matrix in (view.camera.K, view.camera.cam_from_world)
-    )
+    intrinsics, pose = _matrices(view)
     depth = view.depth.reshape(-1)[pixels]
     x = (pixels % width + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (pixels // width + 0.5 - intrinsics[1, 2]) / intrinsics[1, 1]
     points = torch.stack([x * depth, y * depth, depth], dim=1)
-    lacking = (view.wanted - view.color).reshape(-1, 3)[pixels]
+    lacking = _lacking(view)[pixels]
     colors = (view.base.reshape(-1, 3)[pixels] + lacking).clamp(0, 1)
-    return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors
+    return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors, lacking
+
+
+def _lacking(view: RenderedView) -> Tensor:
+    """What the rendering lacks of the photograph, [H*W,3]; nothing where the photograph is not known."""
+    difference = view.wanted - view.color
+    return (difference if view.known is None else difference * view.known[..., None]).reshape(-1, 3)
+
+
+def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:
+    """The camera's K and cam_from_world, where the images are."""
+    camera = view.camera
+    return torch.from_numpy(camera.K).to(view.depth), torch.from_numpy(camera.cam_from_world).to(view.depth)

@@ -9,7 +9,14 @@ import torch
 
 from mgsr.config import VolumeConfig
 from mgsr.data.backdrop import Color
-from mgsr.densify.error_driven import RenderedView, growth, new_points, visible_error, without_least_carrying
+from mgsr.densify.error_driven import (
+    RenderedView,
+    growth,
+    new_points,
+    not_contradicted,
+    visible_error,
+    without_least_carrying,
+)
 from mgsr.gaussians.start import new_volumes
 from mgsr.render.both import render_both
 from mgsr.training.parts import Parts
@@ -35,7 +42,7 @@ class ErrorGrowth:
         rendered = [self._rendered(views[index]) for index in drawn]
         error = [visible_error(view, densify.tolerance) for view in rendered]
         replaced, added = growth(error, len(branch.model), densify)
-        points = new_points(rendered, error, replaced + added, branch.generator)
+        points = not_contradicted(new_points(rendered, error, replaced + added, branch.generator), rendered)
         if not len(points.positions):
             return
         kept = without_least_carrying(branch.model, rendered, min(replaced, len(points.positions)))

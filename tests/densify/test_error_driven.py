@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -13,6 +15,7 @@ from mgsr.densify.error_driven import (
     RenderedView,
     growth,
     new_points,
+    not_contradicted,
     visible_error,
     without_least_carrying,
 )
@@ -118,6 +121,20 @@ def test_fewer_pixels_than_asked_for_give_fewer_points() -> None:
     most = int((error[0] > 0).sum())
     assert len(new_points([view], error, 10_000, torch.Generator()).positions) == most
     assert not len(new_points([view], [torch.zeros(HEIGHT, WIDTH)], 10, torch.Generator()).positions)
+
+
+def test_other_views_confirm_what_the_surface_lacks_and_contradict_a_highlight() -> None:
+    """A camera and others of the same place, on a wall that faces them all."""
+    first, second, third = with_patch(0.9), with_patch(0.8), with_patch(0.45)
+    drawn = new_points([first], [visible_error(first, 0.04)], 10_000, torch.Generator())
+    in_patch = drawn.rows(drawn.lacking[:, 0] > 0.3)
+    assert len(not_contradicted(in_patch, [first, second]).sizes) == 25
+    assert not len(not_contradicted(in_patch, [first, third]).sizes), "the others have too much"
+    assert len(not_contradicted(in_patch, [first, second, third]).sizes) == 25, "the sum of the others counts"
+    hidden = replace(second, depth=second.depth - 1.0)
+    assert not len(not_contradicted(in_patch, [first, hidden]).sizes), "seen by one view alone"
+    unknown = replace(second, known=torch.zeros(HEIGHT, WIDTH, dtype=torch.bool))
+    assert not len(not_contradicted(in_patch, [first, unknown]).sizes)
 
 
 def test_those_that_carry_least_make_room() -> None:

@@ -26,7 +26,7 @@ def test_at_most_a_share_of_the_count_is_added() -> None:
     stage, branch = made.stages[1], made.parts.volumes
     before = branch.model.means.detach().clone()
     stage.adapt(branch)
-    assert len(branch.model) == 450  # half of 300 more
+    assert 350 < len(branch.model) <= 450  # half more, without what other views contradict
     torch.testing.assert_close(branch.model.means[:300].detach(), before)
 
 
@@ -47,7 +47,8 @@ def test_gaussians_are_replaced_without_changing_the_count() -> None:
     before = {tuple(row) for row in branch.model.means.tolist()}
     stage.adapt(branch)
     assert len(branch.model) == 300
-    assert len(before & {tuple(row) for row in branch.model.means.tolist()}) == 270  # a tenth is new
+    # A tenth is new, without what other views contradict.
+    assert 270 <= len(before & {tuple(row) for row in branch.model.means.tolist()}) < 290
 
 
 def test_nothing_is_added_where_all_is_within_the_tolerance() -> None:

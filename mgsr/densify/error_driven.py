@@ -131,7 +131,7 @@ def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], co
 
 
 def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
-    """Positions, sizes, colours, and what is lacking, of pixels [P], row x W + column."""
+    """Return positions, sizes, colours, and what is lacking, of pixels [P], row x W + column."""
     width = view.depth.shape[1]
     intrinsics, pose = _matrices(view)
     depth = view.depth.reshape(-1)[pixels]
@@ -144,12 +144,12 @@ def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
 
 
 def _lacking(view: RenderedView) -> Tensor:
-    """What the rendering lacks of the photograph, [H*W,3]; nothing where the photograph is not known."""
+    """Return what the rendering lacks of the photograph, [H*W,3]; nothing where the photograph is not known."""
     difference = view.wanted - view.color
     return (difference if view.known is None else difference * view.known[..., None]).reshape(-1, 3)
 
 
 def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:
-    """The camera's K and cam_from_world, where the images are."""
+    """Return the camera's K and cam_from_world, where the images are."""
     camera = view.camera
     return torch.from_numpy(camera.K).to(view.depth), torch.from_numpy(camera.cam_from_world).to(view.depth)

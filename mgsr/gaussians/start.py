@@ -95,7 +95,7 @@ def new_volumes(
 
 
 def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:
-    """The tensors that give Gaussians without a reflected half one to start with."""
+    """Return the tensors that give Gaussians without a reflected half one to start with."""
     count, device = len(model), model.means.device
     reflected = torch.full((count, 3), config.start_reflected, device=device)
     return {
@@ -106,7 +106,7 @@ def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor
 
 
 def logit(probability: float) -> float:
-    """The number whose sigmoid is `probability`, which must lie inside (0, 1)."""
+    """Return the number whose sigmoid is `probability`, which must lie inside (0, 1)."""
     return math.log(probability / (1 - probability))
 
 
@@ -120,7 +120,7 @@ def quats_from_normals(normals: np.ndarray) -> np.ndarray:
 
 
 def plane_normals(positions: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """Unit normals [P,3], of either sign, of the planes through each point's neighbours (indices [P,k])."""
+    """Return unit normals [P,3], of either sign, of the planes through each point's neighbours (indices [P,k])."""
     local = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(local.transpose(0, 2, 1) @ local)
     return vectors[:, :, 0]

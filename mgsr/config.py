@@ -247,6 +247,7 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; none are added beyond them
+    unmasked_count: int = 20_000  # likewise, of a branch that goes by the gradient only because there are no masks
     drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
     # scenes only: in others a few huge ones in the background carry most of it
 
@@ -441,6 +442,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "volumes.max_start": "5000",
         "volumes.sh_degree": "1",  # to which a trial comes, where there is time for one
         "surfels.densify.max_count": "10000",
+        "volumes.densify.unmasked_count": "8000",
         "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
         "volumes.densify.drop_carrying": "0",
         "mesh.view_scale": "1.0",
@@ -453,6 +455,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "surfels.densify.max_count": "40000",
         "volumes.max_start": "20000",
         "volumes.densify.tolerance": "0.02",
+        "volumes.densify.unmasked_count": "40000",
     },
 }
 

@@ -93,6 +93,8 @@ def make_parts(
         rates, densify = train.volumes.rates, train.volumes.densify
         if grows_by_errors(scene, config):
             rates = replace(rates, scale=densify.scale_rate, beta2=densify.beta2)
+        elif densify.by is Growth.ERROR:
+            densify = replace(densify, max_count=min(densify.max_count, densify.unmasked_count))
         volumes = Branch("volumes", full, rates, densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):

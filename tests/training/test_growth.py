@@ -65,6 +65,8 @@ def test_the_surfels_and_scenes_without_masks_go_by_the_gradient() -> None:
     assert all(stage.growth is None for stage in unmasked.stages)
     assert masked.parts.volumes.settings.beta2 == 0.99
     assert unmasked.parts.volumes.settings.beta2 == 0.999
+    assert masked.parts.volumes.densify.max_count == 1_000_000
+    assert unmasked.parts.volumes.densify.max_count == 8_000
 
 
 def test_a_finer_tolerance_ends_with_more_gaussians_and_a_smaller_loss() -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
-from mgsr.config import Config, Growth, make_config
+from mgsr.config import Growth, make_config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
@@ -47,13 +47,12 @@ def main() -> None:
     """Measure every scene, and write its rows as soon as they are there."""
     given = arguments()
     for path in given.scenes:
-        start: StartingPoints | None = None
+        config = make_config(overrides=[f"max_side={given.side}"])
+        scene = load_scene(path, config.data)
+        start = starting_points(scene, START, config.seed)
         for cap in CAPS:
-            for by in (Growth.ERROR, Growth.GRADIENT):
-                config = settings(by, cap, given.side)
-                scene = load_scene(path, config.data)
-                start = start or starting_points(scene, START, config.seed)
-                row = measured(scene, start, config, by, cap, given.side)
+            for by in Growth:
+                row = measured(scene, start, by, cap, given.side)
                 print(row, flush=True)
                 others = [each for each in read_csv(given.out, CountRow) if key(each) != key(row)]
                 write_csv(given.out, CountRow, sorted([*others, row], key=key), digits=5)
@@ -68,15 +67,14 @@ def arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def settings(by: Growth, cap: int, side: int) -> Config:
-    """Return a run's settings: those of the method 3dgs but for growth, which is as in the method mgsr by `error`."""
-    start = min(START, cap // 2)
-    overrides = [f"volumes.densify.by={by}", f"volumes.densify.max_count={cap}", f"volumes.max_start={start}"]
-    return make_config("standard", "3dgs", overrides=[*overrides, f"max_side={side}"])
-
-
-def measured(scene: Scene, start: StartingPoints, config: Config, by: Growth, cap: int, side: int) -> CountRow:
-    """Train, and score the test views."""
+def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, side: int) -> CountRow:
+    """Train with the method 3dgs but for its growth, and score the test views."""
+    overrides = [
+        f"volumes.densify.by={by}",
+        f"volumes.densify.max_count={cap}",
+        f"volumes.max_start={min(START, cap // 2)}",
+    ]
+    config = make_config("standard", "3dgs", overrides=overrides)
     result = Training(scene, start, config).run()
     assert result.volumes is not None
     views = prepare_views(scene.test, scene.masked)

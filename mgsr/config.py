@@ -215,9 +215,9 @@ class RatesConfig:
 
 
 class Growth(StrEnum):
-    """What tells where splats are added. gradient: clone and split on the screen-space gradient (3DGS, section 5).
-    error: new ones where renderings differ visibly from the photographs; masked scenes only, others go by the gradient,
-    as the depth of their background is seldom known well enough."""
+    """What tells where Gaussians are added. gradient: those with a large screen-space gradient are cloned or split.
+    error: new ones where renderings differ visibly from the photographs, in scenes with masks; without masks the depth
+    of the background is too uncertain for that, and the gradient tells."""
 
     GRADIENT = "gradient"
     ERROR = "error"
@@ -225,16 +225,8 @@ class Growth(StrEnum):
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """How a branch gains splats, and loses those that show nothing."""
+    """Clone, split and prune on the screen-space gradient (3DGS, section 5)."""
 
-    by: Growth = Growth.GRADIENT
-    tolerance: float = 0.04  # difference, sRGB 0..1 of the mean over 3 x 3 pixels, from which one is visible
-    growth: float = 0.5  # share of the count that is added at once, at most
-    replace: float = 0.1  # share of the count, those that carry least, that is replaced at once, at most
-    growth_views: int = 8  # training views that are looked at each time
-    new_opacity: float = 0.6  # of splats that are added where errors are
-    scale_rate: float = 2e-2  # where splats come and go by errors, in place of rates.scale
-    beta2: float = 0.99  # likewise, in place of rates.beta2; with either, a background of unknown depth turns to haze
     gradient_threshold: float = 2e-4  # mean gradient of the loss per half image side (so independent of image size)
     every: int = 100  # iterations
     start: float = 0.05  # fraction of the warm-up
@@ -247,9 +239,26 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; none are added beyond them
-    unmasked_count: int = 20_000  # likewise, of a branch that goes by the gradient only because there are no masks
     drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
     # scenes only: in others a few huge ones in the background carry most of it
+
+
+@dataclass(frozen=True)
+class VolumeDensifyConfig(DensifyConfig):
+    """How the 3D branch gains and loses Gaussians: as DensifyConfig says, or by the errors of its renderings."""
+
+    by: Growth = Growth.ERROR
+    tolerance: float = 0.04  # mean over 3 x 3 pixels of the difference, sRGB 0..1, from which it counts as visible
+    growth: float = 0.5  # largest share of the count that is added in one round
+    replace: float = 0.1  # largest share of the count that is replaced in one round: those that carry least light
+    growth_views: int = 8  # training views that are rendered in one round
+    new_opacity: float = 0.6  # of Gaussians that are added by errors
+    scale_rate: float = 2e-2  # learning rate of log-scales, in place of rates.scale, where errors tell
+    beta2: float = 0.99  # of Adam, in place of rates.beta2, where errors tell
+    unmasked_count: int = 20_000  # max_count where the gradient tells because there are no masks
+    prune_opacity: float = 0.005
+    max_count: int = 1_000_000
+    drop_carrying: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -308,11 +317,7 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: DensifyConfig = field(
-        default_factory=lambda: DensifyConfig(
-            by=Growth.ERROR, prune_opacity=0.005, max_count=1_000_000, drop_carrying=0.01
-        )
-    )
+    densify: VolumeDensifyConfig = field(default_factory=VolumeDensifyConfig)
 
 
 @dataclass(frozen=True)
@@ -535,6 +540,17 @@ def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
+def volume_settings(volumes: VolumeConfig, masked: bool) -> VolumeConfig:
+    """Return the 3D branch's settings as they hold for a scene with or without masks (see Growth)."""
+    densify = volumes.densify
+    if densify.by is Growth.GRADIENT:
+        return volumes
+    if masked:
+        return replace(volumes, rates=replace(volumes.rates, scale=densify.scale_rate, beta2=densify.beta2))
+    most = min(densify.max_count, densify.unmasked_count)
+    return replace(volumes, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
+
+
 def validate(config: Config) -> None:
     """Raise ConfigError for values that parse but can't work together."""
     train = config.train
@@ -550,19 +566,13 @@ def validate(config: Config) -> None:
     ):
         if degree > 3:
             raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
-    for path in ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start"):
+    between = ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start")
+    for path in (*between, "volumes.densify.new_opacity"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
     if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
         kind = train.volumes.reflection
         raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
-    if train.surfels.densify.by is not Growth.GRADIENT:
-        raise ConfigError(f"train.surfels.densify.by: expected gradient, got {train.surfels.densify.by}")
-    if not 0 < train.volumes.densify.new_opacity < 1:
-        raise ConfigError(
-            "train.volumes.densify.new_opacity: expected a value between 0 and 1, got "
-            f"{train.volumes.densify.new_opacity:g}"
-        )
     if train.warmup.coarse > train.trial.start:
         raise ConfigError(
             f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "

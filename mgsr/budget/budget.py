@@ -18,7 +18,16 @@ from typing import Any
 from mgsr.budget import costs
 from mgsr.budget.costs import Facts
 from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, Line
-from mgsr.config import Branches, Config, MeshConfig, Reflection, SurfelConfig, VolumeConfig
+from mgsr.config import (
+    Branches,
+    Config,
+    Growth,
+    MeshConfig,
+    Reflection,
+    SurfelConfig,
+    VolumeConfig,
+    volume_settings,
+)
 from mgsr.training.pace import FINISH, StageLength
 
 AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
@@ -295,11 +304,13 @@ def _work(config: Config, stage: str) -> int:
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     """By branch, in the middle of a stage."""
-    branches: dict[str, SurfelConfig | VolumeConfig]
-    branches = {"surfels": config.train.surfels, "volumes": config.train.volumes}
+    volumes = volume_settings(config.train.volumes, facts.masked)
+    branches: dict[str, SurfelConfig | VolumeConfig] = {"surfels": config.train.surfels, "volumes": volumes}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
-    most = {name: min(b.densify.max_count, costs.usual_count(b.max_start, facts)) for name, b in branches.items()}
+    most = {name: branch.densify.max_count for name, branch in branches.items()}
+    if "volumes" in most and volumes.densify.by is Growth.ERROR:
+        most["volumes"] = min(most["volumes"], costs.usual_count(volumes.max_start, facts))
     if not stage.startswith("warmup"):
         return most
     return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
@@ -311,10 +322,6 @@ def _reference_training(facts: Facts, config: Config) -> float:
         _work(config, name) * costs.iteration_cost(name, facts, _splats(name, facts, config))
         for name in _stages(config)
     )
-
-
-def _reference_iteration(stage: str, facts: Facts, config: Config) -> float:
-    return costs.iteration_cost(stage, facts, _splats(stage, facts, config))
 
 
 def _stages(config: Config) -> tuple[str, ...]:

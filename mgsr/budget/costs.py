@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from mgsr.config import MeshConfig
 
 USUAL_PIXELS = 256 * 256
-GROWN = 0.15  # splats that are added, for each pixel of a view
+GROWN = 0.15  # Gaussians that errors add, for each pixel of a view
 STEREO = 0.4  # a view
 WAVES = 3.0  # of the surface, taken off
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
@@ -41,12 +41,12 @@ class Facts:
 
 
 def load_cost(facts: Facts) -> float:
-    """Reading the photographs."""
+    """Return what reading the photographs takes."""
     return 0.15 + 0.01 * (facts.views + facts.tests) * facts.size
 
 
 def start_cost(facts: Facts) -> float:
-    """The starting points: on the hull, or of stereo, which looks at small photographs only."""
+    """Return what finding the starting points takes, on the hull or by stereo, which looks at small photographs."""
     if not facts.masked and not facts.learned:
         return STEREO * facts.views
     surface = (29.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
@@ -54,7 +54,7 @@ def start_cost(facts: Facts) -> float:
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
-    """One iteration of a stage of training, with so many splats in each branch."""
+    """Return what one iteration of a stage of training takes, with so many splats in each branch."""
     flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "volumes"))
     surfels = 0.0045 + 0.011 * facts.size + 0.0025 * flat
     volumes = 0.0045 + 0.015 * facts.size + 0.0035 * full
@@ -64,20 +64,21 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
 
 
 def usual_count(start: int, facts: Facts) -> int:
-    """How many splats a branch that starts with so many usually comes to have; scenes differ by a factor of two."""
+    """Return how many Gaussians a branch that starts with so many, and grows by errors, usually comes to have; scenes
+    differ by a factor of two."""
     return start + round(GROWN * facts.pixels)
 
 
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
-    """The views of the surface, and the surface from them, as it is before its refinement."""
+    """Return what rendering the surface's views and extracting it from them takes, without its refinement."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
     waves = WAVES if config.wave_angle and not facts.flash else 0.0
     return 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8 + waves
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
-    """Holding the surface against the photographs, in all its rounds. It reads them at every vertex, of which there is
-    one for each cell of the surface, but none finer than pixels."""
+    """Return what all rounds of holding the surface against the photographs take. They read them at every vertex, of
+    which there is one for each cell of the surface, but none finer than pixels."""
     if config.shading_ratio is None:
         return 0.0
     shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
@@ -87,20 +88,20 @@ def refinement_cost(facts: Facts, config: MeshConfig) -> float:
 
 
 def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
-    """The surface with a share `refined` of its refinement."""
+    """Return what the surface takes with a share `refined` of its refinement."""
     return surface_cost(facts, config) + refined * refinement_cost(facts, config)
 
 
 def round_cost(facts: Facts, config: MeshConfig) -> float:
-    """A round of the refinement, with what it may have to prepare."""
+    """Return what a round of the refinement takes, with what it may have to prepare."""
     return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
 
 
 def judging_cost(facts: Facts) -> float:
-    """Scores and pictures of the surface."""
+    """Return what scores and pictures of the surface take."""
     return (4.0 if facts.truth else 0.1) + 2.0 + 0.3 * min(facts.tests, 6)
 
 
 def closing_cost(facts: Facts) -> float:
-    """Test renders, their scores, the report."""
+    """Return what the test renders, their scores and the report take."""
     return 0.8 + 0.2 * facts.tests * facts.size

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mgsr.config import DensifyConfig
+from mgsr.config import VolumeDensifyConfig
 from mgsr.data.camera import Camera
 from mgsr.densify.carried import carried
 from mgsr.gaussians.volumes import VolumeModel
@@ -28,18 +28,16 @@ WINDOW = 3  # pixels along a side over which differences are averaged, so that s
 class RenderedView:
     """A training view beside its rendering.
 
-    wanted and color [H,W,3]: the photograph and the rendering, sRGB, on one background; base [H,W,3]: the part of
-    `color` that the Gaussians' own colours give (without reflected light, and as under even light); depth [H,W]: camera
-    z; alpha [H,W]; known [H,W] bool: the pixels that the photograph shows, None where it shows all.
+    lacking [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]: what the Gaussians' own
+    colours give, without reflected light and as under even light; depth [H,W]: camera z; alpha [H,W]. Where the
+    photograph is not known, lacking and alpha are 0.
     """
 
     camera: Camera
-    wanted: Tensor
-    color: Tensor
+    lacking: Tensor
     base: Tensor
     depth: Tensor
     alpha: Tensor
-    known: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -59,18 +57,15 @@ class NewPoints:
 
 def visible_error(view: RenderedView, tolerance: float) -> Tensor:
     """Return how much each pixel differs, [H,W]: the mean over the channels of the locally averaged difference, and 0
-    where it is under the tolerance (sRGB 0..1), where no surface is rendered, and where the photograph is not known."""
-    difference = _lacking(view).view_as(view.wanted).permute(2, 0, 1)
-    smooth = torch.nn.functional.avg_pool2d(difference[None], WINDOW, 1, WINDOW // 2)[0]
+    where it is under the tolerance (sRGB 0..1) or no surface is rendered."""
+    planes = view.lacking.permute(2, 0, 1)[None]
+    smooth = torch.nn.functional.avg_pool2d(planes, WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
     error = smooth.abs().mean(dim=0)
-    counts = (error > tolerance) & (view.alpha > SOLID)
-    if view.known is not None:
-        counts &= view.known
-    return error * counts
+    return error * ((error > tolerance) & (view.alpha > SOLID))
 
 
-def growth(error: Sequence[Tensor], count: int, config: DensifyConfig) -> tuple[int, int]:
-    """Return how many of `count` Gaussians are replaced, and how many are added beyond them.
+def planned_changes(error: Sequence[Tensor], count: int, config: VolumeDensifyConfig) -> tuple[int, int]:
+    """Return how many of `count` Gaussians are to be replaced, and how many are to be added beyond them.
 
     error: of some views (see `visible_error`). Each number is at most the pixels that differ in a view, on average, and
     at most a share of the count; all together stay under config.max_count.
@@ -119,8 +114,7 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
     inside = (w > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     pixel = torch.where(inside, row * width + column, 0)
     seen = inside & ((view.depth.reshape(-1)[pixel] - w).abs() < HIDDEN * points.sizes)
-    lacking = _lacking(view)[pixel]
-    return (points.lacking * lacking).sum(dim=1) * seen
+    return (points.lacking * view.lacking.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 
 def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], count: int) -> Tensor:
@@ -138,15 +132,9 @@ def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
     x = (pixels % width + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (pixels // width + 0.5 - intrinsics[1, 2]) / intrinsics[1, 1]
     points = torch.stack([x * depth, y * depth, depth], dim=1)
-    lacking = _lacking(view)[pixels]
+    lacking = view.lacking.reshape(-1, 3)[pixels]
     colors = (view.base.reshape(-1, 3)[pixels] + lacking).clamp(0, 1)
     return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors, lacking
-
-
-def _lacking(view: RenderedView) -> Tensor:
-    """Return what the rendering lacks of the photograph, [H*W,3]; nothing where the photograph is not known."""
-    difference = view.wanted - view.color
-    return (difference if view.known is None else difference * view.known[..., None]).reshape(-1, 3)
 
 
 def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:

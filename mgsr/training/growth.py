@@ -11,9 +11,9 @@ from mgsr.config import VolumeConfig
 from mgsr.data.backdrop import Color
 from mgsr.densify.error_driven import (
     RenderedView,
-    growth,
     new_points,
     not_contradicted,
+    planned_changes,
     visible_error,
     without_least_carrying,
 )
@@ -41,7 +41,7 @@ class ErrorGrowth:
         drawn = torch.randperm(len(views), generator=branch.generator)[: densify.growth_views].tolist()
         rendered = [self._rendered(views[index]) for index in drawn]
         error = [visible_error(view, densify.tolerance) for view in rendered]
-        replaced, added = growth(error, len(branch.model), densify)
+        replaced, added = planned_changes(error, len(branch.model), densify)
         points = not_contradicted(new_points(rendered, error, replaced + added, branch.generator), rendered)
         if not len(points.positions):
             return
@@ -57,6 +57,6 @@ class ErrorGrowth:
         _, shown = render_both(mirror, volumes, light, view.camera, behind, lit=view.light())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
-        known = None if view.unknown is None else target.known(torch.ones_like(shown.alpha)) > 0
+        color, wanted = target.compared(shown.color, target.color)
         base = shown.transmitted if shown.even is None else shown.even
-        return RenderedView(view.camera, target.color, shown.color, base, shown.depth, shown.alpha, known)
+        return RenderedView(view.camera, wanted - color, base, shown.depth, target.known(shown.alpha))

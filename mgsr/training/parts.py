@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import torch
 
-from mgsr.config import Branches, Config, Growth, Reflection
+from mgsr.config import Branches, Config, Reflection, volume_settings
 from mgsr.data.scene import Scene
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.start import start_surfels, start_volumes
@@ -90,22 +90,13 @@ def make_parts(
         generator = seeded(config, 2)
         split = reflection in (Reflection.OWN, Reflection.BOTH)
         full = start_volumes(*points, train.volumes, generator, split).to(device)
-        rates, densify = train.volumes.rates, train.volumes.densify
-        if grows_by_errors(scene, config):
-            rates = replace(rates, scale=densify.scale_rate, beta2=densify.beta2)
-        elif densify.by is Growth.ERROR:
-            densify = replace(densify, max_count=min(densify.max_count, densify.unmasked_count))
-        volumes = Branch("volumes", full, rates, densify, extent, generator)
+        settings = volume_settings(train.volumes, scene.masked)
+        volumes = Branch("volumes", full, settings.rates, settings.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
         maps = MirroredLight.uniform(train.mirror.side, train.mirror.start).to(device)
         light = LightInTraining(maps, train.mirror, used)
     return Parts(surfels, volumes, light)
-
-
-def grows_by_errors(scene: Scene, config: Config) -> bool:
-    """Whether the 3D branch grows where renderings differ from photographs, and not by the gradient."""
-    return scene.masked and config.train.volumes.densify.by is Growth.ERROR
 
 
 def camera_extent(scene: Scene) -> float:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import torch
 
-from mgsr.config import Branches, Config, DensifyConfig, Reflection, StopRule
+from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, volume_settings
 from mgsr.data.backdrop import Backdrop, Color, backdrop
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
@@ -19,7 +19,7 @@ from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.growth import ErrorGrowth
 from mgsr.training.pace import FINISH
-from mgsr.training.parts import Parts, StartingPoints, grows_by_errors, make_parts, seeded
+from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
 from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
 from mgsr.training.trained import Trained
 from mgsr.training.trial import ReflectionTrial
@@ -93,9 +93,9 @@ def make_plan(
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
-    growth = None
-    if parts.volumes is not None and grows_by_errors(scene, config):
-        growth = ErrorGrowth(parts.volumes, parts, config.train.volumes, behind.color)
+    volumes, growth = volume_settings(config.train.volumes, scene.masked), None
+    if parts.volumes is not None and volumes.densify.by is Growth.ERROR:
+        growth = ErrorGrowth(parts.volumes, parts, volumes, behind.color)
     stages: list[Stage] = []
     last = _last_stage(parts, photographs.views, stages, config)
     last.growth = growth

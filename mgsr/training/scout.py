@@ -24,7 +24,7 @@ RATES = 0.2  # where on the way from a warm-up's first to its last learning rate
 
 
 def small_view(view: View, side: int = SIDE) -> View:
-    """The view as a scout is trained on it."""
+    """Return the view as a scout is trained on it."""
     return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
 
 
@@ -40,10 +40,10 @@ def train_scout(
     progress: Callable[[float], None] = lambda done: None,
     opacity_cost: float = 0.0,
 ) -> VolumeModel:
-    """Some of the starting points as Gaussians of one colour with harmonics up to `degree`, trained on small views of
-    the scene; none are added or dropped. name: what its stage is called; progress: told of the share that is done;
-    opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The same seed gives
-    the same Gaussians.
+    """Return some of the starting points as Gaussians of one colour with harmonics up to `degree`, trained on small
+    views of the scene; none are added or dropped. name: what its stage is called; progress: told of the share that is
+    done; opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The same seed
+    gives the same Gaussians.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """

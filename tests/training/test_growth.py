@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import torch
 
 from mgsr.config import Config, make_config
@@ -53,6 +56,15 @@ def test_gaussians_are_replaced_without_changing_the_count() -> None:
 
 def test_nothing_is_added_where_all_is_within_the_tolerance() -> None:
     made = plan(True, "volumes.densify.tolerance=1")
+    stage, branch = made.stages[1], made.parts.volumes
+    stage.adapt(branch)
+    assert len(branch.model) == 300
+
+
+def test_nothing_is_added_for_what_photographs_do_not_show() -> None:
+    scene = ball_scene(48, train=16)
+    hidden = [replace(view, known=np.zeros((48, 48), bool)) for view in scene.train]
+    made = make_plan(replace(scene, train=hidden), ball_points(300, RADIUS), config())
     stage, branch = made.stages[1], made.parts.volumes
     stage.adapt(branch)
     assert len(branch.model) == 300

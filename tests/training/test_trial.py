@@ -16,7 +16,7 @@ from mgsr.training.trained import step_trained
 from mgsr.training.trial import Candidate, simplest
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
-# On so small a ball, adding Gaussians by errors leaves too few for the candidates to come to rest within these lengths.
+# Growth by errors ends with fewer Gaussians on this ball, where reflected halves gain by being more parameters.
 LENGTHS = [
     "volumes.densify.by=gradient",
     "surfel_iterations=100",

@@ -56,6 +56,11 @@ class GpuError(MgsrError):
     code = "gpu_failed"
 
 
+class LostCardError(GpuError):
+    """The card failed and answers nothing any more in this process. Even taking down torch's tensors ends the process
+    with an abort, so that it is best left by `os._exit`."""
+
+
 class MeshError(MgsrError):
     """No usable surface came out; the text says why."""
 

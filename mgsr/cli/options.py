@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ import typer
 
 from mgsr.cli.signals import INTERRUPTED, cleaned_up_after_signals
 from mgsr.config import METHODS, PRESETS, Up
-from mgsr.errors import Cancelled, MgsrError
+from mgsr.errors import Cancelled, LostCardError, MgsrError
 
 REFUSED = 2
 
@@ -68,7 +69,8 @@ def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float
 @contextmanager
 def refusals(resumes: bool = False) -> Iterator[None]:
     """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
-    end is cleaned up after. resumes: whether the command has --resume."""
+    end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command has --resume.
+    """
     try:
         with cleaned_up_after_signals():
             yield
@@ -79,6 +81,11 @@ def refusals(resumes: bool = False) -> Iterator[None]:
         kept = "; the last checkpoint is kept. To go on, give the same command with --resume." if resumes else ""
         _say(f"stopped at once{kept}")
         raise typer.Exit(INTERRUPTED) from None
+    except LostCardError as error:
+        _say(f"error: {error}")
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(REFUSED)
     except MgsrError as error:
         _say(f"error: {error}")
         raise typer.Exit(REFUSED) from None

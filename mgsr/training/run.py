@@ -11,7 +11,7 @@ import torch
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
-from mgsr.errors import GpuError
+from mgsr.errors import GpuError, LostCardError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
@@ -28,7 +28,7 @@ CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ()
 
 @contextmanager
 def card_explained() -> Iterator[None]:
-    """Raise what goes wrong with a card inside as a GpuError that says what to do."""
+    """Raise what goes wrong with a card inside as a GpuError or LostCardError that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
@@ -38,7 +38,7 @@ def card_explained() -> Iterator[None]:
         ) from error
     except CARD_FAILED as error:
         reason = str(error).strip().splitlines()[0]
-        raise GpuError(
+        raise LostCardError(
             f"the card failed ({reason}), and nothing can be read from it any more: go on from the last checkpoint "
             "with --resume, or use --device cpu; if it fails again, CUDA_LAUNCH_BLOCKING=1 names the place for a report"
         ) from error

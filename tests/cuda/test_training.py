@@ -12,7 +12,7 @@ from mgsr.training.branch import Branch
 from mgsr.training.run import Training
 from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
 from tests.training.ball import ball_points, ball_scene
-from tests.training.test_train import short, tensors
+from tests.training.short_training import short, tensors
 
 QUICK = ("warmup.surfel_iterations=3", "warmup.volume_iterations=3", "mutual.iterations=2", "sh_step=0.5")
 

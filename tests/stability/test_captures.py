@@ -18,7 +18,7 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 from tests.training.ball import DISTANCE, RADIUS, ball_points, ball_scene
-from tests.training.test_train import short, tensors
+from tests.training.short_training import short, tensors
 
 QUICK = ("warmup.surfel_iterations=8", "warmup.volume_iterations=8", "mutual.iterations=4", "curve_every=1000")
 

@@ -21,7 +21,7 @@ from mgsr.training.trained import step_trained
 from mgsr.training.views import TrainingView
 from tests.cuda.machines import SHIM
 from tests.training.ball import ball_points, ball_scene
-from tests.training.test_train import assert_same, short, tensors
+from tests.training.short_training import assert_same, short, tensors
 
 QUICK = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=6")
 

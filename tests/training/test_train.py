@@ -9,61 +9,20 @@ import pytest
 import torch
 import trimesh
 
-from mgsr.config import Config, Reflection, make_config
+from mgsr.config import Reflection, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
 from mgsr.render.surfels import render_surfels
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from tests.training.ball import RADIUS, Points, ball_points, ball_scene
+from tests.training.short_training import assert_same, short, tensors
 
-SHORT = [
-    "warmup.surfel_iterations=24",
-    "warmup.volume_iterations=24",
-    "mutual.iterations=12",
-    "surfels.densify.every=8",
-    "volumes.densify.every=8",
-    "gradient_threshold=1e-5",
-    "mutual_stop=0.8",
-    "stop_rule=none",
-    "curve_every=20",
-    "check_every=5",
-    "coarse_side=16",
-]
 PREVIEWS = {
     "mgsr": {"render", "normals", "transmitted", "reflected"},
     "2dgs": {"render", "normals"},
     "3dgs": {"render"},
 }
-
-
-def short(method: str = "mgsr", *overrides: str) -> Config:
-    both = [item for key in SHORT for item in _each_branch(key)]
-    return make_config("draft", method, 0, [*both, *overrides])
-
-
-def _each_branch(override: str) -> list[str]:
-    shared = ("gradient_threshold", "mutual_stop", "reset_every", "prune_opacity")
-    if override.startswith(shared):
-        return [f"{branch}.densify.{override}" for branch in ("surfels", "volumes")]
-    return [override]
-
-
-def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
-    models = {"surfels": result.surfels, "volumes": result.volumes, "light": result.light}
-    return {
-        f"{name}.{key}": tensor
-        for name, model in models.items()
-        if model is not None
-        for key, tensor in model.parameters().items()
-    }
-
-
-def assert_same(first: TrainResult, second: TrainResult) -> None:
-    one, two = tensors(first), tensors(second)
-    assert one.keys() == two.keys()
-    for name in one:
-        assert torch.equal(one[name], two[name]), name
 
 
 @pytest.mark.parametrize(

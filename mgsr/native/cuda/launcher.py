@@ -12,8 +12,14 @@ from typing import Any, Protocol
 
 import torch
 
-from mgsr.errors import GpuError
+from mgsr.errors import GpuError, LostCardError
 from mgsr.native.cuda.compiler import INSTALL, arch_for, compile_family
+
+# After these errors of the driver, a process can't use the card any more.
+LOST = tuple(
+    f"CUDA_ERROR_{name}"
+    for name in ("ILLEGAL_ADDRESS", "ILLEGAL_INSTRUCTION", "MISALIGNED_ADDRESS", "LAUNCH_FAILED", "LAUNCH_TIMEOUT")
+)
 
 
 class Launcher(Protocol):
@@ -127,7 +133,9 @@ class CudaLauncher:
 def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
     """Return what the driver says, as the error to raise. Memory is short for it where torch keeps it all; whoever can
     do with less takes torch's error for that."""
-    return torch.OutOfMemoryError(text) if "CUDA_ERROR_OUT_OF_MEMORY" in text else GpuError(text)
+    if "CUDA_ERROR_OUT_OF_MEMORY" in text:
+        return torch.OutOfMemoryError(text)
+    return LostCardError(text) if any(name in text for name in LOST) else GpuError(text)
 
 
 def compiler_version() -> tuple[int, int]:

@@ -11,7 +11,7 @@ enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kLargeKernel = 
 
 static _Thread_local void* current = NULL;  /* context of the calling thread */
 
-static int launch(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared,
+int cuLaunchKernel(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz, unsigned shared,
                   void* stream, void** params, void** extra) {
   if (current != (void*)(uintptr_t)kContext) return kInvalidContext;
   if ((uintptr_t)kernel == kRefusedKernel) return kInvalidValue;
@@ -90,7 +90,6 @@ int cuGetProcAddress_v2(const char* name, void** function, int driver, uint64_t 
       {"cuDriverGetVersion", (void*)version},
       {"cuGetErrorName", (void*)error_name},
       {"cuGetErrorString", (void*)error_string},
-      {"cuLaunchKernel", (void*)launch},
       {"cuDeviceGet", (void*)get_device},
       {"cuDeviceGetAttribute", (void*)get_attribute},
       {"cuDevicePrimaryCtxRetain", (void*)retain},

@@ -124,7 +124,7 @@ def gsplat_modes(scene: Scene) -> dict[str, Render]:
         return gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
 
     def surfels() -> list[Tensor]:
-        return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors, pose, K, **size)[0]]
+        return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors[None], pose, K, **size)[0]]
 
     def twice() -> list[Tensor]:
         return [volumes(), volumes(scene.reflected.opacities, scene.reflected.colors)]

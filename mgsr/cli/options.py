@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -83,15 +84,21 @@ def refusals(resumes: bool = False) -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from None
     except LostCardError as error:
         _say(f"error: {error}")
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(REFUSED)
+        _end_at_once(REFUSED)
     except MgsrError as error:
         _say(f"error: {error}")
         raise typer.Exit(REFUSED) from None
     except OSError as error:
         _say(f"error: {error}; look at the path, its rights and the free space")
         raise typer.Exit(REFUSED) from None
+
+
+def _end_at_once(code: int) -> NoReturn:
+    """End the process without taking down its objects; temporary files go, as at every end."""
+    atexit._run_exitfuncs()  # the standard library has no public way to it but the end itself
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def _say(text: str) -> None:

@@ -87,3 +87,31 @@ def test_other_threads_leave_signals_alone() -> None:
     thread.start()
     thread.join()
     assert trouble == [False]
+
+
+def test_a_lost_card_ends_the_command_at_once(tmp_path: Path) -> None:
+    """What was unpacked goes, and no object is taken down: torch's tensors would abort the process."""
+    program = """
+import sys
+from pathlib import Path
+from mgsr.cli.options import refusals
+from mgsr.data import archive
+from mgsr.errors import LostCardError
+
+class OnTheCard:
+    def __del__(self):
+        print("taken down")
+
+tensor = OnTheCard()
+with refusals():
+    print(archive.unpack(Path(sys.argv[1])))
+    raise LostCardError("the card failed")
+"""
+    (tmp_path / "tmp").mkdir()
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as out:
+        out.writestr("a.png", "x")
+    words = [sys.executable, "-c", program, str(tmp_path / "a.zip")]
+    done = subprocess.run(words, env={"TMPDIR": str(tmp_path / "tmp")}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (2, "error: the card failed\n")
+    assert done.stdout.startswith(str(tmp_path / "tmp")) and len(done.stdout.splitlines()) == 1
+    assert not list((tmp_path / "tmp").iterdir())

@@ -167,3 +167,12 @@ def test_a_part_that_is_cut_off_keeps_what_it_measured(tmp_path: Path, balls: Pa
     results = Results(folder)
     assert len(results.rows("spot_soft")) == 1 and not results.rows("bunny_flash")
     assert (folder / "splats.zip").stat().st_size > 1000 and not (folder / "splats_unfinished.zip").exists()
+
+
+def test_the_cards_tests_need_none_of_the_libraries_that_a_bare_machine_lacks(tmp_path: Path) -> None:
+    lacking = ("open3d", "trimesh", "OpenImageIO", "pycolmap", "redis", "rq")
+    (tmp_path / "lacking.py").write_text(f"import sys\nsys.modules.update(dict.fromkeys({lacking}))\n")
+    variables = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    words = [sys.executable, "-m", "pytest", "-p", "lacking", "-p", "no:cacheprovider", "--collect-only", "-q"]
+    done = subprocess.run([*words, "tests/cuda"], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout

@@ -337,9 +337,9 @@ class MirrorConfig:
 
 @dataclass(frozen=True)
 class TrialConfig:
-    """The 3D branch warms up without any reflection. Then each of off, shared and both goes on from there for a while,
-    and the simplest stays that renders photographs kept from training as well as the best; so do lower degrees of the
-    transmitted colour's harmonics, as long as they are no worse.
+    """The 3D branch warms up without any reflection. Then each of off and shared, or of off and own where no surface
+    mirrors, goes on from there for a while, and off stays unless the other renders photographs kept from training
+    better; lower degrees of the transmitted colour's harmonics stay as long as they are no worse.
 
     Without iterations, or with too few photographs, the start decides: off where brightness does not change from view
     to view as mirrored light does, shared where it does, both where that is not known.

@@ -190,10 +190,8 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
     lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
-    config = make_config(
-        "draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared", "volumes.densify.by=gradient"]
-    )
-    training = Training(scene, ball_points(600, RADIUS), config)
+    config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared"])
+    training = Training(scene, ball_points(1200, RADIUS), config)
     before = training.run()
     assert before.light is not None and before.light.reflector is None
     assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_volumes", "mutual"]

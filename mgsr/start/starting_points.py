@@ -19,6 +19,7 @@ from mgsr.shading.lighting import Lighting
 from mgsr.shading.refine import Light
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
+from mgsr.start.surroundings import surroundings
 from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
@@ -32,6 +33,9 @@ MIN_POINTS = 500
 # The share of an unmasked capture's points that lie outside a ball of radius BALL, where no mesh is made, if there are
 # so many.
 BACKGROUND, BALL = 0.25, 1.25
+
+# And the share of all points that lie where only the surroundings are, if there are so many.
+AROUND = 0.25
 
 # A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
 LONELY = 8.0
@@ -135,11 +139,14 @@ def _unmasked_points(
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
     points = _in_company(points)
+    around = without_backdrop(surroundings(scene.train, points.positions), backdrop(scene, background))
     generator = np.random.default_rng(seed)
+    around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
+    count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
     before = _some(np.flatnonzero(~outside), count - len(behind), generator)
-    kept = points.rows(np.sort(np.concatenate([before, behind])))
+    kept = points.rows(np.sort(np.concatenate([before, behind]))).joined(around)
     return StartingPoints(kept.positions, kept.colors, source)
 
 

@@ -42,6 +42,19 @@ def _sample_view(
     sample: np.ndarray, view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float
 ) -> None:
     """Write the view's colours [P,3] into `sample` where it sees the points."""
+    index, rows, cols = seen_pixels(view, positions, normals, None if normals is None else tolerance)
+    sample[index] = view.image[rows, cols]
+
+
+def seen_pixels(
+    view: View, positions: np.ndarray, normals: np.ndarray | None, tolerance: float | None, side: int = DEPTH_SIDE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return which of the points [P,3] a view sees, as indices [S], and the rows and columns [S] of their pixels.
+
+    normals [P,3]: points turned away are not seen; None: none is. tolerance: nor are those further than this behind
+    others; None: points hide nothing. side: cells along the longer side of the depth map that tells so, few enough that
+    the points leave no gaps. Where a photograph is not known, or its mask is empty, it sees nothing.
+    """
     camera = view.camera
     pixels, depth = camera.project(positions)
     x, y = pixels.T
@@ -52,23 +65,26 @@ def _sample_view(
         towards = camera.center - positions
         cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
         seen &= cosine > MIN_COSINE
-        seen &= ~_hidden(camera, pixels, depth, seen, tolerance)
+    if tolerance is not None:
+        seen &= ~_hidden(camera, pixels, depth, seen, tolerance, side)
     index = np.flatnonzero(seen)
     cols, rows = pixels[index].astype(np.intp).T
     if view.alpha is not None:
         solid = view.alpha[rows, cols] > 127
         index, rows, cols = index[solid], rows[solid], cols[solid]
-    sample[index] = view.image[rows, cols]
+    return index, rows, cols
 
 
-def _hidden(camera: Camera, pixels: np.ndarray, depth: np.ndarray, seen: np.ndarray, tolerance: float) -> np.ndarray:
+def _hidden(
+    camera: Camera, pixels: np.ndarray, depth: np.ndarray, seen: np.ndarray, tolerance: float, side: int
+) -> np.ndarray:
     """Which points lie behind others, by the nearest depth in cells of a coarse depth map."""
-    cells = (pixels / max(camera.width, camera.height) * DEPTH_SIDE).clip(0, DEPTH_SIDE - 1).astype(np.intp)
-    flat = cells[:, 1] * DEPTH_SIDE + cells[:, 0]
-    nearest = np.full(DEPTH_SIDE**2, np.inf)
+    cells = (pixels / max(camera.width, camera.height) * side).clip(0, side - 1).astype(np.intp)
+    flat = cells[:, 1] * side + cells[:, 0]
+    nearest = np.full(side**2, np.inf)
     np.minimum.at(nearest, flat[seen], depth[seen])
     # Inside one cell a slanted surface has many depths.
-    slope = 2 * depth * max(camera.width, camera.height) / DEPTH_SIDE / camera.K[0, 0]
+    slope = 2 * depth * max(camera.width, camera.height) / side / camera.K[0, 0]
     return depth > nearest[flat] + tolerance + slope
 
 

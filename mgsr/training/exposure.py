@@ -1,8 +1,11 @@
 """Whether photographs differ in exposure, and by how much, told by a small 3D branch that is trained for it.
 
-It can't follow a photograph's own factor in views that it has not seen, so those tell: where a factor that is fitted to
-one half of such a view makes the other half better, too, exposures differ. What light does to a view (a flash, gloss)
-the branch explains by direction, and what is left of that seldom is the same in both halves.
+Where most surfaces look the same from all sides, the points that they show tell the factors more exactly than the
+branch does (see `point_exposures`): on matte objects, and in photographs of a whole room.
+
+The branch can't follow a photograph's own factor in views that it has not seen, so those tell: where a factor that is
+fitted to one half of such a view makes the other half better, too, exposures differ. What light does to a view (a
+flash, gloss) the branch explains by direction, and what is left of that seldom is the same in both halves.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.parallel import one_torch_thread
+from mgsr.start.point_exposures import point_exposures
 from mgsr.training.evaluate import volume_picture
 from mgsr.training.parts import StartingPoints
 from mgsr.training.scout import small_view, train_scout
@@ -52,6 +56,11 @@ def find_exposures(
         degree = min(DEGREES, key=lambda each: float(errors[each][1]))
         if errors[degree][0] - errors[degree][1] < PAYS:
             return None
+        tests = [small_view(view) for view in scene.test]
+        if degree == 0 or not scene.masked:
+            told = point_exposures(small, tests, start.positions, start.normals)
+            if told is not None:
+                return _rounded(told, len(small))
         factors = np.ones((len(small), 3))
         for _ in range(ROUNDS):
             even = [at_common_exposure(view, factor) for view, factor in zip(small, factors, strict=True)]
@@ -59,9 +68,14 @@ def find_exposures(
             factors = np.stack([_factor(view, picture(view)) for view in small])
             mean = np.exp(np.log(factors).mean(axis=0))
             factors /= mean
-        tests = [_factor(view, picture(view)) / mean for view in map(small_view, scene.test)]
-    # As exposures.json has them, so that later steps see the same photographs.
-    return Exposures(factors.round(DIGITS), np.reshape(tests, (-1, 3)).round(DIGITS))
+        of_tests = [_factor(view, picture(view)) / mean for view in tests]
+    return _rounded(np.concatenate([factors, np.reshape(of_tests, (-1, 3))]), len(small))
+
+
+def _rounded(factors: np.ndarray, train: int) -> Exposures:
+    """Return the factors [V,3], of the training views first, as exposures.json has them, so that later steps see the
+    same photographs."""
+    return Exposures(factors[:train].round(DIGITS), factors[train:].round(DIGITS))
 
 
 def _kept_errors(

@@ -12,6 +12,7 @@ from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, Sto
 from mgsr.data.backdrop import Backdrop, Color, backdrop
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
+from mgsr.densify.clearance import Clearance
 from mgsr.errors import TrainingError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.training.branch import Branch
@@ -99,12 +100,18 @@ def make_plan(
     stages: list[Stage] = []
     last = _last_stage(parts, photographs.views, stages, config)
     last.growth = growth
+    clearance = None
+    if not scene.masked and config.train.clearance:
+        cameras = [view.camera for view in scene.train]
+        clearance = Clearance.around(cameras, start.positions, config.train.clearance)
     if parts.surfels is not None:
         stages.append(_surfel_warmup(parts, photographs, last, config))
     if parts.volumes is not None:
         stages.append(_volume_warmup(parts, photographs, last, config, tried))
         stages[-1].growth = growth
     stages.append(last)
+    for stage in stages:
+        stage.clearance = clearance
     if finish or (parts.light is not None and scene.masked and config.train.mirror.iterations):
         stages.append(_finish(parts, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.mirrored import Light
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
@@ -90,7 +91,7 @@ class Stage:
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
     densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
     coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns; growth: what adapts the
-    splats of a branch that does not go by the gradient.
+    splats of a branch that does not go by the gradient; clearance: where no splats may be.
     """
 
     name: str
@@ -107,6 +108,7 @@ class Stage:
     coarse: Coarse | None = None
     thin: Callable[[], int] | None = None
     growth: Growing | None = None
+    clearance: Clearance | None = None
     iteration: int = 0
     seconds: float = 0.0
 
@@ -125,6 +127,8 @@ class Stage:
             branch.adapt()
         else:
             self.growth.grow(self._current_views()[: self.cycle.count])
+        if self.clearance is not None:
+            branch.keep(self.clearance.outside(branch.model.means.detach()))
 
     def _current_views(self) -> list[TrainingView]:
         if self.coarse is not None and self.iteration < round(self.coarse.share * self.iterations):

@@ -15,8 +15,8 @@ from mgsr.training.light import LightInTraining
 from mgsr.training.stages import Stage
 from mgsr.training.trained import copied
 
-# From the simplest to the one with the most parameters. Both is none of them: a reflected half of each splat's own gains
-# less on shiny objects than the shared light alone, and on matte ones it gains by being more parameters.
+# From the simplest to the one with the most parameters. Both is none of them: a reflected half of each splat's own
+# gains less on shiny objects than the shared light alone, and on matte ones it gains by being more parameters.
 CANDIDATES = (Reflection.OFF, Reflection.SHARED)
 CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that mirrors
 

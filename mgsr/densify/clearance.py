@@ -1,0 +1,42 @@
+"""Keeps the space around cameras free where no mask does.
+
+A splat close to a camera fills much of its photograph alone, and hangs as haze before the views of cameras nearby. The
+space between a camera and what it sees first is empty, so that no splat belongs there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+
+NEAREST = 10  # of the starting points: those before it may be wrong
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Balls around cameras in which no splat may lie: centers [V,3] in the scene's frame and radii [V]."""
+
+    centers: Tensor
+    radii: Tensor
+
+    @classmethod
+    def around(cls, cameras: Sequence[Camera], points: np.ndarray, share: float) -> Clearance:
+        """Return the balls around cameras whose radius is a share of the distance to the starting points [P,3] nearest
+        to the camera."""
+        centers = np.array([camera.center for camera in cameras])
+        distances = cKDTree(points).query(centers, k=[min(NEAREST, len(points))])[0][:, 0]
+        return cls(torch.from_numpy(centers).float(), torch.from_numpy(share * distances).float())
+
+    def outside(self, means: Tensor) -> Tensor:
+        """Return ascending indices [M] int64 of the means [N,3] that lie in no ball."""
+        inside = torch.zeros(len(means), dtype=torch.bool, device=means.device)
+        for center, radius in zip(self.centers.to(means), self.radii.tolist(), strict=True):
+            inside |= (means - center).square().sum(dim=1) < radius**2
+        return (~inside).nonzero().squeeze(1)

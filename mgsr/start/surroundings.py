@@ -1,0 +1,105 @@
+"""Points of the surroundings where stereo finds none, such as plain walls.
+
+Seen from the middle of a capture, its surroundings lie at one distance in each direction. Several distances are tried:
+where a photograph shows nothing that was found already, it shows the surroundings, and at the right distance the
+photographs agree about their colour. On a plain wall they agree at many; there the neighbouring directions tell, by
+iterated conditional modes (Besag 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mgsr.data.camera import Camera
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import PointCloud, View
+
+DIRECTIONS = 6000  # spread evenly over the sphere; 2.6 degrees apart
+NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # from the scene's centre; distances that are tried, evenly in their inverse
+SIDE = 40  # pixels to which photographs are reduced: what is plain needs no more
+VIEWS = 100  # photographs that are looked at, at most
+SEEN = 3  # photographs that must show a place
+NOISE, MOST = 0.02, 0.15  # deviation of colours, sRGB 0..1, that means nothing, and one beyond which all are alike
+UNSEEN = 1.0  # such a deviation where too few photographs show a place
+ALIKE, STEP = 24, 2.0  # neighbouring directions, and levels off their mean that weigh as much as NOISE
+ROUNDS = 40
+
+
+def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
+    """Return points around the capture in directions in which photographs show something, but none of the points
+    found [P,3] already; maybe none."""
+    looks = [_look(view, found) for view in views[:: -(-len(views) // VIEWS)]]
+    directions = _directions(DIRECTIONS)
+    inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
+    tried = [_agreement(looks, directions / each) for each in inverse]
+    disagreement, colors, seen = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
+    # Places that photographs show only where they are near may be empty.
+    kept = seen[:, : LEVELS // 2].mean(axis=1) > 0.5
+    if kept.sum() <= ALIKE:
+        return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    directions, disagreement, seen = directions[kept], disagreement[kept], seen[kept]
+    disagreement = np.where(seen, np.minimum(disagreement, MOST), UNSEEN)
+    level, smooth = _smooth_levels(disagreement, cKDTree(directions).query(directions, k=ALIKE + 1)[1][:, 1:])
+    distance = 1 / np.interp(smooth, np.arange(LEVELS), inverse)
+    shown = colors[kept][np.arange(len(level)), level]
+    return PointCloud(directions * distance[:, None], (255 * shown).round().clip(0, 255).astype(np.uint8))
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A reduced photograph: its camera, image [h,w,3] sRGB 0..1, and where [h,w] it may show the surroundings."""
+
+    camera: Camera
+    image: np.ndarray
+    open: np.ndarray
+
+
+def _look(view: View, found: np.ndarray) -> _Look:
+    small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
+    free = np.ones(small.image.shape[:2], bool) if small.known is None else small.known.copy()
+    _, pixels, _ = small.camera.project_inside(found)
+    columns, rows = pixels.astype(np.intp).T
+    free[rows, columns] = False
+    return _Look(small.camera, small.image / 255.0, free)
+
+
+def _directions(count: int) -> np.ndarray:
+    """Return unit vectors [count,3], spread evenly (a Fibonacci lattice)."""
+    index = np.arange(count) + 0.5
+    z, turn = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+
+
+def _agreement(looks: Sequence[_Look], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the deviation [D] of the colours in which photographs show places [D,3], their mean [D,3], and whether
+    enough photographs show them [D]."""
+    count, total, squares = np.zeros(len(places)), np.zeros((len(places), 3)), np.zeros((len(places), 3))
+    for look in looks:
+        index, pixels, _ = look.camera.project_inside(places)
+        columns, rows = pixels.astype(np.intp).T
+        free = look.open[rows, columns]
+        index, color = index[free], look.image[rows[free], columns[free]]
+        count[index] += 1
+        total[index] += color
+        squares[index] += color * color
+    several = np.maximum(count, 2)[:, None]
+    mean = total / np.maximum(count, 1)[:, None]
+    variance = (squares - several * mean * mean).clip(0) / (several - 1)
+    return np.sqrt(variance.sum(axis=1)), mean, count >= SEEN
+
+
+def _smooth_levels(disagreement: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the level [D] of each direction that has little disagreement [D,L], and is like its neighbours' [D,k];
+    and the mean [D] of it and theirs, for positions between the levels."""
+    cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * NOISE)
+    levels = np.arange(cost.shape[1])
+    level = cost.argmin(axis=1)
+    for _ in range(ROUNDS):
+        beside = level[neighbours].mean(axis=1)
+        level = (cost + np.square((levels - beside[:, None]) / STEP)).argmin(axis=1)
+    return level, (level + level[neighbours].mean(axis=1)) / 2

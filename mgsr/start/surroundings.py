@@ -22,11 +22,10 @@ DIRECTIONS = 6000  # spread evenly over the sphere; 2.6 degrees apart
 NEAREST, FARTHEST, LEVELS = 1.5, 40.0, 24  # from the scene's centre; distances that are tried, evenly in their inverse
 SIDE = 40  # pixels to which photographs are reduced: what is plain needs no more
 VIEWS = 100  # photographs that are looked at, at most
+SEEN = 3  # photographs that tell of a place
 NOISE, MOST = 0.02, 0.15  # deviation of colours, sRGB 0..1, that means nothing, and one beyond which all are alike
 ALIKE, STEP = 24, 2.0  # neighbouring directions, and levels off their mean that weigh as much as NOISE
 ROUNDS = 40
-MOVED = 6  # levels that a point may be moved to where a photograph shows it; others go
-NOTHING = PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
 
 
 def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
@@ -37,23 +36,19 @@ def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
     inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
     tried = [_agreement(looks, directions / each) for each in inverse]
     disagreement, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
-    shown = (count > 0).any(axis=1)
-    if shown.sum() <= ALIKE:
-        return NOTHING
-    directions, disagreement, colors, count = (each[shown] for each in (directions, disagreement, colors, count))
-    # Where photographs show only near places of a direction, they tell nothing of it, but its neighbours do.
-    told = (count >= 2) & ((count[:, : LEVELS // 2] >= 2).mean(axis=1) > 0.5)[:, None]
-    if not told.any():
-        return NOTHING
+    told = count >= SEEN
+    kept = told.mean(axis=1) > 0.5
+    if kept.sum() <= ALIKE:
+        return PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    directions, disagreement, colors, told = (each[kept] for each in (directions, disagreement, colors, told))
+    # Where too few photographs show a place, neighbours tell.
     disagreement = np.where(told, np.minimum(disagreement, MOST), np.median(disagreement[told]))
     level, smooth = _smooth_levels(disagreement, cKDTree(directions).query(directions, k=ALIKE + 1)[1][:, 1:])
-    off = np.where(count > 0, np.abs(np.arange(LEVELS) - level[:, None]), LEVELS)
-    nearest = off.argmin(axis=1)
-    moved = off[np.arange(len(level)), nearest]
-    smooth = np.where(moved > 0, nearest, smooth)
     distance = 1 / np.interp(smooth, np.arange(LEVELS), inverse)
-    color = (255 * colors[np.arange(len(level)), nearest]).round().clip(0, 255).astype(np.uint8)
-    return PointCloud(directions * distance[:, None], color).rows(moved <= MOVED)
+    # The colour is of the level nearest by at which photographs show the place.
+    shown = np.where(told, np.abs(np.arange(LEVELS) - level[:, None]), LEVELS).argmin(axis=1)
+    color = (255 * colors[np.arange(len(shown)), shown]).round().clip(0, 255).astype(np.uint8)
+    return PointCloud(directions * distance[:, None], color)
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,8 @@ def starting_points(
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
     on the surface that stereo, shading and parallax find inside the visual hull, spread evenly.
     Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
-    plain places too, a quarter of them behind it, none on a plain backdrop; `count` points anywhere in the ball where
-    there are hardly any.
+    plain places too, a quarter of them behind it, none on a plain backdrop, and up to a quarter on surroundings where
+    neither has any; `count` points anywhere in the ball where there are hardly any.
     """
     generator = np.random.default_rng(seed)
     outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
@@ -135,13 +135,16 @@ def _unmasked_points(
     points, source = sweep_planes(scene.train, progress), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
-    points = without_backdrop(points, backdrop(scene, background))
+    behind_all = backdrop(scene, background)
+    points = without_backdrop(points, behind_all)
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
     points = _in_company(points)
-    around = without_backdrop(surroundings(scene.train, points.positions), backdrop(scene, background))
     generator = np.random.default_rng(seed)
-    around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
+    around = points.rows(np.zeros(0, np.intp))
+    if not behind_all.plain:
+        around = surroundings(scene.train, points.positions)
+        around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
     count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)

@@ -408,10 +408,8 @@ class TrainConfig:
     background: Background = Background.AUTO
     alpha_loss: AlphaLoss = AlphaLoss.L1
     crop_margin: int | None = 16  # pixels around the mask's box that the photographic losses see; none is the image
-    clearance: float = (
-        0.5  # share of the distance from a training camera to what the start has nearest to it in which no
-    )
-    # splats may lie; scenes without masks only; 0 is none
+    clearance: float = 0.5  # share of the way from a training camera to the nearest starting points in which no splats
+    # may lie; scenes without masks only; 0 is none
     sh_step: float = 0.02  # fraction of the warm-up between two rises of the SH degree
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)

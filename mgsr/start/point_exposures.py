@@ -19,6 +19,7 @@ POINTS = 16000  # at most: they also hide each other, and fewer leave gaps
 BEHIND = 0.05  # units behind others from which a point is hidden
 CELLS = 0.5  # of the depth map that tells so along its side, times the root of the number of points
 DARK, CLIPPED = 8, 250  # of 255; pixels outside tell nothing
+FITTED = 4_000_000  # values that are fitted to at most, so that memory stays small where photographs are many
 SHARED, ENOUGH = 3, 50  # photographs that must show a point, and such points that a photograph must show
 ROUNDS = 15  # of new weights
 PRIOR = 1e-3  # share of what photographs show that says that they have the common exposure
@@ -38,6 +39,7 @@ def point_exposures(
     seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some])
     shared = np.isfinite(seen[: len(train), :, 0]).sum(axis=0) >= SHARED
     seen = seen[:, shared]
+    seen = seen[:, :: max(1, -(-seen.shape[0] * seen.shape[1] // FITTED))]
     if (np.isfinite(seen[..., 0]).sum(axis=1) < ENOUGH).any():
         return None
     fitted = [_fit(seen[..., channel], len(train)) for channel in range(3)]
@@ -46,7 +48,7 @@ def point_exposures(
 
 def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:
     """Return the logarithm of linear light [V,P,3] that views show of points; NaN where they show nothing of use."""
-    light = np.full((len(views), len(positions), 3), np.nan)
+    light = np.full((len(views), len(positions), 3), np.nan, np.float32)
     table = np.log(srgb_to_linear(np.arange(1, 256) / 255))
     side = int(np.sqrt(len(positions)) * CELLS) + 1
     for view, row in zip(views, light, strict=True):
@@ -61,7 +63,7 @@ def _fit(seen: np.ndarray, train: int) -> np.ndarray:
     """Return the logarithms of the factors [V] from those of one channel's light [V,P]; the first `train` views tell
     the points' own light."""
     there = np.isfinite(seen)
-    seen = np.where(there, seen, 0.0)
+    seen = np.where(there, seen, 0.0).astype(np.float64)
     weight = there.astype(np.float64)
     exposure = np.zeros(len(seen))
     for _ in range(ROUNDS):

@@ -135,16 +135,14 @@ def _unmasked_points(
     points, source = sweep_planes(scene.train, progress), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
-    behind_all = backdrop(scene, background)
-    points = without_backdrop(points, behind_all)
+    last = backdrop(scene, background)
+    points = without_backdrop(points, last)
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
     points = _in_company(points)
     generator = np.random.default_rng(seed)
-    around = points.rows(np.zeros(0, np.intp))
-    if not behind_all.plain:
-        around = surroundings(scene.train, points.positions)
-        around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
+    around = points.rows(np.zeros(0, np.intp)) if last.plain else surroundings(scene.train, points.positions)
+    around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
     count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)

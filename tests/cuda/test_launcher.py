@@ -47,7 +47,7 @@ backward.start()
 backward.join()
 current[0] = 3
 card.launch("adam", "adam_update", 9, 32, Params(6, 1))
-for kernel in ("refused", "large", "huge"):
+for kernel in ("refused", "large", "huge", "lost"):
     try:
         card.launch("adam", kernel, 1, 32, Params(0, 0))
     except (GpuError, torch.OutOfMemoryError) as error:
@@ -71,6 +71,7 @@ def test_what_the_driver_is_asked_for(tmp_path: Path) -> None:
     assert huge.startswith("OutOfMemoryError: huge can't be loaded on card 0: CUDA_ERROR_OUT_OF_MEMORY")
     assert printed == [
         "GpuError: refused failed on card 0: CUDA_ERROR_INVALID_VALUE, invalid argument",
+        "LostCardError: lost failed on card 0: CUDA_ERROR_ILLEGAL_ADDRESS, unknown error",
         "OutOfMemoryError: large failed on card 0: CUDA_ERROR_OUT_OF_MEMORY, out of memory",
         "device 0",
         "launch 0x1234 blocks 3 1 1 threads 64 1 1 shared 0 stream 0x7f00 first parameter 7 extra 0",

@@ -1,13 +1,13 @@
 /* A libcuda.so.1 that prints what it is asked for, so that the launch helper can be tested without a card. A kernel whose
    name is "refused" does not launch, nor does any in a thread where the first card's context is not current. Memory is short
-   for launching "large" and for loading "huge". */
+   for launching "large" and for loading "huge"; launching "lost" fails as after an illegal address. */
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
 
-enum { kOk = 0, kInvalidValue = 1, kOutOfMemory = 2, kInvalidContext = 201, kNotSupported = 801 };
+enum { kOk = 0, kInvalidValue = 1, kOutOfMemory = 2, kInvalidContext = 201, kIllegalAddress = 700, kNotSupported = 801 };
 enum { kMapsMemory = 102 };  /* an attribute of devices: virtual memory management */
-enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kLargeKernel = 0x999, kKernel = 0x1234 };
+enum { kLibrary = 0x77, kContext = 0xC0, kRefusedKernel = 0x666, kLargeKernel = 0x999, kLostKernel = 0xBAD, kKernel = 0x1234 };
 
 static _Thread_local void* current = NULL;  /* context of the calling thread */
 
@@ -16,6 +16,7 @@ int cuLaunchKernel(void* kernel, unsigned gx, unsigned gy, unsigned gz, unsigned
   if (current != (void*)(uintptr_t)kContext) return kInvalidContext;
   if ((uintptr_t)kernel == kRefusedKernel) return kInvalidValue;
   if ((uintptr_t)kernel == kLargeKernel) return kOutOfMemory;
+  if ((uintptr_t)kernel == kLostKernel) return kIllegalAddress;
   printf("launch %p blocks %u %u %u threads %u %u %u shared %u stream %p first parameter %lld extra %d\n", kernel, gx, gy, gz, bx,
          by, bz, shared, stream, *(long long*)params[0], extra != NULL);
   return kOk;
@@ -31,6 +32,7 @@ static int version(int* number) {
 static int error_name(int error, const char** text) {
   *text = error == kInvalidValue  ? "CUDA_ERROR_INVALID_VALUE"
           : error == kOutOfMemory ? "CUDA_ERROR_OUT_OF_MEMORY"
+          : error == kIllegalAddress ? "CUDA_ERROR_ILLEGAL_ADDRESS"
                                   : "CUDA_ERROR_UNKNOWN";
   return kOk;
 }
@@ -52,6 +54,7 @@ static int get_kernel(void** kernel, void* library, const char* name) {
   if (strcmp(name, "huge") == 0) return kOutOfMemory;
   *kernel = (void*)(uintptr_t)(strcmp(name, "refused") == 0 ? kRefusedKernel
                                : strcmp(name, "large") == 0 ? kLargeKernel
+                               : strcmp(name, "lost") == 0 ? kLostKernel
                                                             : kKernel);
   return kOk;
 }

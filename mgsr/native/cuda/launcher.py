@@ -139,8 +139,8 @@ class CudaLauncher:
 
 
 def launch_function() -> Callable[..., int]:
-    """Return the driver's cuLaunchKernel. By ctypes, a launch takes the host a quarter of the time that it takes
-    through cuda-bindings, which checks and converts every argument."""
+    """Return the driver's cuLaunchKernel, by ctypes: cuda-bindings makes objects of every argument and of the
+    result, which takes longer."""
     library = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
     function: Any = library.cuLaunchKernel
     sizes = [ctypes.c_uint] * 7

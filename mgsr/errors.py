@@ -74,7 +74,7 @@ class Cancelled(MgsrError):
 
 
 def in_short(reason: object) -> str:
-    """What another library says, for a message of ours: its first line, cut where it gets long. Some put thousands of
-    lines, or bytes of the file, into theirs."""
+    """Return what another library says, for a message of ours: its first line, cut where it gets long. Some put
+    thousands of lines, or bytes of the file, into theirs."""
     line = next(iter(str(reason).strip().splitlines()), "")
     return line if len(line) <= 200 else f"{line[:200]}..."

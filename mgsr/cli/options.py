@@ -62,14 +62,14 @@ AsSceneOption = Annotated[
 
 
 def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float | None) -> list[str]:
-    """What these options mean as settings; none for what was not given."""
+    """Return what these options mean as settings; none for what was not given."""
     given = {"texture": texture, "obj": "on" if obj else None, "up": up, "scale": scale}
     return [f"output.{name}={value}" for name, value in given.items() if value is not None]
 
 
 @contextmanager
 def refusals(resumes: bool = False) -> Iterator[None]:
-    """Turns what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
+    """Turn what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
     end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command has --resume.
     """
     try:

@@ -83,7 +83,7 @@ class ReflectionTrial:
         self._decide(stage, best.reflection)
 
     def state(self) -> dict[str, Any]:
-        """What was decided, for a checkpoint."""
+        """Return what was decided, for a checkpoint."""
         chosen = None if self.chosen is None else str(self.chosen)
         return {"chosen": chosen, "psnr": self.psnr, "degrees": self.degrees}
 
@@ -128,7 +128,7 @@ class ReflectionTrial:
 
 
 def simplest(tried: list[Candidate], gain: float) -> Candidate:
-    """The first whose PSNR is not exceeded by any later one by more than `gain` dB."""
+    """Return the first whose PSNR is not exceeded by any later one by more than `gain` dB."""
     best = tried[0]
     for candidate in tried[1:]:
         if candidate.psnr > best.psnr + gain:

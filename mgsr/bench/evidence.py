@@ -171,7 +171,7 @@ def _weak_measurements(evidence: Evidence) -> list[str]:
     if len({row.seed for row in rows}) == 1:
         points.append("One seed each: nothing here says how much a result changes by chance.")
     if not any(row.device == "cuda" for row in rows):
-        points.append("No run here is on a card; benchmarks/results/cuda.md has some.")
+        points.append("No run on this page is on a card; benchmarks/results/cuda.md has some.")
     if len({row.commit for row in timed}) > 1:
         points.append("The runs are of several commits; each row of the results names its own.")
     return points

@@ -8,14 +8,17 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 
 #include "kernels/common/parallel.h"
+#include "kernels/common/simd.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
 typedef float Rgba __attribute__((vector_size(16)));
+typedef float RgbaPair __attribute__((vector_size(32)));
 
 constexpr float kUnseen = -1;         // the score of a neighbour that does not show the patch
 constexpr float kImpossible = -2;     // the score of a plane outside the range, or seen too obliquely
@@ -24,6 +27,8 @@ constexpr float kGrazing = 0.15f;     // the least cosine between a plane's norm
 constexpr float kLeastStretch = 0.1f; // the area that a pixel may have in a neighbour, at least and at most
 constexpr float kMostStretch = 10;
 constexpr int kMostSamples = 81;
+constexpr int kPadded = (kMostSamples + kWidth - 1) / kWidth * kWidth;
+constexpr int kTogether = kWidth / 4;  // samples whose channels fill a vector
 constexpr int kRandomStarts = 4;
 constexpr int kRows = 4;              // rows of pixels in a piece of work
 // How far the planes lie that a pixel tries: odd steps, to the checkerboard's other colour.
@@ -47,6 +52,7 @@ struct Random {
 struct Plane {
   float a = 0, b = 0, c = 0;
   float inverse_depth(float x, float y) const { return a * x + b * y + c; }
+  bool operator==(const Plane& other) const { return a == other.a && b == other.b && c == other.c; }
 };
 
 Plane plane_through(float x, float y, float inverse_depth, const float* normal) {
@@ -73,17 +79,68 @@ inline Rgba sample(const StereoView& view, float x, float y) {
   return upper + (lower - upper) * down;
 }
 
+inline RgbaPair pixel_pair(const float* first) {
+  RgbaPair pair;
+  std::memcpy(&pair, first, sizeof(pair));
+  return pair;
+}
+
+// kTogether samples side by side, as `sample` gives them. offset: of their left upper pixels' first channels; across and
+// down: from there, 0..1; row: of floats, from a pixel to the one below.
+inline vfloat samples(const float* pixels, int row, const int* offset, const float* across, const float* down) {
+  const auto columns = [&](int k) {  // the left one, then the right one
+    const RgbaPair upper = pixel_pair(pixels + offset[k]), lower = pixel_pair(pixels + offset[k] + row);
+    return upper + (lower - upper) * down[k];
+  };
+#if defined(MGSR_ISA_avx512)
+  const auto two = [&](int k) {
+    return __builtin_shufflevector(columns(k), columns(k + 1), 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+  };
+  const vfloat front = two(0), back = two(2);
+  const vfloat left = __builtin_shufflevector(front, back, 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27);
+  const vfloat right = __builtin_shufflevector(front, back, 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
+  const __m512i own = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
+  return left + (right - left) * (vfloat)_mm512_permutevar_ps(_mm512_broadcast_f32x4(_mm_loadu_ps(across)), own);
+#elif defined(MGSR_ISA_avx2)
+  const RgbaPair first = columns(0), second = columns(1);
+  const vfloat left = __builtin_shufflevector(first, second, 0, 1, 2, 3, 8, 9, 10, 11);
+  const vfloat right = __builtin_shufflevector(first, second, 4, 5, 6, 7, 12, 13, 14, 15);
+  const float a = across[0], b = across[1];
+  return left + (right - left) * vfloat{a, a, a, a, b, b, b, b};
+#else
+  const RgbaPair pair = columns(0);
+  const vfloat left = __builtin_shufflevector(pair, pair, 0, 1, 2, 3);
+  const vfloat right = __builtin_shufflevector(pair, pair, 4, 5, 6, 7);
+  return left + (right - left) * across[0];
+#endif
+}
+
+// Of samples side by side: each one's alpha in all its channels, and the sum of all.
+inline vfloat alphas(const vfloat& values) {
+  vint places;
+  for (int lane = 0; lane < kWidth; ++lane) places[lane] = lane | 3;
+  return __builtin_shuffle(values, places);
+}
+
+inline Rgba summed(const vfloat& values) {
+  Rgba parts[kTogether], total = {};
+  std::memcpy(parts, &values, sizeof(values));
+  for (const Rgba& part : parts) total += part;
+  return total;
+}
+
 inline bool holds(const StereoView& view, float x, float y, float margin_x, float margin_y) {
   return x - margin_x >= 0.5f && y - margin_y >= 0.5f && x + margin_x < float(view.width) - 0.5f &&
          y + margin_y < float(view.height) - 0.5f;
 }
 
-// The view's samples around one pixel, with their bilateral weights.
+// The view's samples around one pixel, with their bilateral weights, one for each channel. Up to a multiple of kWidth
+// samples without weight follow.
 struct Patch {
   int count = 0;
   float total = 0;
-  float across[kMostSamples], down[kMostSamples], weight[kMostSamples];
-  Rgba value[kMostSamples];
+  float across[kPadded] = {}, down[kPadded] = {};
+  alignas(64) float weight[4 * kPadded] = {}, value[4 * kPadded] = {};
 };
 
 void take_patch(const StereoView& view, const StereoSettings& settings, int column, int row, Patch& patch) {
@@ -100,9 +157,15 @@ void take_patch(const StereoView& view, const StereoSettings& settings, int colu
       const float weight = value[3] * std::exp(by_color * color + by_space * (across * across + down * down));
       if (weight < 1e-4f) continue;
       const int k = patch.count++;
-      patch.value[k] = value, patch.weight[k] = weight, patch.across[k] = across, patch.down[k] = down;
+      const Rgba weights = {weight, weight, weight, weight};
+      std::memcpy(patch.value + 4 * k, &value, sizeof(value)), std::memcpy(patch.weight + 4 * k, &weights, sizeof(weights));
+      patch.across[k] = across, patch.down[k] = down;
       patch.total += weight;
     }
+  const int padded = (patch.count + kWidth - 1) / kWidth * kWidth;
+  std::fill(patch.weight + 4 * patch.count, patch.weight + 4 * padded, 0.0f);
+  std::fill(patch.across + patch.count, patch.across + padded, 0.0f);
+  std::fill(patch.down + patch.count, patch.down + padded, 0.0f);
 }
 
 // From the view to a neighbour: a ray (x, y, 1) of the view at inverse depth i lies at turned (x, y, 1) + i moved, in
@@ -167,23 +230,34 @@ float correlation(const Patch& patch, const Warp& warp, const StereoView& other,
   const float wide = extent * (std::fabs(warp.right[0]) + std::fabs(warp.down[0]));
   const float high = extent * (std::fabs(warp.right[1]) + std::fabs(warp.down[1]));
   if (!holds(other, warp.x, warp.y, wide, high)) return kUnseen;
-  Rgba own = {}, its = {}, own_own = {}, its_its = {}, own_its = {};
-  float total = 0;
-  for (int k = 0; k < patch.count; ++k) {
-    const float across = patch.across[k], down = patch.down[k];
-    const Rgba there = sample(other, warp.x + across * warp.right[0] + down * warp.down[0],
-                              warp.y + across * warp.right[1] + down * warp.down[1]);
-    const float weight = patch.weight[k] * there[3];
-    const Rgba here = patch.value[k], weighed = weight * here, weighed_there = weight * there;
-    total += weight;
+  alignas(64) int offset[kPadded];
+  alignas(64) float across[kPadded], down[kPadded];
+  for (int k = 0; k < patch.count; k += kWidth) {
+    const vfloat right = load(patch.across + k), below = load(patch.down + k);
+    const vfloat x = (warp.x - 0.5f) + right * warp.right[0] + below * warp.down[0];
+    const vfloat y = (warp.y - 0.5f) + right * warp.right[1] + below * warp.down[1];
+    const vint left = __builtin_convertvector(x, vint), top = __builtin_convertvector(y, vint);
+    const vint first = 4 * (top * other.width + left);
+    std::memcpy(offset + k, &first, sizeof(first));
+    store(across + k, x - __builtin_convertvector(left, vfloat)), store(down + k, y - __builtin_convertvector(top, vfloat));
+  }
+  vfloat weights = {}, own = {}, its = {}, own_own = {}, its_its = {}, own_its = {};
+  for (int k = 0; k < patch.count; k += kTogether) {
+    const vfloat here = load(patch.value + 4 * k);
+    const vfloat there = samples(other.pixels, 4 * other.width, offset + k, across + k, down + k);
+    const vfloat weight = load(patch.weight + 4 * k) * alphas(there);
+    const vfloat weighed = weight * here, weighed_there = weight * there;
+    weights += weight;
     own += weighed, own_own += weighed * here;
     its += weighed_there, its_its += weighed_there * there, own_its += weighed * there;
   }
+  const float total = summed(weights)[0];
   if (total < settings.cover * patch.total || total <= 0) return kUnseen;
   const float share = 1 / total;
-  own *= share, its *= share;
-  const Rgba variance = own_own * share - own * own, other_variance = its_its * share - its * its;
-  const Rgba common = own_its * share - own * its;
+  const Rgba mean = summed(own) * share, other_mean = summed(its) * share;
+  const Rgba variance = summed(own_own) * share - mean * mean;
+  const Rgba other_variance = summed(its_its) * share - other_mean * other_mean;
+  const Rgba common = summed(own_its) * share - mean * other_mean;
   const float noise = 3 * settings.noise * settings.noise;
   const float product = (variance[0] + variance[1] + variance[2] + noise) *
                         (other_variance[0] + other_variance[1] + other_variance[2] + noise);
@@ -193,6 +267,7 @@ float correlation(const Patch& patch, const Warp& warp, const StereoView& other,
 struct Hypothesis {
   Plane plane;
   float score = kUntried;
+  int round = -1;  // that took the plane over; -1 is the beginning
 };
 
 class Matcher {
@@ -207,7 +282,7 @@ class Matcher {
     for (int round = 0; round < settings_.rounds; ++round)
       for (int color = 0; color < 2; ++color)
         for_pixels([&](int at, const Patch& patch) {
-          propagate(at, patch);
+          propagate(at, patch, round);
           refine(at, patch, round);
         }, color);
     write();
@@ -268,20 +343,20 @@ class Matcher {
     return sum / float(count);
   }
 
-  void offer(int at, const Patch& patch, const Plane& plane, Hypothesis& best) const {
+  void offer(int at, const Patch& patch, const Plane& plane, int round, Hypothesis& best) const {
     float score = agreement(at, patch, plane);
     const float start = p_.start_depth[at];
     if (start > 0 && score > kImpossible) {
       const float away = std::fabs(1 / plane.inverse_depth(ray_x(at), ray_y(at)) - start) * view_.fx / start;
       score -= settings_.prior * std::min(1.0f, away / settings_.prior_reach);
     }
-    if (score > best.score) best = {plane, score};
+    if (score > best.score) best = {plane, score, round};
   }
 
   void begin(int at, const Patch& patch) {
     Hypothesis best;
     const float x = ray_x(at), y = ray_y(at), start = p_.start_depth[at];
-    if (start > 0) offer(at, patch, start_plane(at), best);
+    if (start > 0) offer(at, patch, start_plane(at), -1, best);
     Random random{mix(p_.seed * 7919u + uint32_t(at))};
     const float first = start > 0 ? std::max((1 - settings_.prior_reach / view_.fx) * start, p_.nearest) : p_.nearest;
     for (int k = 0; k < kRandomStarts; ++k) {
@@ -291,19 +366,27 @@ class Matcher {
       float normal[3];
       for (int i = 0; i < 3; ++i)
         normal[i] = -0.7f * ray[i] + known * p_.start_normal[3 * size_t(at) + size_t(i)] + random.around(0.3f);
-      offer(at, patch, plane_through(x, y, 1 / depth, normal), best);
+      offer(at, patch, plane_through(x, y, 1 / depth, normal), -1, best);
     }
     found_[size_t(at)] = best;
   }
 
-  void propagate(int at, const Patch& patch) {
-    const int column = at % view_.width, row = at / view_.width;
+  // A plane is offered to a pixel once: scores only rise, so one that lost would lose again. The pixels beside it are
+  // of the other color. Those of color 1 are offered planes that color 0 took over in this round, and those of color 0
+  // planes that color 1 took over in the last.
+  void propagate(int at, const Patch& patch, int round) {
+    const int column = at % view_.width, row = at / view_.width, since = round - 1 + ((row + column) & 1);
     Hypothesis best = found_[size_t(at)];
+    Plane offered[1 + std::size(kSteps)] = {best.plane};
+    int count = 1;
     for (const auto& step : kSteps) {
       const int x = column + step[0], y = row + step[1];
       if (x < 0 || y < 0 || x >= view_.width || y >= view_.height) continue;
       const Hypothesis& other = found_[size_t(y) * size_t(view_.width) + size_t(x)];
-      if (other.score > kUnseen) offer(at, patch, other.plane, best);
+      if (other.score <= kUnseen || (round > 0 && other.round < since)) continue;
+      if (std::find(offered, offered + count, other.plane) != offered + count) continue;
+      offered[count++] = other.plane;
+      offer(at, patch, other.plane, round, best);
     }
     found_[size_t(at)] = best;
   }
@@ -322,7 +405,7 @@ class Matcher {
       const float inverse = plane.inverse_depth(x, y) * (1 + random.around(size[0]));
       const float normal[3] = {plane.a / length + random.around(size[1]), plane.b / length + random.around(size[1]),
                                plane.c / length + random.around(size[1])};
-      offer(at, patch, plane_through(x, y, inverse, normal), best);
+      offer(at, patch, plane_through(x, y, inverse, normal), round, best);
     }
     found_[size_t(at)] = best;
   }

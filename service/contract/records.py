@@ -28,7 +28,7 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     def to_bytes(self) -> bytes:
-        """As it lies in the store."""
+        """Return the document as it lies in the store."""
         return self.model_dump_json(indent=1).encode()
 
 
@@ -83,10 +83,10 @@ class AttemptStart(Document):
 
 
 def now() -> datetime:
-    """The time, in UTC."""
+    """Return the current time, in UTC."""
     return datetime.now(UTC)
 
 
 def new_id() -> str:
-    """A name that nobody can guess."""
+    """Return a new id that nobody can guess."""
     return secrets.token_hex(16)

@@ -1,4 +1,4 @@
-"""What a rendering holds: named images of one camera."""
+"""The outputs of a rendering: named images of one camera."""
 
 from __future__ import annotations
 
@@ -56,5 +56,5 @@ class VolumeOutputs:
 
 
 def camera_center(camera: Camera) -> Tensor:
-    """[3] float32, world, on the processor, which hands it to the kernels."""
+    """Return the camera's centre [3] float32, world, on the processor, which hands it to the kernels."""
     return torch.from_numpy(camera.center.astype(np.float32))

@@ -19,8 +19,7 @@ _PREFIX = "/jobs/"
 
 
 class Polls:
-    """Middleware that answers polls before the routes. route: the one in whose name it answers, for metrics by route.
-    """
+    """Middleware that answers polls before the routes. route: the one that metrics count them under."""
 
     def __init__(self, app: ASGIApp, keys: Keys, snapshots: Snapshots, route: object) -> None:
         self._app, self._keys, self._snapshots, self._route = app, keys, snapshots, route

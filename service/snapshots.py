@@ -137,8 +137,7 @@ class Snapshots:
             return await self._view_without_redis(state)
 
     async def _view_without_redis(self, state: JobState) -> JobView:
-        """Return the job's view from what was known before, or else from whether a worker has ever started the round.
-        """
+        """Return the job's view from its last known state, or else from whether a worker has started the round."""
         before = self._kept.get(state.record.id)
         known: dict[str, Any] = {}
         if before is not None and before.state.round == state.round:

@@ -35,8 +35,7 @@ class Child:
     deaths: list[float] = field(default_factory=list)
 
     def start(self) -> None:
-        """Start it, tied to this process and in a session of its own: a terminal's Ctrl-C reaches this process alone.
-        """
+        """Start it, tied to this process and in a session of its own, so that Ctrl-C reaches this process alone."""
         tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
         self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
 

@@ -50,8 +50,10 @@ class Live:
         self._release = redis.register_script(_RELEASE)
 
     def take_lease(self, job: str, holder: str, seconds: float) -> bool:
-        """Take the job's lease, for `seconds` from now, if it is free or `holder`'s already; return whether it was
-        taken."""
+        """Take the job's lease if it is free, or `holder`'s already; return whether it was taken.
+
+        The lease lasts for `seconds` from now.
+        """
         return bool(self._take(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
 
     def release_lease(self, job: str, holder: str) -> None:

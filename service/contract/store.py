@@ -57,8 +57,7 @@ class Store:
                 return None
 
     def create(self, key: str, data: bytes) -> bool:
-        """Write an object that must not exist yet; return whether it now holds this data, by this call or an earlier
-        one.
+        """Write an object that must not exist yet; return whether it now holds this data.
 
         A request whose answer got lost is sent again and then finds its own object: that counts as created.
         """

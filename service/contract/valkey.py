@@ -94,8 +94,7 @@ def _bundled() -> Path:
 
 
 def _socket_folder(folder: Path) -> Path:
-    """Return the folder itself, or a private one in the system's temporary folder where its path is too long for a
-    socket.
+    """Return the folder itself, or a private temporary one where its path is too long for a socket.
 
     Raises SetupError where that folder is not this user's alone.
     """

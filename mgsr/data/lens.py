@@ -79,7 +79,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class FieldOfViewLens:
-    """One angle, radians (Devernay and Faugeras 2001)."""
+    """The field-of-view model, with one angle `omega`, radians (Devernay and Faugeras 2001)."""
 
     omega: float
     flat: bool = False
@@ -93,7 +93,10 @@ class FieldOfViewLens:
 
 @dataclass(frozen=True)
 class DivisionLens:
-    """One factor; undistorted = distorted / (1 + k r^2), with the distorted radius r (Fitzgibbon 2001)."""
+    """The division model, with one factor (Fitzgibbon 2001).
+
+    undistorted = distorted / (1 + k r^2), with the distorted radius r.
+    """
 
     k: float
 
@@ -111,8 +114,10 @@ class DivisionLens:
 
 @dataclass(frozen=True)
 class InverseRadialLens:
-    """One factor; undistorted = distorted (1 + k r^2), with the distorted radius r (VisualSFM's "measurement
-    distortion", Wu 2011)."""
+    """An inverse radial model with one factor: VisualSFM's "measurement distortion" (Wu 2011).
+
+    undistorted = distorted (1 + k r^2), with the distorted radius r.
+    """
 
     k: float
 
@@ -156,7 +161,7 @@ class UnifiedLens:
 
 @dataclass(frozen=True)
 class AriaLens:
-    """Fisheye with six radial, two tangential and four prism terms (Project Aria's "Fisheye624")."""
+    """A fisheye with six radial, two tangential and four prism terms (Project Aria's "Fisheye624")."""
 
     radial: tuple[float, ...]
     tangential: tuple[float, float]

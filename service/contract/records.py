@@ -63,8 +63,10 @@ class Artifact(Document):
 
 
 class Outcome(Document):
-    """How one round of a job (a submit or a retry) ended; with status succeeded it is the manifest that publishes the
-    attempt's artifacts."""
+    """How one round of a job (a submit or a retry) ended.
+
+    With status succeeded it is the manifest that publishes the attempt's artifacts.
+    """
 
     status: JobStatus
     attempt: int | None

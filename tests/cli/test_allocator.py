@@ -1,4 +1,4 @@
-"""Torch's allocator extends what it holds of a card's memory, unless the user or the system wants it otherwise."""
+"""Torch's allocator grows its segments of a card's memory, unless the user or the system wants it otherwise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Renders that take the photographs' place."""
+"""Renders that replace the photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the API has for the page's sake, without a browser."""
+"""What the API offers for the page, without a browser."""
 
 from __future__ import annotations
 

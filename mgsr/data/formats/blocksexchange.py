@@ -63,8 +63,10 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A photograph: its path, its element, the group that has its camera, and whether the others are aligned without
-    it."""
+    """A photograph with its path, its element and the group that has its camera.
+
+    It also says whether the others are aligned without it.
+    """
 
     path: str
     photo: Element

@@ -57,8 +57,10 @@ class GpuError(MgsrError):
 
 
 class LostCardError(GpuError):
-    """The card failed and answers nothing any more in this process. Even taking down torch's tensors ends the process
-    with an abort, so that it is best left by `os._exit`."""
+    """The card failed and answers nothing any more in this process.
+
+    Even taking down torch's tensors ends the process with an abort, so that it is best left by `os._exit`.
+    """
 
 
 class MeshError(MgsrError):
@@ -74,7 +76,9 @@ class Cancelled(MgsrError):
 
 
 def in_short(reason: object) -> str:
-    """Return what another library says, for a message of ours: its first line, cut where it gets long. Some put
-    thousands of lines, or bytes of the file, into theirs."""
+    """Shorten what another library says, for a message of ours: its first line, cut where it gets long.
+
+    Some put thousands of lines, or bytes of the file, into theirs.
+    """
     line = next(iter(str(reason).strip().splitlines()), "")
     return line if len(line) <= 200 else f"{line[:200]}..."

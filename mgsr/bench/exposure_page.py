@@ -28,7 +28,7 @@ class ExposureRow:
 
 
 def exposure_section(rows: Sequence[ExposureRow]) -> str:
-    """The table, and how much of the loss is won back; empty without rows."""
+    """Return the table, and how much of the loss is won back; empty without rows."""
     if not rows:
         return ""
     cells = [

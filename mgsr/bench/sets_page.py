@@ -1,5 +1,4 @@
-"""The benchmark's two sets of scenes, as `benchmarks/scene_scores.py` measures them, and their section of the
-evidence."""
+"""The benchmark's two sets of scenes, as `benchmarks/scene_scores.py` measures them, and their evidence section."""
 
 from __future__ import annotations
 

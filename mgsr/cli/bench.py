@@ -69,7 +69,7 @@ def bench(
 
 
 def _run(cells: list, bench: object) -> int:
-    """The exit code: 0, 1 where a cell broke, 130 where it was stopped."""
+    """Run the cells, and return the exit code: 0, 1 where a cell broke, 130 where it was stopped."""
     from mgsr.bench.matrix import Bench, run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
     from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows

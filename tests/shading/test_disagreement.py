@@ -24,7 +24,7 @@ CONFIG = MeshConfig(parallax_reach=None)
 
 
 def patches(points: np.ndarray) -> np.ndarray:
-    """A paint [...,3] in patches of a dozen pixels: what lies a pixel off does not look like the other side."""
+    """Return a paint [...,3] in patches of a dozen pixels: what lies a pixel off does not look like the other side."""
     return painted(points / 4)
 
 

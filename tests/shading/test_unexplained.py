@@ -17,7 +17,10 @@ TAKEN = [mirror_photographs, painted_photographs]
 
 @pytest.mark.parametrize("photographs", TAKEN)
 def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], list[View]]) -> None:
-    """Half of a ball is pressed flat; each camera compares the two surfaces where it sees them."""
+    """Check that a surface leaves least unexplained where it is right.
+
+    Half of a ball is pressed flat; each camera compares the two surfaces where it sees them.
+    """
     views, right = photographs(96), ball(RADIUS)
     pressed = right.vertices.copy()
     pressed[:, 2] = np.minimum(pressed[:, 2], 0.5 * RADIUS)

@@ -18,8 +18,11 @@ class MissingPhotoError(SceneError):
 
 
 class ArchiveError(SceneError):
-    """An archive is refused. code: archive_unsupported, archive_damaged, archive_unsafe_member,
-    archive_too_many_members, archive_too_large or archive_ratio; for one of its images image_too_large."""
+    """An archive is refused.
+
+    code: archive_unsupported, archive_damaged, archive_unsafe_member, archive_too_many_members, archive_too_large or
+    archive_ratio; for one of its images image_too_large.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)

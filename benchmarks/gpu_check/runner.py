@@ -37,8 +37,11 @@ class CutOffError(Exception):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a check runs: results, work (a folder that stays on the machine for later calls), the interpreter, the
-    device, and the packed scenes and wheels that were brought, as files and folders."""
+    """The place where a check runs.
+
+    It has the results, work (a folder that stays on the machine for later calls), the interpreter, the device, and the
+    packed scenes and wheels that were brought, as files and folders.
+    """
 
     results: Results
     work: Path

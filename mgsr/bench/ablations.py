@@ -12,8 +12,11 @@ from mgsr.config import ABLATIONS, METHODS
 
 @dataclass(frozen=True)
 class PaperMeans:
-    """Means over the paper's 30 OmniObject3D objects (supplement, Tables 6 to 12): PSNR in dB, normal consistency
-    times 100, Chamfer times 1000; None where the table gives no mean or the row has no such output."""
+    """The means over the paper's 30 OmniObject3D objects (supplement, Tables 6 to 12).
+
+    PSNR in dB, normal consistency times 100, Chamfer times 1000; None where the table gives no mean or the row has no
+    such output.
+    """
 
     psnr: float | None = None
     normal_consistency: float | None = None

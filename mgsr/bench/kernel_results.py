@@ -18,8 +18,10 @@ AS_IT_IS = "as it is"  # the variant of a choice's row in which nothing is chang
 
 @dataclass(frozen=True)
 class KernelRow:
-    """One kernel in one variant (avx512, avx2, baseline: the processor's; cuda: a card's; torch: plain float32 torch on
-    the processor, for comparison).
+    """One kernel in one variant.
+
+    The variant is avx512, avx2 or baseline (the processor's), cuda (a card's), or torch (plain float32 torch on the
+    processor, for comparison).
 
     size: what the times are for. forward, backward, least, cpu: milliseconds; medians of each way, the least of both
     together, and the median processor time of all threads. error_max, error_mean: of the output images or values

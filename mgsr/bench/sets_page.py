@@ -13,8 +13,11 @@ TUNING, JUDGING = "tuning", "judging"
 
 @dataclass(frozen=True)
 class SetRow:
-    """One run of a scene; set: TUNING, on which settings are chosen, or JUDGING. Chamfer in thousandths of the object's
-    radius, normal errors in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone."""
+    """One run of a scene of the sets.
+
+    set: TUNING, on which settings are chosen, or JUDGING. Chamfer in thousandths of the object's radius, normal errors
+    in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone.
+    """
 
     scene: str
     set: str

@@ -14,7 +14,7 @@ from mgsr.data.camera import Camera
 
 @dataclass(frozen=True)
 class SurfelOutputs:
-    """The 2D branch seen by one camera.
+    """The 2D branch's images of one camera.
 
     color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
     where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked

@@ -58,7 +58,7 @@ def render_surfels(
 
 @dataclass
 class _Rendering:
-    """What a rendering is made with, beside the surfels."""
+    """The inputs of a rendering beside the surfels."""
 
     raster: SurfelPass
     launcher: Launcher | None
@@ -69,7 +69,10 @@ class _Rendering:
 
 
 class _RenderSurfels(torch.autograd.Function):
-    """From stored parameters to images in one node: scales and opacities, colours, the raster and the flash."""
+    """The rendering from stored parameters to images, in one node.
+
+    It has scales and opacities, colours, the raster and the flash.
+    """
 
     @staticmethod
     def forward(ctx: Any, r: _Rendering, *stored: Tensor) -> tuple[Tensor | None, ...]:

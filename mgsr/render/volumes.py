@@ -85,8 +85,10 @@ class _Rendering:
 
 
 class _RenderVolumes(torch.autograd.Function):
-    """From stored parameters to images in one node: scales and shares, colours, the raster, the flash and the
-    reflected light."""
+    """The rendering from stored parameters to images, in one node.
+
+    It has scales and shares, colours, the raster, the flash and the reflected light.
+    """
 
     @staticmethod
     def forward(ctx: Any, r: _Rendering, mirrored: Tensor | None, *stored: Tensor | None) -> tuple[Tensor | None, ...]:

@@ -23,8 +23,11 @@ class StageRun:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One row of the curve: seconds of training; PSNR in dB on views that no branch trains on, None without such
-    views or for a branch that is not there; splats in each branch."""
+    """One row of the curve.
+
+    Seconds of training; PSNR in dB on views that no branch trains on, None without such views or for a branch that is
+    not there; splats in each branch.
+    """
 
     seconds: float
     stage: str

@@ -45,8 +45,11 @@ FARTHEST = 50.0
 
 
 class StartSource(StrEnum):
-    """capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree;
-    ball: nothing was known."""
+    """The source of the starting points.
+
+    capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree; ball:
+    nothing was known.
+    """
 
     CAPTURE = "capture"
     HULL = "hull"

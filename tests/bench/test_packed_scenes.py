@@ -1,4 +1,4 @@
-"""What is packed and unpacked trains as what was read does, and is small."""
+"""Tests that packed scenes are small, and train as the scenes that were read."""
 
 from __future__ import annotations
 

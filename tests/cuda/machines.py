@@ -20,8 +20,10 @@ from tests.ptx_machine.nvrtc import missing_tools
 
 @dataclass(frozen=True)
 class Machine:
-    """A device for tensors, and the order in which the threads of the shim or of the machine for PTX run, or None on a
-    card."""
+    """A device for tensors, and the order of threads.
+
+    The order is that in which the threads of the shim or of the machine for PTX run, or None on a card.
+    """
 
     name: str
     device: torch.device

@@ -1,4 +1,4 @@
-"""Runs kernels of CUDA C++ on this machine's processor, under the shim of cuda_shim.h."""
+"""Run kernels of CUDA C++ on this machine's processor, under the shim of cuda_shim.h."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each splat carries of the pictures, and which can go."""
+"""Tests of each splat's contribution to images, and of which splats can go."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where Gaussians are added by the errors of renderings, how many, and which make room."""
+"""Tests of error-driven growth: where Gaussians are added, how many, and which make room."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
-"""What depth maps vote on points, one by one, and votes fused under total variation, as convex programs in float64 for
-a general solver."""
+"""Oracles of vote fusion, in float64.
+
+Depth maps vote on points one by one, and votes are fused under total variation as convex programs for a general solver.
+"""
 
 from __future__ import annotations
 

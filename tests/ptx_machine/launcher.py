@@ -1,4 +1,4 @@
-"""Runs kernels as NVRTC compiles them, on this machine's processor, with every access of memory watched."""
+"""Run kernels as NVRTC compiles them, on this machine's processor, with every access of memory watched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiles kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a card."""
+"""Compile kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a card."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads PTX, the assembly that NVRTC makes of a kernel, into kernels and their statements."""
+"""Read PTX, the assembly that NVRTC makes of a kernel, into kernels and their statements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Translates PTX to C++ for machine/machine.h: a function for each kernel, which returns wherever threads meet."""
+"""Translate PTX to C++ for machine/machine.h: a function for each kernel, which returns wherever threads meet."""
 
 from __future__ import annotations
 

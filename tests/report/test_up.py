@@ -1,4 +1,4 @@
-"""Which direction is up, for cameras whose true up is known."""
+"""Tests of the up direction, for cameras whose true up is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where photographs under a flash look past a surface: on a painted shell with a hole, and a mesh that covers it."""
+"""Tests of the photometric residual under a flash: on a painted shell with a hole, and a mesh that covers it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a bowl hides from itself and throws back, against the view factors of a sphere, which are known."""
+"""Tests of ambient occlusion and interreflection in a bowl, against the view factors of a sphere, which are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a flash makes of a ball before a wall, against ray, ball and plane on paper; and found in photographs."""
+"""Tests of a flash's irradiance on a ball before a wall, against ray, ball and plane on paper, and in photographs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pixels mix: stripes on a plate, whose mean over each pixel is known by calculus."""
+"""Tests of the correction for pixel footprints: stripes on a plate, whose mean over each pixel is known by calculus."""
 
 from __future__ import annotations
 

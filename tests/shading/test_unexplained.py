@@ -1,4 +1,4 @@
-"""What two surfaces leave unexplained of photographs: of a ball that mirrors a room, and of a painted one."""
+"""Tests of what two surfaces leave unexplained of photographs: of a ball that mirrors a room, and of a painted one."""
 
 from __future__ import annotations
 

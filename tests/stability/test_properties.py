@@ -1,4 +1,4 @@
-"""What must hold of any scene, drawn at random: order, background, transmittance, rigid motion, refinement."""
+"""Properties of any scene, drawn at random: order, background, transmittance, rigid motion, refinement."""
 
 from __future__ import annotations
 

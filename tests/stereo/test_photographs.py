@@ -1,4 +1,4 @@
-"""Which photographs stereo compares, at what size, and with which neighbours."""
+"""Tests of the photographs that stereo compares: their choice, size and neighbours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tests of the counts of benchmarks/sass.py and benchmarks/walks.py, on kernels and lists small enough to count by hand."""
+"""Tests of what benchmarks/sass.py and benchmarks/walks.py count, on kernels and lists that can be counted by hand."""
 
 from __future__ import annotations
 

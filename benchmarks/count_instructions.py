@@ -1,4 +1,4 @@
-"""Instructions that the rasterizers' kernels take, without a card: from their machine code and the steps of a scene:
+"""Counts of the instructions that the rasterizers' kernels take on a scene, from their machine code, without a card.
 
     python -m benchmarks.count_instructions [--arch sm_90] [--gsplat FOLDER] [--scene FILE.npz] [--keep FILE]
 
@@ -46,7 +46,7 @@ BLOCK_WARPS = {"project": 4, "gradients": 4, "blend": 8, "pixels": 8, "backward"
 
 @dataclass(frozen=True)
 class Kernel:
-    """A kernel's loops, and what it takes."""
+    """A kernel's loops, and the registers and memory that it takes."""
 
     name: str
     code: Loop
@@ -54,19 +54,19 @@ class Kernel:
 
     @property
     def nest(self) -> list[Loop]:
-        """The loops around a step, from the kernel itself to the step's."""
+        """Return the loops around a step, from the kernel itself to the step's."""
         nest = [self.code]
         while inner := [loop for loop in nest[-1].inner if any(deep.exponentials for deep in loop.all_inner())]:
             nest.append(max(inner, key=lambda loop: max(deep.exponentials for deep in loop.all_inner())))
         return nest
 
     def step(self, useful: float) -> float:
-        """Instructions of a step, of which that share blends its splat."""
+        """Return the instructions of a step, of which the share `useful` blends its splat."""
         innermost = self.nest[-1]
         return innermost.at(useful) / innermost.exponentials
 
     def warps(self, arch: str) -> int:
-        """How many of its warps an SM holds."""
+        """Return how many of the kernel's warps an SM holds."""
         most, shared = CARDS[arch.removeprefix("sm_")]
         block = next(warps for part, warps in BLOCK_WARPS.items() if part in self.name)
         registers = -(-self.taken.registers // REGISTER_GRAIN) * REGISTER_GRAIN
@@ -104,7 +104,7 @@ def our_kernels(folder: Path, args: argparse.Namespace) -> dict[str, Kernel]:
 
 
 def gsplat_kernels(folder: Path, args: argparse.Namespace) -> dict[str, Kernel]:
-    """gsplat's kernels of three channels, as `forward` and `backward`; empty where they can't be compiled."""
+    """Return gsplat's kernels of three channels, as `forward` and `backward`; empty where they can't be compiled."""
     try:
         source = args.gsplat or fetch_gsplat(folder)
         return {way: compile_gsplat(source / "gsplat" / "cuda", way, folder, args) for way in ("forward", "backward")}
@@ -114,7 +114,7 @@ def gsplat_kernels(folder: Path, args: argparse.Namespace) -> dict[str, Kernel]:
 
 
 def fetch_gsplat(folder: Path) -> Path:
-    """Its package from PyPI, unpacked."""
+    """Download gsplat's package from PyPI, and unpack it."""
     pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", str(folder), GSPLAT]
     subprocess.run(pip, check=True)
     with zipfile.ZipFile(next(folder.glob("gsplat*.whl"))) as wheel:
@@ -123,8 +123,11 @@ def fetch_gsplat(folder: Path) -> Path:
 
 
 def compile_gsplat(source: Path, way: str, folder: Path, args: argparse.Namespace) -> Kernel:
-    """One rasterizing kernel, with the options that gsplat is built with. Its launcher and torch are left out, and what
-    a rendering does not ask for: background, masks and absolute gradients."""
+    """Compile one rasterizing kernel, with the options that gsplat is built with.
+
+    Its launcher and torch are left out, and what a rendering does not ask for: background, masks and absolute
+    gradients.
+    """
     short = {"forward": "Fwd", "backward": "Bwd"}[way]
     text = (source / "csrc" / f"RasterizeToPixels3DGS{short}.cu").read_text()
     text = text[: text.index("template <uint32_t CDIM>\nvoid launch")]
@@ -145,7 +148,7 @@ def compile_gsplat(source: Path, way: str, folder: Path, args: argparse.Namespac
 
 
 def our_row(kernels: dict[str, Kernel], kind: str, counts: Counter[str]) -> Row:
-    """Blending; and preparing pixels, with walking back."""
+    """Return the instructions of our kernels: of blending, and of preparing pixels and walking back."""
     useful = counts["useful"] / counts["steps"]
     blend, back, pixels = (kernels[f"volumes_{part}_{kind}"] for part in ("blend", "backward", "pixels"))
     kernel, batch, bucket, _ = blend.nest
@@ -160,7 +163,7 @@ def our_row(kernels: dict[str, Kernel], kind: str, counts: Counter[str]) -> Row:
 
 
 def gsplat_row(kernels: dict[str, Kernel], name: str, passes: list[Counter[str]]) -> Row:
-    """One pass of gsplat, or several added up."""
+    """Return the instructions of gsplat's kernels in one pass, or in several added up."""
     sums = {}
     for way, prefix in (("forward", ""), ("backward", "back_")):
         kernel, batch, _ = kernels[way].nest
@@ -174,7 +177,7 @@ def gsplat_row(kernels: dict[str, Kernel], name: str, passes: list[Counter[str]]
 
 
 def read_scene(path: Path | None) -> Scene:
-    """Return the scene of a file, with some reflected light; by default that of 100k splats."""
+    """Read the scene of a file, with some reflected light; by default that of 100k splats."""
     scene = make_scene("100k/800", torch.device("cpu"))
     if path is None:
         return scene

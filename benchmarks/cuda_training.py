@@ -1,4 +1,4 @@
-"""Trainings on a card, of scenes that were packed on another machine, whose splats come home for their meshes:
+"""Trainings on a card of scenes that were packed elsewhere, whose splats come home for their meshes.
 
     python -m benchmarks.cuda_training pack ../shared/data/scenes/spot_soft spot_soft.npz --preset standard
     python -m benchmarks.cuda_training pack-all FOLDER [--data ../shared/data]
@@ -52,8 +52,10 @@ SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "volumes", "t
 
 @dataclass(frozen=True)
 class Checked:
-    """A scene that the check trains: its folder under the data, its preset, and how many of its training photographs
-    are packed, None for all."""
+    """A scene that the check trains.
+
+    It has its folder under the data, its preset, and how many of its training photographs are packed, None for all.
+    """
 
     folder: str
     preset: str
@@ -95,8 +97,10 @@ def run(
     deadline: float | None = None,
     should_stop: Callable[[], bool] | None = None,
 ) -> dict[str, Any]:
-    """Train, measure, and write what was learnt and training.json. deadline: seconds after which training ends where
-    it is."""
+    """Train, measure, and write what was learnt and training.json.
+
+    deadline: seconds after which training ends where it is.
+    """
     scene, start = content.scene, content.start
     trained = Training(scene, start, config, report, should_stop, deadline=deadline, device=device).run()
     out.mkdir(parents=True, exist_ok=True)
@@ -109,7 +113,7 @@ def run(
 
 
 def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
-    """Write the branches as splats, and the light, as a run does; what is not there leaves none."""
+    """Write the branches as splats, and the environment maps, as a run does; what is not there leaves none."""
     for name in LEARNT:
         (out / name).unlink(missing_ok=True)
     origin = origin_of_frame(scene.user_from_scene)
@@ -131,7 +135,7 @@ def digests(out: Path) -> dict[str, str]:
 
 
 def report(progress: Progress) -> None:
-    """One line now and then."""
+    """Print one line now and then."""
     if progress.iteration % 500 == 0 or progress.iteration == progress.total:
         counts = ", ".join(f"{count} {name}" for name, count in progress.counts.items())
         psnr = "" if progress.psnr is None else f"  {progress.psnr:.2f} dB"
@@ -142,7 +146,7 @@ def report(progress: Progress) -> None:
 
 
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
-    """Seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
+    """Return seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
     background = backdrop(scene, config.train.background).color
     surfels = None if result.surfels is None else result.surfels.to(device)
@@ -185,7 +189,7 @@ def home(results: Path, out: Path, data: Path) -> list[str]:
 
 
 def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str, Any]:
-    """Of the splats in a folder, and of the mesh that is made of them there."""
+    """Score the splats in a folder, and the mesh that is made of them there."""
     mgsr = [sys.executable, "-m", "program"]
     there = [str(scene), "-o", str(folder), "--device", "cpu"]
     subprocess.run([*mgsr, "mesh", *there, "--preset", facts["preset"]], check=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""What differing exposures cost, with and without their correction:
+"""The cost of differing exposures, with and without their correction.
 
     python benchmarks/exposures.py SCENE... -o benchmarks/results/exposures.csv [--deviation 0.3] [--preset draft]
 
@@ -57,7 +57,7 @@ def arguments() -> argparse.Namespace:
 
 
 def expose(scene: Path, deviation: float, seed: int) -> None:
-    """Give each training photograph its own factor of light; what gets too bright is clipped, as by a camera."""
+    """Multiply each training photograph by its own factor of light; what gets too bright is clipped, as by a camera."""
     draw = np.random.default_rng(seed)
     for path in sorted((scene / "train").glob("*.png")):
         pixels = np.array(Image.open(path))
@@ -67,7 +67,7 @@ def expose(scene: Path, deviation: float, seed: int) -> None:
 
 
 def measured(photographs: str, scene: Path, out: Path, preset: str, exposure: str, deviation: float) -> ExposureRow:
-    """A run's scores."""
+    """Return a run's scores."""
     run_scene(scene, out, make_config(preset, overrides=[f"exposure={exposure}"]))
     report = json.loads((out / "report.json").read_text())
     truth = report["gt"]

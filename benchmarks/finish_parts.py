@@ -1,4 +1,4 @@
-"""What each part that finishes the trained surface is worth:
+"""The worth of each part that finishes the trained surface.
 
     python -m benchmarks.finish_parts RENDERED --runs FOLDER -o benchmarks/results/finish_parts.csv [--scenes NAME ...]
 
@@ -36,7 +36,7 @@ from mgsr.start.starting_points import starting_points
 
 @dataclass(frozen=True)
 class Parts:
-    """What the surface is extracted with: settings, and the surface that training began on, None to leave it out."""
+    """The settings of an extraction, and the surface that training began on, None to leave it out."""
 
     config: MeshConfig
     start: Triangles | None

@@ -19,7 +19,7 @@ BALL: Spheres = (np.zeros((1, 3)), np.array([RADIUS]))
 
 @dataclass(frozen=True)
 class Hit:
-    """Points of the surface [P,3], outward normals, and unit directions to the camera."""
+    """The surface's points [P,3] that rays hit, outward normals [P,3], and unit directions to the camera [P,3]."""
 
     points: np.ndarray
     normals: np.ndarray
@@ -31,25 +31,25 @@ def textured(hit: Hit) -> np.ndarray:
 
 
 def flashed(hit: Hit) -> np.ndarray:
-    """A lamp on the camera, with a highlight."""
+    """Return the colours of a surface under a lamp on the camera, with a highlight."""
     cosine = (hit.normals * hit.to_camera).sum(-1, keepdims=True).clip(0, 1)
     return textured(hit) * cosine**2 + 0.6 * cosine**60
 
 
 def mirrored(hit: Hit) -> np.ndarray:
-    """Surroundings of smooth coloured bands, seen in the surface."""
+    """Return the colours of a surface that mirrors an environment of smooth coloured bands."""
     along = (hit.normals * hit.to_camera).sum(-1, keepdims=True)
     return 0.5 + 0.45 * np.sin((2 * along * hit.normals - hit.to_camera) * [6.0, 5.0, 7.0])
 
 
 def spokes() -> Spheres:
-    """A small ball with six rods, about a pixel and a half thick at 64 pixels."""
+    """Return a small ball with six rods, about a pixel and a half thick at 64 pixels."""
     rods = [axis * sign * reach for axis in np.eye(3) for sign in (-1, 1) for reach in np.linspace(0.3, 0.9, 31)]
     return np.array([np.zeros(3), *rods]), np.array([0.3, *[0.025] * len(rods)])
 
 
 def make_scene(name: str, seed: int, size: int = 64) -> Scene:
-    """One of SCENES: 20 training views, and 3 held out, all around; the seed draws exposures and wrong poses."""
+    """Build one of SCENES: 20 training views, and 3 held out, all around; the seed draws exposures and wrong poses."""
     spheres, shade = SHAPES.get(name, BALL), SHADES.get(name, textured)
     cameras = [_camera(direction, size) for direction in _directions(23)]
     views = [_view(f"v_{i:02d}", camera, spheres, shade) for i, camera in enumerate(cameras)]
@@ -62,7 +62,7 @@ def make_scene(name: str, seed: int, size: int = 64) -> Scene:
 
 
 def make_start(name: str, seed: int, count: int = 500) -> StartingPoints:
-    """Points near the surface: off by up to a tenth of the radius, in grey."""
+    """Draw points near the surface: off by up to a tenth of the radius, in grey."""
     centers, radii = SHAPES.get(name, BALL)
     random = np.random.default_rng(seed)
     of = random.choice(len(radii), count, p=radii / radii.sum())
@@ -73,26 +73,26 @@ def make_start(name: str, seed: int, count: int = 500) -> StartingPoints:
 
 
 def surface_error(name: str, points: np.ndarray) -> float:
-    """Mean distance of points [P,3] from the true surface, times 1000."""
+    """Return the mean distance of points [P,3] from the true surface, times 1000."""
     centers, radii = SHAPES.get(name, BALL)
     away = np.linalg.norm(points[:, None] - centers, axis=2) - radii
     return 1000 * float(np.abs(away).min(axis=1).mean())
 
 
 def _dark(train: list[View], held_out: list[View], _: np.random.Generator) -> tuple[list[View], list[View]]:
-    """A fiftieth of the light: twelve grey levels are left."""
+    """Reduce the light to a fiftieth, which leaves twelve grey levels."""
     return tuple([replace(v, image=(v.image // 20).astype(np.uint8)) for v in views] for views in (train, held_out))
 
 
 def _exposed(train: list[View], held_out: list[View], random: np.random.Generator) -> tuple[list[View], list[View]]:
-    """Every training view by its own factor of 0.6 to 1.6, clipped."""
+    """Multiply every training view by its own factor of 0.6 to 1.6, clipped."""
     gains = random.uniform(0.6, 1.6, len(train))
     scaled = [(view.image * gain).clip(0, 255).astype(np.uint8) for view, gain in zip(train, gains, strict=True)]
     return [replace(view, image=image) for view, image in zip(train, scaled, strict=True)], held_out
 
 
 def _misplaced(train: list[View], held_out: list[View], random: np.random.Generator) -> tuple[list[View], list[View]]:
-    """One view in twenty has another's pose."""
+    """Give one of the training views the pose of another."""
     wrong, other = random.choice(len(train), 2, replace=False)
     return [replace(v, camera=train[other].camera) if i == wrong else v for i, v in enumerate(train)], held_out
 

@@ -1,4 +1,4 @@
-"""What an iteration of training on a card costs the host, measured without a card:
+"""The cost of a training iteration on a card for the host, measured without a card.
 
     python benchmarks/host_time.py [--iterations 100] [--reflection shared|both|own|off] [--operations] [--profile]
 
@@ -51,7 +51,7 @@ class IdleLauncher:
 
 
 class Operations(TorchDispatchMode):
-    """Counts torch's operations within the block."""
+    """A counter of torch's operations within the block."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -66,7 +66,7 @@ class Operations(TorchDispatchMode):
 
 @dataclass(frozen=True)
 class Row:
-    """What an iteration of a stage costs: ms of processor time, launches and operations."""
+    """The cost of an iteration of a stage: ms of processor time, launches and operations."""
 
     stage: str
     milliseconds: float
@@ -107,7 +107,7 @@ def profile(plan: Plan, config: Config, iterations: int) -> None:
 
 @contextmanager
 def pairs_made_up() -> Iterator[None]:
-    """Within the block, the count of pairs, which no kernel has found, is a made-up one."""
+    """Make up the count of pairs within the block, as no kernel has found it."""
     before, tiles.read_later = tiles.read_later, lambda scalar: lambda: PAIRS
     try:
         yield

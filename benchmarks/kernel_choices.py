@@ -1,4 +1,4 @@
-"""Time and error of the rasterizers with one choice of theirs made otherwise:
+"""Time and error of the rasterizers with one choice of theirs made otherwise.
 
     PYTHONPATH=. python benchmarks/kernel_choices.py ../shared/data/raster [--keep benchmarks/results]
 
@@ -37,7 +37,7 @@ EXP2 = "  const vfloat shifter = splat(12582912.0f);"
 
 @dataclass(frozen=True)
 class Change:
-    """A piece of a source file that is replaced."""
+    """A piece of a source file, and its replacement."""
 
     file: str
     old: str
@@ -77,7 +77,7 @@ CHOICES = (
 
 
 def changed_sources(choice: Choice, folder: Path) -> None:
-    """The native sources in `folder`, with the choice made."""
+    """Copy the native sources to `folder`, and make the choice there."""
     shutil.copytree(ROOT / "mgsr" / "native", folder / "mgsr" / "native", ignore=shutil.ignore_patterns("*.so"))
     shutil.copy(ROOT / "CMakeLists.txt", folder)
     for change in choice.changes:
@@ -89,7 +89,7 @@ def changed_sources(choice: Choice, folder: Path) -> None:
 
 
 def build(folder: Path) -> None:
-    """The rasterizers' modules, beside their sources."""
+    """Build the rasterizers' modules, beside their sources."""
     tools = Path(sys.executable).parent
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_CXX_FLAGS=-w"]
     configure = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
@@ -99,7 +99,10 @@ def build(folder: Path) -> None:
 
 
 def measure(choice: str, built: Path, scene: Path, runs: int, rows: Path) -> None:
-    """The rasterizers in `built`, which take the place of the installed ones in this process, into the file `rows`."""
+    """Measure the rasterizers in `built`, and write the rows into the file `rows`.
+
+    They take the place of the installed ones in this process.
+    """
     for name in RASTERIZERS:
         file = next((built / "mgsr" / "native").glob(f"{name}.*.so"))
         spec = importlib.util.spec_from_file_location(f"mgsr.native.{name}", file)
@@ -120,7 +123,7 @@ def measure(choice: str, built: Path, scene: Path, runs: int, rows: Path) -> Non
 
 
 def merged(rows: Sequence[KernelRow]) -> KernelRow:
-    """One row of several processes' of the same kernel and choice."""
+    """Merge the rows of several processes for the same kernel and choice into one."""
     backward = [row.backward for row in rows if row.backward is not None]
     return replace(
         rows[0],

@@ -1,4 +1,4 @@
-"""Time and error of every kernel in every variant:
+"""Time and error of every kernel in every variant.
 
     PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster [--scene s20k_256] [--keep benchmarks/results]
 
@@ -57,22 +57,24 @@ SMALL = "oracle, 300 splats on 40 x 28"
 
 @dataclass(frozen=True)
 class Problem:
-    """Inputs, of which those in `leaves` get gradients, and what computes outputs from them."""
+    """A problem: inputs, of which the first `leaves` get gradients, and what computes outputs from them."""
 
     inputs: tuple[Tensor, ...]
     compute: Compute
     leaves: int
 
     def on(self, device: str, dtype: torch.dtype) -> tuple[Tensor, ...]:
-        """Fresh inputs, of float32's values in every precision; the first `leaves` ask for gradients."""
+        """Return fresh inputs, of float32's values in every precision; the first `leaves` ask for gradients."""
         moved = [t.detach().float().to(device, dtype) for t in self.inputs]
         return tuple(t.clone().requires_grad_() if i < self.leaves else t for i, t in enumerate(moved))
 
 
 @dataclass(frozen=True)
 class Case:
-    """A kernel: what is timed, and what is compared with its oracle, which takes float64 inputs. reference: outputs of
-    the timed problem in float64, where they are known. plain: the same in plain float32 torch."""
+    """A kernel: what is timed, and what is compared with its oracle, which takes float64 inputs.
+
+    reference: outputs of the timed problem in float64, where they are known. plain: the same in plain float32 torch.
+    """
 
     name: str
     size: str
@@ -85,7 +87,7 @@ class Case:
 
 
 class Errors(NamedTuple):
-    """As in KernelRow."""
+    """The errors of a kernel, as in KernelRow."""
 
     error_max: float
     error_mean: float
@@ -94,7 +96,7 @@ class Errors(NamedTuple):
 
 
 class Times(NamedTuple):
-    """One run, milliseconds."""
+    """The times of one run, milliseconds."""
 
     forward: float
     backward: float | None
@@ -102,7 +104,7 @@ class Times(NamedTuple):
 
 
 def raster_cases(path: Path) -> list[Case]:
-    """Both rasterizers in the modes that training uses, on one file of the raster folder."""
+    """Return the cases of both rasterizers in the modes that training uses, on one file of the raster folder."""
     data = np.load(path)
     means, quats, scales, opacities, colors = (
         torch.tensor(data[key]) for key in ("means", "quats", "scales", "opacities", "rgb")
@@ -137,7 +139,10 @@ def raster_cases(path: Path) -> list[Case]:
 
 
 def volumes_of(view: Camera) -> Compute:
-    """Colour alone from five inputs and a background; with a reflected light of three more, every output."""
+    """Return a function that renders Gaussians: colour alone from five inputs and a background.
+
+    With a reflected light of three more inputs, it returns every output.
+    """
 
     def compute(*inputs: Tensor) -> list[Tensor]:
         *splats, background = inputs
@@ -182,7 +187,7 @@ def surfels_oracle_of(view: Camera, images: tuple[str, ...]) -> Compute:
 
 
 def image_cases(side: int) -> list[Case]:
-    """Losses and normals on square images of noise, and a smooth depth with noise on it."""
+    """Return the cases of losses and normals, on square images of noise, and a smooth depth with noise on it."""
     first, second = torch.rand(side, side, 3), torch.rand(side, side, 3)
     depth = 2 + torch.linspace(0, 0.5, side)[:, None] + 0.01 * torch.rand(side, side)
     K, pose = np.array([[1.2 * side, 0, side / 2], [0, 1.2 * side, side / 2], [0, 0, 1.0]]), np.eye(4)
@@ -206,7 +211,7 @@ def image_cases(side: int) -> list[Case]:
 
 
 def mirrored_case(view: Camera, text: str) -> Case:
-    """Smooth maps of 64 texels a side, and a ball's normals in every pixel."""
+    """Return the case of mirrored light: smooth maps of 64 texels a side, and a ball's normals in every pixel."""
     angles = torch.linspace(0, 9, 64)
     waves = 0.5 + 0.25 * (torch.sin(angles)[:, None, None] + torch.cos(angles[:, None] + torch.arange(3)))
     rows, columns = (torch.arange(side) + 0.5 - side / 2 for side in (view.height, view.width))
@@ -224,7 +229,7 @@ def mirrored_case(view: Camera, text: str) -> Case:
 
 
 def torch_loss(a: Tensor, b: Tensor) -> list[Tensor]:
-    """The oracle's loss in float32: five convolutions."""
+    """Compute the oracle's loss in float32, with five convolutions."""
     window = loss_oracle.window().float()
 
     def blur(x: Tensor) -> Tensor:
@@ -238,7 +243,7 @@ def torch_loss(a: Tensor, b: Tensor) -> list[Tensor]:
 
 
 def splat_cases(count: int) -> list[Case]:
-    """Harmonics and Adam."""
+    """Return the cases of harmonics and Adam."""
     coeffs, means = torch.randn(count, 16, 3), torch.randn(count, 3)
     center = torch.tensor([0.0, 0.0, -3.0])
     values, slopes, text = torch.randn(count, 59), torch.randn(count, 59), f"{count} splats"
@@ -257,7 +262,7 @@ def splat_cases(count: int) -> list[Case]:
 
 
 def adam_steps(values: Tensor, slopes: Tensor) -> list[Tensor]:
-    """The values after equal steps."""
+    """Return the values after equal steps of Adam."""
     leaf = values.clone().requires_grad_()
     optimizer = FusedAdam({"values": leaf}, {"values": ADAM_RATE})
     leaf.grad = slopes
@@ -269,13 +274,13 @@ def adam_steps(values: Tensor, slopes: Tensor) -> list[Tensor]:
 def _same(
     name: str, size: str, inputs: tuple[Tensor, ...], leaves: int, ours: Compute, oracle: Compute, plain: Compute | None
 ) -> Case:
-    """A case that is compared on what it is timed on."""
+    """Return a case that is compared on what it is timed on."""
     problem = Problem(inputs, ours, leaves)
     return Case(name, size, problem, problem, oracle, "oracle, on the same", [], plain)
 
 
 def errors(case: Case, compute: Compute, device: str) -> Errors:
-    """Of the outputs, and of the gradients that seeded gradients of the outputs bring."""
+    """Return the errors of the outputs, and of the gradients that seeded gradients of the outputs bring."""
     outputs, gradients = _differentiated(case.compared, compute, device, torch.float32)
     true_outputs, true_gradients = _differentiated(case.compared, case.oracle, "cpu", torch.float64)
     if case.reference:
@@ -293,7 +298,7 @@ def errors(case: Case, compute: Compute, device: str) -> Errors:
 def _differentiated(
     problem: Problem, compute: Compute, device: str, dtype: torch.dtype
 ) -> tuple[list[Tensor], list[Tensor]]:
-    """Outputs and gradients, both on the processor."""
+    """Return outputs and gradients, both on the processor."""
     inputs = problem.on(device, dtype)
     outputs = compute(*inputs)
     gradients: tuple[Tensor, ...] = ()
@@ -303,7 +308,7 @@ def _differentiated(
 
 
 def _seed(output: Tensor) -> Tensor:
-    """The same gradient of an output in every precision and on every device."""
+    """Return the same gradient of an output in every precision and on every device."""
     generator = torch.Generator().manual_seed(output.numel())
     return (
         torch.rand(output.shape, generator=generator, dtype=torch.float64).to(output)
@@ -313,7 +318,7 @@ def _seed(output: Tensor) -> Tensor:
 
 
 def times(problem: Problem, variants: list[str], computes: dict[str, Compute], runs: int) -> dict[str, list[Times]]:
-    """Alternating, after two runs uncounted."""
+    """Time the variants in turns, after two runs uncounted."""
     measured: dict[str, list[Times]] = {variant: [] for variant in variants}
     seeds: dict[str, list[Tensor]] = {}
     for run in range(runs + 2):
@@ -335,7 +340,7 @@ def times(problem: Problem, variants: list[str], computes: dict[str, Compute], r
 
 
 def use(variant: str) -> str:
-    """Choose it; the device that it computes on."""
+    """Choose a variant, and return the device that it computes on."""
     if variant == "cuda":
         return "cuda"
     if variant != "torch":
@@ -350,7 +355,7 @@ def _now(device: str) -> float:
 
 
 def rows_of(case: Case, variants: list[str], runs: int, note: str) -> list[KernelRow]:
-    """A row for each variant."""
+    """Measure a case, and return a row for each variant."""
     computes = dict.fromkeys(variants, case.timed.compute)
     if case.plain is not None:
         computes["torch"] = case.plain
@@ -379,7 +384,7 @@ def _row(case: Case, variant: str, compute: Compute, measured: list[Times], note
 
 
 def keep(file: Path, rows: list[KernelRow]) -> None:
-    """Take the rows into a table."""
+    """Merge the rows into a table."""
     new = {(row.kernel, row.variant, row.size): row for row in rows}
     old = {(row.kernel, row.variant, row.size): row for row in read_kernels(file)}
     write_kernels(file, list((old | new).values()))

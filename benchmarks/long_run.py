@@ -1,4 +1,4 @@
-"""Fifty thousand iterations on a tiny scene, and whether memory or anything else drifts in them:
+"""A run of fifty thousand iterations on a tiny scene, to see whether memory or anything else drifts.
 
     PYTHONPATH=. python benchmarks/long_run.py --keep benchmarks/results/long_run.csv
 

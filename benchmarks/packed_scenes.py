@@ -49,8 +49,10 @@ class Packed:
 
 
 def read(path: Path, config: Config, views: int | None = None) -> Packed:
-    """Return a scene as a run has it before it trains; `ball` is the tests' textured ball. views: so many of its
-    training photographs, at even distances, None for all."""
+    """Return a scene as a run has it before it trains; `ball` is the tests' textured ball.
+
+    views: so many of its training photographs, at even distances, None for all.
+    """
     if str(path) == BALL:
         scene, start = ball()
         return Packed(scene, start, {})
@@ -77,7 +79,7 @@ def ball(size: int = 256, train: int = 40, points: int = 20000) -> tuple[Scene, 
 
 
 def spread(views: Sequence[View], count: int) -> list[View]:
-    """So many of the views, at even distances; all of them where there are not more."""
+    """Return `count` of the views, at even distances; all of them where there are not more."""
     if count >= len(views):
         return list(views)
     return [views[i * len(views) // count] for i in range(count)]
@@ -102,7 +104,7 @@ def pack(content: Packed, file: Path) -> None:
 
 
 def unpack(file: Path) -> Packed:
-    """Return what `pack` wrote."""
+    """Read what `pack` wrote."""
     with np.load(file) as stored:
         arrays = dict(stored)
     views = {part: list(_views(arrays, part)) for part in PARTS}
@@ -114,7 +116,7 @@ def unpack(file: Path) -> Packed:
 
 
 def packed_or_ball(name: str, config: Config) -> Packed:
-    """Return what is in a packed file; of the name `ball`, the ball."""
+    """Return what is in a packed file, or for the name `ball` the ball."""
     return read(Path(BALL), config) if name == BALL else unpack(Path(name))
 
 
@@ -137,7 +139,7 @@ def _view_arrays(views: Sequence[View], masked: bool) -> dict[str, np.ndarray]:
 
 
 def _picture(view: View, masked: bool) -> np.ndarray:
-    """Colours, and alpha where there is one, [H,W,3 or 4]."""
+    """Return a view's colours, and alpha where there is one, [H,W,3 or 4]."""
     if view.alpha is None:
         return view.image
     shown = view.image * (view.alpha > 0)[..., None] if masked else view.image
@@ -162,14 +164,14 @@ def _views(arrays: dict[str, np.ndarray], part: str) -> Iterator[View]:
 
 
 def _coded(image: np.ndarray) -> bytes:
-    """Return a lossless WebP; of higher efforts, method 6 saves another 5% in 15 times the time."""
+    """Encode an image as lossless WebP; of higher efforts, method 6 saves another 5% in 15 times the time."""
     coded = io.BytesIO()
     Image.fromarray(image).save(coded, "WEBP", lossless=True, exact=True, quality=80, method=4)
     return coded.getvalue()
 
 
 def _decoded(arrays: dict[str, np.ndarray], name: str) -> list[np.ndarray | None]:
-    """Images [H,W,3 or 4], None for each that is not there."""
+    """Decode images [H,W,3 or 4], None for each that is not there."""
     ends = np.cumsum(arrays[f"{name}_sizes"])
     parts = np.split(arrays[name], ends[:-1]) if len(ends) else []
     return [_image(part.tobytes()) if len(part) else None for part in parts]

@@ -1,4 +1,4 @@
-"""Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported:
+"""Time of both rasterizers on a card, beside gsplat's in the same run where that can be imported.
 
     python -m benchmarks.rasterizers [--sizes 100k/800 20k/256 500k/1080p 1M/1080p] [--runs 20] [--ours] [--json FILE]
 
@@ -63,7 +63,10 @@ class Row:
 
 
 def make_scene(size: str, device: torch.device) -> Scene:
-    """Splats whose number and size resemble a trained object's: they cover the ball some ten times over."""
+    """Build a scene whose splats resemble a trained object's in number and size.
+
+    They cover the ball some ten times over.
+    """
     count, picture = parse(size)
     width, height = picture
     g = torch.Generator().manual_seed(0)
@@ -88,7 +91,7 @@ def make_scene(size: str, device: torch.device) -> Scene:
 
 
 def parse(size: str) -> tuple[int, tuple[int, int]]:
-    """20k/256 is 20,000 splats on 256 x 256 pixels; 1080p is 1920 x 1080."""
+    """Parse a size: 20k/256 is 20,000 splats on 256 x 256 pixels; 1080p is 1920 x 1080."""
     count, picture = size.split("/")
     number = float(count.rstrip("kM")) * {"k": 1e3, "M": 1e6}.get(count[-1], 1)
     return int(number), (1920, 1080) if picture == "1080p" else (int(picture), int(picture))
@@ -133,7 +136,7 @@ def gsplat_modes(scene: Scene) -> dict[str, Render]:
 
 
 def time_once(render: Render, device: torch.device) -> tuple[float, float]:
-    """Milliseconds of forward and of backward."""
+    """Return the milliseconds of forward and of backward."""
     if device.type == "cpu":
         begin = time.perf_counter()
         images = render()
@@ -152,8 +155,10 @@ def time_once(render: Render, device: torch.device) -> tuple[float, float]:
 
 
 def measure(size: str, runs: int, device: torch.device, beside: bool = True) -> tuple[list[Row], dict[str, str]]:
-    """Return the rows of one size, and what the modes that failed said; two runs of each mode are not counted. beside:
-    whether gsplat is measured too."""
+    """Return the rows of one size, and what the modes that failed said.
+
+    Two runs of each mode are not counted. beside: whether gsplat is measured too.
+    """
     scene = make_scene(size, device)
     modes = our_modes(scene) | (gsplat_modes(scene) if beside else {})
     times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in modes}

@@ -1,4 +1,4 @@
-"""Time to read photographs, beside what OpenImageIO takes to decode them alone on the same cores:
+"""Time to read photographs, beside what OpenImageIO takes to decode them alone on the same cores.
 
     python benchmarks/reading.py [--count 100] [--width 1633] [--height 1225] [--runs 3] [--suffix .jpg] [FOLDER]
 

@@ -1,4 +1,4 @@
-"""Render the scenes of benchmarks/scene_sets.py that are not ready-made:
+"""Render the scenes of benchmarks/scene_sets.py that are not ready-made.
 
     python -m benchmarks.render_scenes FOLDER [--scenes NAME...] [--set tuning|judging] [--python PYTHON]
 
@@ -92,8 +92,7 @@ def tool_arguments(scene: BenchmarkScene, mesh: Path, out: Path) -> list[str]:
 
 
 def tool_for(cameras: Cameras, source: str) -> str:
-    """Return the renderer's source, with the heights of its upper cameras replaced by the cone's where cameras is
-    CONE."""
+    """Return the renderer's source, with its upper cameras' heights replaced by the cone's where cameras is CONE."""
     if cameras != Cameras.CONE:
         return source
     found = source.count(UPPER_HEIGHTS)
@@ -126,7 +125,10 @@ def source_mesh(scene: BenchmarkScene, shared: Path, work: Path) -> Path:
 
 @dataclass(frozen=True)
 class Part:
-    """A region where distance, of points x [X,1,1], y [1,Y,1], z [1,1,Z], is below 0; it lies between two corners."""
+    """A solid part of a shape.
+
+    It is the region where distance, of points x [X,1,1], y [1,Y,1], z [1,1,Z], is below 0; it lies between two corners.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -134,13 +136,16 @@ class Part:
 
 
 def rod(start: np.ndarray, end: np.ndarray, thickness: float) -> Part:
-    """All points within half a thickness of a segment."""
+    """Return a rod: all points within half a thickness of a segment."""
     lower, upper = np.minimum(start, end) - thickness / 2, np.maximum(start, end) + thickness / 2
     return Part(lower, upper, lambda x, y, z: segment_distance((x, y, z), start, end) - thickness / 2)
 
 
 def turned(start: np.ndarray, end: np.ndarray, thickness: float) -> Part:
-    """All points within half a thickness of the surface that a segment of (radius, z) sweeps around the z axis."""
+    """Return a solid of revolution: the wall that a segment of (radius, z) sweeps around the z axis.
+
+    It is all points within half a thickness of the surface.
+    """
     reach = max(start[0], end[0]) + thickness / 2
     low, high = min(start[1], end[1]) - thickness / 2, max(start[1], end[1]) + thickness / 2
     return Part(
@@ -180,7 +185,7 @@ def gill(turn: float, reach: float, lower: float, thickness: float, cap: np.ndar
 
 
 def segment_distance(points: tuple[np.ndarray, ...], start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """How far points, given by their coordinates, are from a segment."""
+    """Return how far points, given by their coordinates, are from a segment."""
     along = end - start
     place = sum((p - s) * a for p, s, a in zip(points, start, along, strict=True)) / (along @ along)
     place = np.clip(place, 0, 1)
@@ -240,8 +245,10 @@ def cup() -> trimesh.Trimesh:
 
 
 def rack() -> trimesh.Trimesh:
-    """Return a toast rack: a base, two standing plates, five arches of rods and a rod along their tops, which makes
-    nine handles."""
+    """Return a toast rack, with nine handles.
+
+    It has a base, two standing plates, five arches of rods and a rod along their tops.
+    """
     base = plate(np.array([0, 0, -0.4]), np.array([1.4, 0.9, PLATE_THICKNESS]))
     standing = [plate(np.array([x, 0, -0.12]), np.array([PLATE_THICKNESS, 0.5, 0.56])) for x in (-0.14, 0.14)]
     turn = np.linspace(0, np.pi, 13)

@@ -1,4 +1,4 @@
-"""Reads the machine code of CUDA kernels: their instructions by loop, and the registers and memory they take."""
+"""Read the machine code of CUDA kernels: their instructions by loop, and the registers and memory they take."""
 
 from __future__ import annotations
 
@@ -35,8 +35,11 @@ class Block:
 
 @dataclass
 class Loop:
-    """A loop by its own instructions, those of loops inside it left out. always: run at every turn; sometimes: in parts
-    that a branch may leave out; doubles: those in float64, likewise. Kernels, too, are loops here, of one turn."""
+    """A loop by its own instructions, those of loops inside it left out.
+
+    always: run at every turn; sometimes: in parts that a branch may leave out; doubles: those in float64, likewise.
+    Kernels, too, are loops here, of one turn.
+    """
 
     always: int
     sometimes: int
@@ -50,13 +53,13 @@ class Loop:
         return [self, *(deeper for loop in self.inner for deeper in loop.all_inner())]
 
     def at(self, share: float) -> float:
-        """Instructions a turn, when that share of turns enters the parts that may be left out."""
+        """Return the instructions a turn, when that share of turns enters the parts that may be left out."""
         return self.always + share * self.sometimes
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a kernel takes: registers a thread; bytes of stack a thread and of shared memory a block."""
+    """The resources of a kernel: registers a thread; bytes of stack a thread and of shared memory a block."""
 
     registers: int
     stack: int
@@ -82,9 +85,11 @@ def resources(cubin: Path, cuobjdump: str) -> dict[str, Resources]:
 
 
 def loops_of(text: str) -> Loop:
-    """Return a kernel's loops, from the jumps of its machine code. Left out: parts that nothing but a call or a jump
-    for diverged warps leads to, and parts that call (slow ways of division and roots, for numbers that hardly
-    occur)."""
+    """Return a kernel's loops, from the jumps of its machine code.
+
+    Left out: parts that nothing but a call or a jump for diverged warps leads to, and parts that call (slow ways of
+    division and roots, for numbers that hardly occur).
+    """
     blocks = _blocks(text)
     rulers = _dominators(blocks)
     members: dict[int, set[int]] = {0: set(rulers)}
@@ -128,7 +133,7 @@ def _following(block: Block, index: int, count: int, starts: dict[str, int]) -> 
 
 
 def _dominators(blocks: list[Block]) -> dict[int, set[int]]:
-    """For each block that can be reached: the blocks on every way to it, itself among them."""
+    """Return for each block that can be reached the blocks on every way to it, itself among them."""
     reached, waiting = {0}, [0]
     while waiting:
         for other in blocks[waiting.pop()].following:
@@ -164,7 +169,10 @@ def _natural_loop(blocks: list[Block], reached: dict[int, set[int]], latch: int,
 def _tree(
     blocks: list[Block], rulers: dict[int, set[int]], members: dict[int, set[int]], latches: dict[int, set[int]]
 ) -> Loop:
-    """Loops inside loops. The kernel is the loop of block 0; what leads to its last end is always run."""
+    """Arrange loops inside loops.
+
+    The kernel is the loop of block 0; what leads to its last end is always run.
+    """
     ends = {index for index in members[0] if any(c.name.startswith("EXIT") for c in blocks[index].code)}
     latches = {0: {max(ends)}, **latches}
     heads = sorted(members, key=lambda head: len(members[head]))

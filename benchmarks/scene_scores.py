@@ -1,4 +1,4 @@
-"""Scores of the benchmark's scenes, of both sets:
+"""Scores of the benchmark's scenes, of both sets.
 
     python -m benchmarks.scene_scores RENDERED -o benchmarks/results/sets.csv --runs FOLDER [--scenes NAME ...]
 

@@ -55,8 +55,11 @@ class Shape(StrEnum):
 
 @dataclass(frozen=True)
 class BenchmarkScene:
-    """One scene: source is a file of ../shared/data/meshes, a shape, or None where the scene is ready-made; arguments
-    are those of render_scene.py, parted by blanks."""
+    """One scene of the benchmark.
+
+    source: a file of ../shared/data/meshes, a shape, or None where the scene is ready-made; arguments: those of
+    render_scene.py, parted by blanks.
+    """
 
     name: str
     kind: Kind

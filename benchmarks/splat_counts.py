@@ -1,4 +1,4 @@
-"""Error against the number of Gaussians, by what tells where they are added:
+"""Error against the number of Gaussians, by the rule that says where they are added.
 
     python -m benchmarks.splat_counts SCENE [SCENE ...] -o benchmarks/results/splat_counts.csv [--side 400]
         [--caps 5000 20000] [--device cuda]
@@ -33,8 +33,11 @@ START = 10_000  # Gaussians at most
 
 @dataclass(frozen=True)
 class CountRow:
-    """side: pixels of the photographs' longer side; views: training photographs; count: Gaussians that the run ended
-    with, at most `cap`; psnr: dB, of the test views; seconds: of training on the device."""
+    """One training.
+
+    side: pixels of the photographs' longer side; views: training photographs; count: Gaussians that the run ended with,
+    at most `cap`; psnr: dB, of the test views; seconds: of training on the device.
+    """
 
     scene: str
     side: int

@@ -1,4 +1,4 @@
-"""Whole small trainings of hard scenes, five seeds each, and how much their results differ:
+"""Whole small trainings of hard scenes, five seeds each, and how much their results differ.
 
     PYTHONPATH=. python benchmarks/stability.py --keep benchmarks/results/stability.md
 
@@ -68,7 +68,7 @@ def run(name: str, seed: int) -> Outcome:
 
 
 def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
-    """[P,3] in the world."""
+    """Return the points [P,3] in the world that the 2D branch's depth shows a camera."""
     outputs = render_surfels(model, camera)
     depth, alpha = outputs.median_depth.numpy(), outputs.alpha.numpy()
     rows, columns = np.nonzero((alpha > 0.5) & (depth > 0))

@@ -1,4 +1,4 @@
-"""What each part of finding the starting surface is worth:
+"""The worth of each part of finding the starting surface.
 
     python -m benchmarks.start_parts RENDERED -o benchmarks/results/start_parts.csv [--scenes NAME ...]
 

@@ -1,4 +1,4 @@
-"""Counts the steps of the rasterizers' walks over a scene's tiles, ours and gsplat's, by doing them on arrays."""
+"""Count the steps of the rasterizers' walks over a scene's tiles, ours and gsplat's, by doing them on arrays."""
 
 from __future__ import annotations
 
@@ -24,15 +24,17 @@ FARTHEST = 3.33  # standard deviations at which gsplat cuts a splat's box
 
 @dataclass(frozen=True)
 class Splats:
-    """Projected splats as the records have them. centers [N,2] float64, roots [N,3], opacities [N,2] (transmitted,
-    reflected: 0 for single opacity)."""
+    """Projected splats as the records have them.
+
+    centers [N,2] float64, roots [N,3], opacities [N,2] (transmitted, reflected: 0 for single opacity).
+    """
 
     centers: np.ndarray
     roots: np.ndarray
     opacities: np.ndarray
 
     def alphas(self, chosen: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Alphas [2,splats,pixels] at those pixels' centres, 0 where a splat does not count."""
+        """Return the alphas [2,splats,pixels] at those pixels' centres, 0 where a splat does not count."""
         dx = (x + 0.5 - self.centers[chosen, :1]).astype(np.float32)
         dy = (y + 0.5 - self.centers[chosen, 1:]).astype(np.float32)
         a, b, c = (self.roots[chosen, k : k + 1] for k in range(3))
@@ -52,11 +54,11 @@ class Lists:
 
     @property
     def tiles(self) -> int:
-        """How many tiles the image has."""
+        """Return how many tiles the image has."""
         return len(self.begins) - 1
 
     def each(self) -> Iterator[tuple[np.ndarray, int, int]]:
-        """Return the splats of each tile that has any, and the tile's first pixel."""
+        """Yield the splats of each tile that has any, and the tile's first pixel."""
         across = -(-self.width // TILE)
         for tile in np.flatnonzero(np.diff(self.begins)):
             chosen = self.splats[self.begins[tile] : self.begins[tile + 1]]
@@ -92,7 +94,10 @@ def project(scene: Scene, dual: bool) -> View:
 
 
 def gsplat_lists(view: View, opacity: int) -> Lists:
-    """Return the lists that gsplat makes: all tiles of a splat's box. opacity: 0 transmitted, 1 reflected."""
+    """Return the lists that gsplat makes: all tiles of a splat's box.
+
+    opacity: 0 transmitted, 1 reflected.
+    """
     splats, order, ours = view.splats, view.order, view.lists
     a, b, c = (splats.roots[order, k].astype(np.float64) for k in range(3))
     half = np.log2(np.e) / 2  # root^T root is the inverse covariance times this
@@ -114,7 +119,7 @@ def gsplat_lists(view: View, opacity: int) -> Lists:
 
 
 def pixels(x0: int, y0: int, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of a tile's pixels, those of a warp's block of width x height side by side."""
+    """Return the coordinates of a tile's pixels, those of a warp's block of width x height side by side."""
     number = np.arange(TILE_PIXELS)
     warp, place = number // BUCKET, number % BUCKET
     blocks = TILE // width
@@ -122,7 +127,10 @@ def pixels(x0: int, y0: int, width: int, height: int) -> tuple[np.ndarray, np.nd
 
 
 def blend(alphas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which splats are blended [splats,pixels], and at which each pixel stops [pixels]: their number if it does not."""
+    """Return which splats are blended [splats,pixels], and at which each pixel stops [pixels].
+
+    A pixel that does not stop has the number of splats.
+    """
     after = np.cumprod(1 - alphas.astype(np.float64), axis=0)
     stopped = after < MIN_LIGHT
     stops = np.where(stopped.any(0), stopped.argmax(0), len(alphas))
@@ -130,7 +138,7 @@ def blend(alphas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def count_ours(view: View, dual: bool) -> Counter[str]:
-    """Of our forward and backward walks, in a warp's turns.
+    """Count the steps of our forward and backward walks, in a warp's turns.
 
     batches, buckets, steps: of forward; useful: those of its steps in which a pixel blends the splat; and of backward,
     whose steps are the same: back_buckets, back_patches (with an open pixel), back_chunks of up to CHUNK splats.
@@ -154,7 +162,10 @@ def _by_warp(of_pixels: np.ndarray) -> np.ndarray:
 
 
 def _count_tile(counts: Counter[str], blended: np.ndarray, touched: np.ndarray, stops: np.ndarray) -> None:
-    """blended, touched [splats,warps]; stops [warps,32]."""
+    """Add a tile's steps to the counts.
+
+    blended, touched [splats,warps]; stops [warps,32].
+    """
     for begin in range(0, len(touched), BATCH):
         if stops.max() < begin:  # all pixels are closed
             return
@@ -171,7 +182,10 @@ def _count_tile(counts: Counter[str], blended: np.ndarray, touched: np.ndarray, 
 
 
 def count_gsplat(view: View, opacity: int) -> Counter[str]:
-    """Of gsplat's walks, in a warp's turns: batches, steps, useful of forward and back_* of backward."""
+    """Count the steps of gsplat's walks, in a warp's turns.
+
+    batches, steps, useful: of forward; back_*: of backward.
+    """
     lists = gsplat_lists(view, opacity)
     counts: Counter[str] = Counter(warps=lists.tiles * TILE_PIXELS // BUCKET)
     for chosen, x0, y0 in lists.each():

@@ -18,8 +18,11 @@ class MissingPhotoError(SceneError):
 
 
 class ArchiveError(SceneError):
-    """An archive is refused. code: archive_unsupported, archive_damaged, archive_unsafe_member,
-    archive_too_many_members, archive_too_large or archive_ratio; for one of its images image_too_large."""
+    """An archive is refused.
+
+    code: archive_unsupported, archive_damaged, archive_unsafe_member, archive_too_many_members, archive_too_large or
+    archive_ratio; for one of its images image_too_large.
+    """
 
     def __init__(self, code: str, message: str) -> None:
         super().__init__(message)
@@ -57,8 +60,10 @@ class GpuError(MgsrError):
 
 
 class LostCardError(GpuError):
-    """The card failed and answers nothing any more in this process. Even taking down torch's tensors ends the process
-    with an abort, so that it is best left by `os._exit`."""
+    """The card failed and answers nothing any more in this process.
+
+    Even taking down torch's tensors ends the process with an abort, so that it is best left by `os._exit`.
+    """
 
 
 class MeshError(MgsrError):
@@ -74,7 +79,9 @@ class Cancelled(MgsrError):
 
 
 def in_short(reason: object) -> str:
-    """Return what another library says, for a message of ours: its first line, cut where it gets long. Some put
-    thousands of lines, or bytes of the file, into theirs."""
+    """Shorten what another library says, for a message of ours: its first line, cut where it gets long.
+
+    Some put thousands of lines, or bytes of the file, into theirs.
+    """
     line = next(iter(str(reason).strip().splitlines()), "")
     return line if len(line) <= 200 else f"{line[:200]}..."

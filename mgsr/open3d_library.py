@@ -14,7 +14,7 @@ from mgsr.errors import MgsrError
 
 @cache
 def load_open3d() -> ModuleType:
-    """The module `open3d`.
+    """Import and return the module `open3d`.
 
     Raises MgsrError where a library that it links against is missing on this machine.
     """
@@ -31,8 +31,10 @@ def load_open3d() -> ModuleType:
 
 
 def _leave_out_plots() -> None:
-    """Open3D brings a web server and a plotting library along for notebooks, which take longer to load than itself: an
-    empty module in the place of the one that loads them."""
+    """Put an empty module in the place of Open3D's plotting module, so that plotting libraries are not loaded.
+
+    Open3D brings a web server and a plotting library along for notebooks, which take longer to load than itself.
+    """
     name = "open3d.visualization.draw_plotly"
     if name not in sys.modules:
         plots = ModuleType(name, "Left out: see mgsr/open3d_library.py.")
@@ -42,8 +44,10 @@ def _leave_out_plots() -> None:
 
 
 def _load_libusb() -> None:
-    """Open3D links against libusb for depth cameras. Where the system has none, the wheel's copy stands in: once it
-    is loaded, the dynamic linker finds it by its name."""
+    """Load the wheel's copy of libusb where the system has none.
+
+    Open3D links against libusb for depth cameras. Once the copy is loaded, the dynamic linker finds it by its name.
+    """
     try:
         ctypes.CDLL("libusb-1.0.so.0")
     except OSError:

@@ -1,4 +1,4 @@
-"""The same work for every view, on several cores; and torch kept to one."""
+"""Parallel work on several cores, the same for every view; and torch kept to one."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ Result = TypeVar("Result")
 
 
 def core_count(threads: int | None) -> int:
-    """`threads`, or the cores that this process may use for None."""
+    """Return `threads`, or for None the number of cores that this process may use."""
     return threads or len(os.sched_getaffinity(0))
 
 
 def map_ahead(work: Callable[[Item], Result], items: Iterable[Item], threads: int | None) -> Iterator[Result]:
-    """work(item) of each item, in order. Threads suffice, as NumPy lets go of the interpreter in its loops; only a
-    few results are made ahead, so that they don't pile up in memory."""
+    """Yield work(item) of each item, in order, computed ahead by `threads` threads.
+
+    Threads suffice, as NumPy lets go of the interpreter in its loops. Only a few results are made ahead, so that they
+    don't pile up in memory.
+    """
     count = core_count(threads)
     with ThreadPoolExecutor(count) as pool:
         ahead: deque[Future[Result]] = deque()
@@ -36,8 +39,11 @@ def map_ahead(work: Callable[[Item], Result], items: Iterable[Item], threads: in
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Torch on one thread inside, as before outside, also in threads that are started inside: where operations are
-    small or cores are shared already, its idle threads would spin on the cores that others use."""
+    """Let torch use one thread inside the block, and as many as before outside.
+
+    This holds in threads that are started inside, too. Where operations are small or cores are shared already, its idle
+    threads would spin on the cores that others use.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

@@ -1,4 +1,4 @@
-"""Fails unless a tag, the package's version and a heading of CHANGELOG.md agree.
+"""Fail unless a tag, the package's version and a heading of CHANGELOG.md agree.
 
 python scripts/check_version.py v0.1.0
 """
@@ -13,14 +13,14 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def package_version() -> str:
-    """The version as mgsr/__init__.py has it: the only place that says it."""
+    """Return the version as mgsr/__init__.py has it: the only place that says it."""
     found = re.search(r'__version__ = "([^"]+)"', (ROOT / "mgsr/__init__.py").read_text(encoding="utf-8"))
     assert found is not None
     return found[1]
 
 
 def disagreement(tag: str) -> str | None:
-    """What is wrong with a tag, or None."""
+    """Return what is wrong with a tag, or None."""
     version = package_version()
     if tag != f"v{version}":
         return f"the tag is {tag}, mgsr/__init__.py says {version}"

@@ -1,4 +1,4 @@
-"""What each wheel must do where it was installed: load every extension, run a kernel, find and read the example."""
+"""Check a wheel where it was installed: load every extension, run a kernel, find and read the example."""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
-"""Hooks of mkdocs (mkdocs.yml): formulas become MathML, which browsers show without scripts; the table of settings is
-read from mgsr/config.py; pages that a build makes are added to the menu; links into the sources lead to them."""
+"""Hooks of mkdocs (mkdocs.yml).
+
+Formulas become MathML, which browsers show without scripts; the table of settings is read from mgsr/config.py; pages
+that a build makes are added to the menu; links into the sources lead to them.
+"""
 
 from __future__ import annotations
 

@@ -20,14 +20,14 @@ from worker.comments import field_comments
 
 
 def settings_markdown() -> str:
-    """A heading and a table for each group of settings, then what the presets and methods change."""
+    """Return a heading and a table for each group of settings, then what the presets and methods change."""
     comments = field_comments(inspect.getsource(module))
     parts = [_group(prefix, node, comments) for prefix, node in _groups(Config()) if prefix]
     return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
 
 
 def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    """Every nested dataclass with its dotted path, from the outside in."""
+    """List every nested dataclass with its dotted path, from the outside in."""
     found = [(prefix, node)]
     for field in dataclasses.fields(node):
         value = getattr(node, field.name)
@@ -57,7 +57,7 @@ def _group(prefix: str, node: Any, comments: dict[str, dict[str, str]]) -> str:
 
 
 def _choices(kind: Any) -> str:
-    """What an enum's own text says of its members."""
+    """Return what an enum's own text says of its members."""
     for part in (kind, *get_args(kind)):
         if inspect.isclass(part) and issubclass(part, StrEnum):
             names = ", ".join(f"`{member}`" for member in part)
@@ -72,7 +72,7 @@ def _shown(value: Any) -> str:
 
 
 def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
-    """A table of what each name of PRESETS or METHODS sets."""
+    """Return a table of what each name of PRESETS or METHODS sets."""
     lines = [f"### What the {title} set", "", "| | |", "|---|---|"]
     lines += [
         f"| `{name}` | {', '.join(f'`{key}={value}`' for key, value in changed.items()) or 'the defaults'} |"

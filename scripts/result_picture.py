@@ -1,4 +1,4 @@
-"""Make the README's picture from a finished run:
+"""Make the README's picture from a finished run.
 
     python scripts/result_picture.py examples/glossy_knot out/demo r_1 docs/images/result.png
 
@@ -21,13 +21,13 @@ from mgsr.report.shading import MeshPainter, TriangleMesh
 
 
 def on_white(path: Path) -> np.ndarray:
-    """[H,W,3] uint8 of an image, over white where it has alpha."""
+    """Read an image, [H,W,3] uint8, over white where it has alpha."""
     image = Image.open(path).convert("RGBA")
     return np.asarray(Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB"))
 
 
 def mesh_picture(scene_path: Path, mesh_path: Path, name: str) -> np.ndarray:
-    """The mesh, shaded as clay, from the test view's camera."""
+    """Render the mesh, shaded as clay, from the test view's camera."""
     scene = load_scene(scene_path, DataConfig())
     view = next(view for view in scene.test if view.name == name)
     mesh = trimesh.load(mesh_path, process=False)

@@ -1,1 +1,1 @@
-"""The HTTP service around MGSR: takes jobs, says how they go, hands out what came of them."""
+"""The HTTP service around MGSR: takes jobs, reports their progress and serves their results."""

@@ -1,4 +1,4 @@
-"""Puts the service together."""
+"""Assemble the service's FastAPI app."""
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ STORE_PATIENCE = 4.0
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The service. Raises SetupError where no Redis server is named, StoreError where the store can't be opened."""
+    """Create the service's app.
+
+    Raises SetupError where no Redis server is named, StoreError where the store can't be opened.
+    """
     parts = _make_parts(settings)
     app = FastAPI(
         title="MGSR",

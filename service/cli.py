@@ -1,5 +1,7 @@
-"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own; with `keys`, its keys. Needs
-nothing of the library, which `mgsr keys` loads."""
+"""`mgsr-service`: the API alone, for set-ups with a Redis server and workers of their own; with `keys`, its keys.
+
+It needs nothing of the library, which `mgsr keys` loads.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ PortOption = Annotated[int, typer.Option(help="The port to listen at.", min=0, m
 
 @app.callback(invoke_without_command=True)
 def main(context: typer.Context, host: HostOption = "127.0.0.1", port: PortOption = 8000) -> None:
-    """Serve the API, with the queue at MGSR_REDIS_URL and the store at MGSR_STORE. With `keys`, see to its keys."""
+    """Serve the API, with the queue at MGSR_REDIS_URL and the store at MGSR_STORE. With `keys`, manage its keys."""
     if context.invoked_subcommand is not None:
         return
     with refusals():
@@ -55,7 +57,7 @@ def serve_api(host: str, port: int) -> None:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
+    """Return whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,4 +1,4 @@
-"""The commands of `mgsr` that have to do with the service: serve, submit, fetch, keys."""
+"""The commands of `mgsr` that concern the service: serve, submit, fetch, keys."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ keys = typer.Typer(no_args_is_help=True, help="Bearer keys of the service whose 
 
 
 def add_commands(app: typer.Typer) -> None:
-    """Give a program these commands."""
+    """Add these commands to a program."""
     app.command()(serve)
     app.command()(submit)
     app.command()(fetch)
@@ -99,7 +99,7 @@ def create_key(name: Annotated[str, typer.Argument(help="Whose key it is.")]) ->
 
 @keys.command("list")
 def list_keys() -> None:
-    """The keys' ids, names and dates."""
+    """List the keys' ids, names and dates."""
     with refusals():
         for key in _keys().all():
             print(f"{key.id}  {key.created:%Y-%m-%d}  {key.name}")

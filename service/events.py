@@ -1,4 +1,4 @@
-"""Server-sent events of jobs: one reader for each job that is watched, however many watch it."""
+"""Server-sent events of jobs: one reader for each watched job, however many clients watch it."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ class ServerEvent:
     data: str
 
     def encode(self) -> bytes:
-        """As it is sent."""
+        """Return the event as bytes of a server-sent event."""
         return f"id: {self.id}\nevent: {self.kind}\ndata: {self.data}\n\n".encode()
 
     @property
     def order(self) -> tuple[int, int]:
-        """What ids are compared by."""
+        """Return the key by which events are ordered."""
         return event_order(self.id)
 
 
 @dataclass
 class _Watched:
-    """A job's watchers, and the task that reads for them. begun: set once it is settled from where that reads."""
+    """A job's watchers, and the task that reads for them. begun: set once the task knows where to read from."""
 
     watchers: set[asyncio.Queue[ServerEvent | None]] = field(default_factory=set)
     reader: asyncio.Task[None] | None = None
@@ -50,14 +50,17 @@ class _Watched:
 
 
 class EventHub:
-    """Hands each job's events to all who watch it."""
+    """Distributes each job's events to all who watch it."""
 
     def __init__(self, redis: AsyncRedis, snapshots: Snapshots) -> None:
         self._redis, self._snapshots = redis, snapshots
         self._jobs: dict[str, _Watched] = {}
 
     async def follow(self, snapshot: Snapshot, after: str | None) -> AsyncIterator[bytes]:
-        """The job as it is, then its events after the one of id `after` (or from now on), until it ends."""
+        """Yield the job as it is, then its events until it ends.
+
+        after: the id of the last event that the client knows; None starts with new events.
+        """
         job = snapshot.state.record.id
         queue: asyncio.Queue[ServerEvent | None] = asyncio.Queue(BEHIND)
         watched = self._join(job, queue)
@@ -78,7 +81,10 @@ class EventHub:
     async def _live(
         self, job: str, queue: asyncio.Queue[ServerEvent | None], last: tuple[int, int]
     ) -> AsyncIterator[bytes]:
-        """Events as they come. The job itself is looked at too: its end may be lost together with Redis."""
+        """Yield events as they come.
+
+        The job itself is read too, as its end may be lost together with Redis.
+        """
         quiet = 0.0
         while True:
             try:
@@ -128,7 +134,7 @@ class EventHub:
             del self._jobs[job]
 
     async def _newest(self, job: str) -> str:
-        """The id after which to read. (XREAD's own `$` would lose what comes between two calls.)"""
+        """Return the id to read after. XREAD's own `$` would lose what comes between two calls."""
         try:
             entries = await self._redis.xrevrange(events_key(job), count=1)
         except RedisError:
@@ -151,7 +157,7 @@ class EventHub:
 
 
 def event_order(text: str) -> tuple[int, int]:
-    """An event's id as numbers; the lowest for none."""
+    """Return an event's id as two numbers; (0, 0) for text that is no id."""
     if not EVENT_ID.fullmatch(text):
         return (0, 0)
     first, _, second = text.partition("-")
@@ -159,7 +165,7 @@ def event_order(text: str) -> tuple[int, int]:
 
 
 def _entries(found: Any) -> list[Any]:
-    """The entries of the one stream that was read."""
+    """Return the entries of the one stream that was read."""
     return [entry for _, entries in found or [] for entry in entries]
 
 

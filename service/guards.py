@@ -1,4 +1,4 @@
-"""Guards of a service without keys: only programs of this machine may use it, and no web page in its browser."""
+"""Guard a service without keys: only programs of this machine may use it, and no web page in its browser."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ LOOPBACK_NAMES = {"localhost", "127.0.0.1", "::1"}
 
 
 class LocalGuard:
-    """While there are no keys, refuses requests that name another host (a web page whose name was bound to this
-    machine) or that another site's page sends."""
+    """Refuses, while there are no keys, requests that name another host or that another site's page sends.
+
+    Such a host comes from a web page whose name was bound to this machine.
+    """
 
     def __init__(self, app: ASGIApp, keys_needed: Callable[[], bool | None], hosts: set[str]) -> None:
         self._app, self._keys_needed, self._hosts = app, keys_needed, hosts | LOOPBACK_NAMES
@@ -43,7 +45,7 @@ def _refuse(code: str, detail: str) -> ASGIApp:
 
 
 def _name(address: str) -> str:
-    """The host's name without its port."""
+    """Return the host's name without its port; empty for what is no address."""
     try:
         return urlsplit(f"//{address}").hostname or ""
     except ValueError:

@@ -1,4 +1,4 @@
-"""Bearer keys. The store holds their SHA-256 alone; a key is shown once, when it is made."""
+"""Bearer keys. The store holds only their SHA-256; a key is shown once, when it is made."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ class Keys:
         self._any: tuple[float, bool] = (float("-inf"), False)
 
     def create(self, name: str) -> tuple[str, Key]:
-        """A new key, and what is kept of it."""
+        """Create a key; return its token and what is kept of it."""
         token = "mgsr_" + secrets.token_urlsafe(32)
         key = Key(id=secrets.token_hex(8), name=name, created=now())
         self._store.create(_path(token), key.to_bytes())
         return token, key
 
     def all(self) -> list[Key]:
-        """Every key, the oldest first."""
+        """Return every key, the oldest first."""
         found = [self._store.read(entry.key) for entry in self._store.entries("keys")]
         return sorted(
             (Key.model_validate_json(data) for data in found if data is not None), key=lambda key: key.created
         )
 
     def revoke(self, key_id: str) -> bool:
-        """Forget a key by its id; whether there was one."""
+        """Revoke a key by its id, and return whether it existed."""
         for entry in list(self._store.entries("keys")):
             data = self._store.read(entry.key)
             if data is not None and Key.model_validate_json(data).id == key_id:
@@ -53,7 +53,7 @@ class Keys:
         return False
 
     def find(self, token: str) -> Key | None:
-        """The key that a caller has shown, or None for one that is not known."""
+        """Return the key of a caller's token; None for an unknown one."""
         path = _path(token)
         read_at, key = self._known.get(path, (float("-inf"), None))
         if time.monotonic() - read_at > CACHE_SECONDS:
@@ -65,13 +65,16 @@ class Keys:
         return key
 
     def cached(self, token: str) -> Key | None:
-        """Like `find`, but None where the store would have to be asked."""
+        """Return the key as `find` does, but None where the store would have to be asked."""
         read_at, key = self._known.get(_path(token), (float("-inf"), None))
         return key if time.monotonic() - read_at <= CACHE_SECONDS else None
 
     def needed(self) -> bool:
-        """Whether callers must show a key: since the first that was seen, so that a service does not become open when
-        its last key is revoked."""
+        """Return whether callers must show a key.
+
+        They must from the first key that was seen on, so that a service does not become open when its last key is
+        revoked.
+        """
         read_at, found = self._any
         if not found and time.monotonic() - read_at > CACHE_SECONDS:
             found = next(iter(self._store.entries("keys")), None) is not None
@@ -80,7 +83,7 @@ class Keys:
 
     @property
     def needed_cached(self) -> bool | None:
-        """Like `needed`, but None where the store would have to be asked."""
+        """Return the answer of `needed`, but None where the store would have to be asked."""
         read_at, found = self._any
         return found if found or time.monotonic() - read_at <= CACHE_SECONDS else None
 

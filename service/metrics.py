@@ -1,4 +1,4 @@
-"""Prometheus' figures: requests as they were answered, jobs and workers as they are when asked."""
+"""Prometheus metrics: requests as they were answered, jobs and workers as they are when asked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from service.contract.queue import JobQueue
 
 
 class Metrics:
-    """The figures of one app."""
+    """The metrics of one app."""
 
     def __init__(self, jobs: Jobs, queue: JobQueue) -> None:
         self._registry = CollectorRegistry()
@@ -30,7 +30,7 @@ class Metrics:
         )
 
     def render(self) -> tuple[bytes, str]:
-        """The figures as text, and its media type."""
+        """Return the metrics as text, and its media type."""
         return generate_latest(self._registry), CONTENT_TYPE_LATEST
 
 
@@ -58,13 +58,13 @@ class MetricsMiddleware:
 
 
 class _JobCollector:
-    """Asks the queue and the store whenever it is asked; what doesn't answer is left out."""
+    """Queries the queue and the store at each collection, and leaves out what doesn't answer."""
 
     def __init__(self, jobs: Jobs, queue: JobQueue) -> None:
         self._jobs, self._queue = jobs, queue
 
     def collect(self) -> Iterable[Metric]:
-        """The gauges of now."""
+        """Yield the current gauges of queue and store."""
         try:
             workers, waiting = self._queue.workers(), self._queue.lengths()
         except RedisError:

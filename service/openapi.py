@@ -1,4 +1,4 @@
-"""Finishes the OpenAPI document: shared schemas, one form of error for validation too."""
+"""Complete the OpenAPI document: shared schemas, and one form of error for validation too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the routes work with, made once for an app; and who asks."""
+"""What the routes work with, made once for an app, and the dependency that identifies the caller."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LOCAL = "local"
 
 @dataclass(frozen=True)
 class Parts:
-    """The app's own; `redis` is the asynchronous client."""
+    """The app's shared objects; `redis` is the asynchronous client."""
 
     settings: Settings
     jobs: Jobs

@@ -1,8 +1,8 @@
-"""Answers what clients ask again and again, `GET /jobs/{id}`, before the routes are looked at.
+"""Answer `GET /jobs/{id}`, which clients ask again and again, before the routes are looked at.
 
 Three hundred clients that poll once a second would otherwise keep a third of a core busy with FastAPI's own work for
-each request. Only what memory can answer is answered here: a caller and a job that were looked up a moment ago. All
-else goes on to the route, which says the same (`poll_answer`).
+each request. Only requests that memory can answer are answered here: a caller and a job that were looked up a moment
+ago. All others go on to the route, which says the same (`poll_answer`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _PREFIX = "/jobs/"
 
 
 class Polls:
-    """Stands before the routes. route: the one in whose name it answers, for those who count by routes."""
+    """Middleware that answers polls before the routes. route: the one that metrics count them under."""
 
     def __init__(self, app: ASGIApp, keys: Keys, snapshots: Snapshots, route: object) -> None:
         self._app, self._keys, self._snapshots, self._route = app, keys, snapshots, route
@@ -36,7 +36,7 @@ class Polls:
         await self._app(scope, receive, send)
 
     def _caller(self, headers: Headers) -> str | None:
-        """The owner who asks, as far as memory can tell."""
+        """Return the owner who asks, if memory knows; else None."""
         if self._keys.needed_cached is False:
             return LOCAL
         scheme, _, token = headers.get("authorization", "").partition(" ")
@@ -45,7 +45,7 @@ class Polls:
 
 
 def poll_answer(snapshot: Snapshot, if_none_match: str | None) -> Response:
-    """The job, or that it is as it was."""
+    """Return the job, or 304 if it is unchanged."""
     headers = {"ETag": snapshot.etag, "Cache-Control": "no-cache"}
     if if_none_match is not None and snapshot.etag in if_none_match:
         return Response(status_code=304, headers=headers)

@@ -42,14 +42,14 @@ class ProblemDetails(BaseModel):
 
 
 class Problem(Exception):
-    """An answer that is an error."""
+    """An error that becomes the answer to a request."""
 
     def __init__(self, status: int, code: str, detail: str, headers: dict[str, str] | None = None, **more: Any) -> None:
         super().__init__(detail)
         self.status, self.code, self.detail, self.headers, self.more = status, code, detail, headers or {}, more
 
     def response(self) -> Response:
-        """As it is sent."""
+        """Return the problem as a JSON response."""
         body = ProblemDetails(
             type=f"urn:mgsr:problem:{self.code}",
             title=HTTPStatus(self.status).phrase,
@@ -62,7 +62,7 @@ class Problem(Exception):
 
 
 def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The documentation of a route's errors; each also may say 401, 403 and 503."""
+    """Return the documentation of a route's errors; every route may also answer 400, 401, 403 and 503."""
     reference = {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}
     return {
         status: {"description": HTTPStatus(status).phrase, "content": {MEDIA_TYPE: reference}}
@@ -71,7 +71,7 @@ def answers(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 
 def install(app: FastAPI) -> None:
-    """Have every error of the app answered as a problem."""
+    """Make the app answer every error as a problem."""
     app.add_exception_handler(Problem, _problem)
     app.add_exception_handler(HTTPException, _http)
     app.add_exception_handler(RequestValidationError, _invalid)
@@ -106,7 +106,7 @@ async def _redis(request: Request, error: Exception) -> Response:
 
 
 async def _gone(request: Request, error: Exception) -> Response:
-    """Nobody reads this: the client has hung up."""
+    """Return a problem that nobody reads, as the client has hung up."""
     return Problem(400, "upload_cut", "the connection ended before the request did").response()
 
 

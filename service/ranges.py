@@ -1,4 +1,4 @@
-"""The header Range, as RFC 9110 has it."""
+"""Parse the header Range (RFC 9110)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ _ONE = re.compile(r"\s*bytes\s*=\s*(\d{0,19})\s*-\s*(\d{0,19})\s*", re.ASCII)
 
 
 def parse_range(text: str | None, size: int) -> tuple[int, int] | None:
-    """First byte and the one after the last; None where all of `size` bytes are to be sent: without the header, and, as
-    the RFC allows, for several ranges or other units. Raises Problem 416 where no byte lies in the range."""
+    """Return the first byte and the one after the last; None where all of `size` bytes are to be sent.
+
+    All are sent without the header, and, as the RFC allows, for several ranges or other units. Raises Problem 416 where
+    no byte lies in the range.
+    """
     found = _ONE.fullmatch(text or "")
     if found is None or not (found[1] or found[2]):
         return None

@@ -1,4 +1,4 @@
-"""`mgsr serve`: queue server, worker and API as children of one process, which starts again whichever of them dies."""
+"""`mgsr serve`: queue server, worker and API as children of one process, which restarts any that dies."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def serve(settings: Settings, host: str, port: int) -> None:
 
 
 def _children(settings: Settings, host: str, port: int) -> list[Child]:
-    """In the order of their start; the end goes the other way."""
+    """Return the children in the order of their start; they stop in reverse."""
     children: list[Child] = []
     url = settings.redis_url
     if url is None:
@@ -67,7 +67,7 @@ def _run(children: list[Child], address: str) -> None:
 
 
 def _wait_for_queue(children: list[Child]) -> None:
-    """Until the queue server, the first child, answers."""
+    """Wait until the queue server, the first child, answers."""
     redis = Redis.from_url(children[1].environment["MGSR_REDIS_URL"], socket_timeout=1.0)
     for _ in _tries(children[0]):
         with suppress(RedisError):
@@ -105,7 +105,10 @@ def _check_port(host: str, port: int) -> None:
 
 @contextmanager
 def _alone(home: Path) -> Iterator[None]:
-    """Hold the folder of this service; the kernel lets go of it however this process ends."""
+    """Hold the lock of this service's folder; the kernel releases it however this process ends.
+
+    Raises SetupError where another service holds it.
+    """
     home.mkdir(parents=True, exist_ok=True, mode=0o700)
     with (home / "serve.lock").open("w") as lock:
         try:

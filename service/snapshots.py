@@ -1,5 +1,7 @@
-"""Jobs as they are now, read once for all who ask at the same time: three hundred clients that poll a job cost one look
-at the store and Redis in each half second."""
+"""Current states of jobs, read once for all who ask at the same time.
+
+Three hundred clients that poll a job cost one look at the store and Redis in each half second.
+"""
 
 from __future__ import annotations
 
@@ -44,12 +46,12 @@ class Snapshot:
 
     @property
     def outcome(self) -> Outcome | None:
-        """How its last round ended."""
+        """Return how its last round ended; None while it has not."""
         return self.state.outcome
 
     @property
     def final(self) -> bool:
-        """Whether it has ended."""
+        """Return whether it has ended."""
         return self.state.outcome is not None
 
 
@@ -64,13 +66,16 @@ class Snapshots:
         self._waiting: tuple[float, dict[tuple[str, int], int]] = (float("-inf"), {})
 
     async def get(self, job: str) -> Snapshot | None:
-        """The job, as it was half a second ago at most (a second, where the store is slow); None for an unknown id."""
+        """Return the job, at most half a second old (a second, where the store is slow); None for an unknown id."""
         if not _ID.fullmatch(job):
             return None
         return self.fresh(job) or await self.read(job)
 
     def fresh(self, job: str) -> Snapshot | None:
-        """The job, if it has just been read. While it is being read anew, the others are content with the old."""
+        """Return the job if it was read recently, else None.
+
+        While it is being read again, a slightly older state is enough.
+        """
         kept = self._kept.get(job)
         if kept is None:
             return None
@@ -80,7 +85,7 @@ class Snapshots:
         return kept if time.monotonic() - kept.read_at < limit else None
 
     async def read(self, job: str) -> Snapshot | None:
-        """The job as it is now. Calls at the same time share one reading."""
+        """Read the job as it is now; calls at the same time share one reading. None for an unknown id."""
         task = self._reading.get(job)
         if task is None:
             task = asyncio.create_task(self._read(job))
@@ -93,7 +98,7 @@ class Snapshots:
             del self._reading[job]
 
     def forget(self, job: str) -> None:
-        """Read the job anew next time: this service has just changed it."""
+        """Drop the cached job, so that the next call reads it again: this service has just changed it."""
         self._kept.pop(job, None)
         self._reading.pop(job, None)
         self._waiting = (float("-inf"), {})
@@ -132,7 +137,7 @@ class Snapshots:
             return await self._view_without_redis(state)
 
     async def _view_without_redis(self, state: JobState) -> JobView:
-        """From what was known before, or else from whether a worker has ever taken the round up."""
+        """Return the job's view from its last known state, or else from whether a worker has started the round."""
         before = self._kept.get(state.record.id)
         known: dict[str, Any] = {}
         if before is not None and before.state.round == state.round:

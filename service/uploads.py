@@ -1,4 +1,4 @@
-"""Receives an archive into the store as it comes, holding a few megabytes of it at most."""
+"""Receive an archive into the store as it arrives, holding at most a few megabytes of it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _MAGIC = (b"PK", b"\x1f\x8b", b"\x28\xb5\x2f\xfd")  # zip, gzip, zstd; a tar has
 
 @dataclass(frozen=True)
 class Received:
-    """What came. options: the text of the multipart field, None where there was none."""
+    """A received upload. options: the text of the multipart field, None where there was none."""
 
     size: int
     sha256: str
@@ -109,12 +109,12 @@ class _Sink:
 
 
 def too_large(limit: int) -> Problem:
-    """The refusal of too many bytes."""
+    """Return the problem for an upload of more than `limit` bytes."""
     return Problem(413, "archive_too_large", f"at most {limit} bytes are taken; use smaller or fewer images")
 
 
 async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
-    """The body's chunks. Raises Problem when none comes for long, or they trickle."""
+    """Yield the body's chunks. Raises Problem when none comes for long, or the rate is too low."""
     begun, count = time.monotonic(), 0
     while True:
         try:
@@ -135,7 +135,7 @@ def _too_slow(what: str) -> Problem:
 
 
 async def _multipart(chunks: AsyncIterator[bytes], boundary: bytes | None, sink: _Sink, writer: Any) -> str | None:
-    """Pass the field `archive` to the sink; the field `options`."""
+    """Pass the field `archive` to the sink, and return the field `options`."""
     if not boundary:
         raise Problem(400, "multipart_malformed", "the header Content-Type names no boundary")
     fields = _Fields(sink)
@@ -166,7 +166,7 @@ class _Fields:
         self.archive_seen = self.ended = False
 
     def callbacks(self) -> MultipartCallbacks:
-        """As the parser wants them."""
+        """Return the callbacks that the multipart parser calls."""
         return {
             "on_part_begin": self._begin,
             "on_header_field": self._header_name,

@@ -106,7 +106,7 @@ _PROGRESS = (
 
 
 def job_view(state: JobState, running: bool, progress: dict[str, Any], queue_position: int | None) -> JobView:
-    """The job from what the store, and Redis if it answers, say of it."""
+    """Return the job's view from what the store, and Redis if it answers, say of it."""
     record, outcome = state.record, state.outcome
     fields: dict[str, Any] = {}
     if progress.get("round") == state.round:

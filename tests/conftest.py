@@ -19,7 +19,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The measurement scenes that lie beside a checkout; a test that needs them is skipped, and says so, without."""
+    """Return the measurement scenes beside a checkout, or skip the test where they are missing."""
     if not SHARED_DATA.is_dir():
         pytest.skip(f"NEEDS THE MEASUREMENT SCENES: no folder {SHARED_DATA.parent.name}/data beside the checkout")
     return SHARED_DATA
@@ -27,7 +27,7 @@ def shared_data() -> Path:
 
 @pytest.fixture
 def kernel_settings_come_back() -> Iterator[None]:
-    """For tests that choose the kernels' variant or threads: afterwards they are as before."""
+    """Restore the kernels' variant and threads after a test that chooses them."""
     isa, threads = _image.isa(), _image.threads()
     yield
     runtime.set_isa(isa)

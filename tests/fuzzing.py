@@ -53,8 +53,10 @@ _VALUES = [
 def fuzz(
     path: Path, read: Callable[[], object], refusal: type[MgsrError], changes: st.SearchStrategy[Change], how: settings
 ) -> None:
-    """Reads a file with changes in it: that must work or raise `refusal` with a short message. Once in the short run;
-    in the slow one with ever new examples until the time is up."""
+    """Read a file with changes in it: that must work or raise `refusal` with a short message.
+
+    In the short run it is read once; in the slow one with ever new examples until the time is up.
+    """
     whole = path.read_bytes()
 
     @how
@@ -74,7 +76,7 @@ def fuzz(
 
 @st.composite
 def byte_changes(draw: Any) -> Change:
-    """A few edits: bytes flipped, cut out, doubled, or replaced by words that parsers dislike."""
+    """Draw a few edits: bytes flipped, cut out, doubled, or replaced by words that parsers dislike."""
     edits = draw(
         st.lists(st.tuples(st.floats(0, 1), st.integers(0, 12), st.sampled_from(_TOKENS)), min_size=1, max_size=4)
     )
@@ -101,7 +103,7 @@ def byte_changes(draw: Any) -> Change:
 
 @st.composite
 def value_changes(draw: Any) -> Change:
-    """Values somewhere in a JSON document replaced or removed."""
+    """Draw values somewhere in a JSON document that are replaced or removed."""
     edits = draw(
         st.lists(
             st.tuples(st.lists(st.integers(0, 30), min_size=1, max_size=6), st.sampled_from([*_VALUES, "REMOVE"])),

@@ -45,13 +45,16 @@ def sources(folder: str) -> list[Path]:
 
 
 def part_of(path: Path) -> str:
-    """mgsr/data/scene.py is `data`, mgsr/config.py is `config`, worker/cli.py is `worker`."""
+    """Return the part that a file belongs to.
+
+    mgsr/data/scene.py is `data`, mgsr/config.py is `config`, worker/cli.py is `worker`.
+    """
     names = path.relative_to(ROOT).with_suffix("").parts
     return names[1] if names[0] == "mgsr" else names[0]
 
 
 def imports(path: Path) -> Iterator[str]:
-    """Full dotted names, also those inside functions: late imports follow the layers too."""
+    """Yield full dotted names, also those inside functions: late imports follow the layers too."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -83,7 +86,7 @@ def test_the_library_knows_nothing_of_jobs(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sources("service"), ids=lambda path: str(path.relative_to(ROOT)))
 def test_the_service_knows_nothing_of_the_library(path: Path) -> None:
-    """It enqueues by dotted name, and starts the worker as a program."""
+    """Check that the service enqueues by dotted name, and starts the worker as a program."""
     assert not {name.split(".")[0] for name in imports(path)} & {"mgsr", "torch", "numpy", "worker", "program"}
 
 
@@ -113,7 +116,7 @@ def test_the_table_is_the_documents() -> None:
 
 
 def test_oracles_share_no_code_with_the_library() -> None:
-    """The camera class is plain data and may be used."""
+    """Check that oracles share no code with the library; the camera class is plain data and may be used."""
     for path in sources("tests/oracles"):
         used = {name for name in imports(path) if name.startswith("mgsr")}
         assert all(name.startswith("mgsr.data.camera") for name in used), f"{path.name} imports {used}"

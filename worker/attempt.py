@@ -1,4 +1,4 @@
-"""One attempt at a job: fetch, run, watch, publish."""
+"""Make one attempt at a job: fetch, run, watch, publish."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ FINAL_CODES = {
 
 
 class Interrupted(Exception):
-    """The attempt stops without an outcome; `lost` if its process was ended by a stranger."""
+    """The attempt stops without an outcome. `lost`: its process was ended by a stranger."""
 
     def __init__(self, lost: bool) -> None:
         super().__init__("interrupted")
@@ -59,8 +59,11 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What an attempt needs of its worker. patient: jobs in a store that waits for one that doesn't answer; jobs: in
-    one that gives up soon. stopping: whether the worker is to end. beat: says that it lives."""
+    """What an attempt needs of its worker.
+
+    patient: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
+    stopping: tells whether the worker is to end. beat: reports that the worker lives.
+    """
 
     settings: Settings
     patient: Jobs
@@ -71,7 +74,7 @@ class Surroundings:
 
 
 class Attempt:
-    """An attempt that has its number and its lease."""
+    """An attempt with its number and its lease."""
 
     def __init__(self, around: Surroundings, record: JobRecord, number: int, attempt: int, lease: LeaseKeeper) -> None:
         self._around, self._record, self._number, self._attempt = around, record, number, attempt
@@ -81,8 +84,10 @@ class Attempt:
         self._earlier_curve: list[dict[str, Any]] = []
 
     def run(self) -> Outcome:
-        """How the round ends by this attempt. Raises Interrupted where it does not, StoreError where the store stays
-        away."""
+        """Make the attempt, and return how it ends the round.
+
+        Raises Interrupted where it ends without an outcome, and StoreError where the store stays away.
+        """
         settings = self._around.settings
         with scratch_folder(settings.scratch_folder, f"{self._record.id}.{self._attempt}") as scratch:
             deadline = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
@@ -120,8 +125,10 @@ class Attempt:
                 return  # the next beat may reach it
 
     def _while_watching(self, work: Callable[[], None]) -> Outcome | None:
-        """Do something slow in a thread that is left alone as soon as there is a reason to stop; how the round then
-        ends."""
+        """Do something slow in a thread, and return the outcome if there is a reason to stop first.
+
+        The thread is then left alone. An error in it is raised.
+        """
         trouble: list[BaseException] = []
 
         def guarded() -> None:
@@ -141,7 +148,7 @@ class Attempt:
         return None
 
     def _fetch(self) -> None:
-        """The archive, and the newest checkpoint that any attempt has left."""
+        """Fetch the archive, and the newest checkpoint that any attempt has left."""
         store, job = self._around.patient.store, self._record.id
         (self._scratch / "out").mkdir()
         store.download(self._record.archive, self._scratch / "archive")
@@ -152,7 +159,7 @@ class Attempt:
                 return
 
     def _run_process(self) -> Outcome | None:
-        """Run the job process to its end; how the round ends if not by its results."""
+        """Run the job process to its end; return the outcome unless its results decide it."""
         killed_before = _kernel_kills()
         process = JobProcess(self._write_spec(), self._scratch)
         self._carrier.start()
@@ -174,7 +181,7 @@ class Attempt:
         return self._failed(result.code, result.message, ended.peak_memory)
 
     def _follow(self, process: JobProcess) -> Exit:
-        """Pass its events on until it ends, or is ended."""
+        """Pass the process's events on until it ends, or is ended."""
         asked: float | None = None
         while (ended := process.poll()) is None:
             self._pass_on(process)
@@ -197,7 +204,7 @@ class Attempt:
             self._progress(**event, memory_bytes=process.peak_memory)
 
     def _progress(self, **change: Any) -> None:
-        """Tell who listens; if Redis is away, the next time will do."""
+        """Report progress to listeners. If Redis is away, the next report makes up for it."""
         change |= {"status": JobStatus.RUNNING}
         self._known |= change | {"round": self._number, "attempt": self._attempt}
         whole = self._known | {"curve": joined(self._earlier_curve, self._known.get("curve", []))}
@@ -207,7 +214,7 @@ class Attempt:
             return
 
     def _load_earlier_curve(self) -> None:
-        """Where this attempt goes on from another's checkpoint, their curves are one."""
+        """Load the curve of the attempt whose checkpoint this one continues, so that both become one."""
         try:
             self._earlier_curve = self._around.live.progress(self._record.id).get("curve", [])
         except RedisError:
@@ -238,7 +245,7 @@ class Attempt:
         return JobResult.model_validate_json(path.read_text()) if path.exists() else None
 
     def _publish(self) -> Outcome:
-        """Bring the results to the store, however long that is away."""
+        """Upload the results to the store, however long that is away."""
         published: list[Outcome] = []
 
         def work() -> None:
@@ -259,7 +266,10 @@ class Attempt:
         return self._while_watching(work) or published[0]
 
     def _stopped(self, reason: Reason, peak: int | None) -> Outcome:
-        """How a round ends that was stopped from outside; its last checkpoint is kept for a retry."""
+        """Return how a round ends that was stopped from outside; its last checkpoint is kept for a retry.
+
+        Raises Interrupted for a lost lease and for a shutdown.
+        """
         if reason is Reason.LEASE_LOST:
             raise Interrupted(lost=False)
         self._keep_checkpoint()
@@ -284,7 +294,10 @@ class Attempt:
         return f"the job ran for longer than its deadline of {limit:g} s; retry it to go on from its checkpoint"
 
     def _died(self, ended: Exit, out_of_memory: bool) -> Outcome:
-        """How a round ends whose process ended without a word."""
+        """Return how a round ends whose process ended without a result.
+
+        Raises Interrupted where a stranger killed it.
+        """
         if ended.code == KILLED and out_of_memory:
             text = f"the kernel ended the job for lack of memory; it had {ended.peak_memory / 2**20:.0f} MiB"
             return self._failed("out_of_memory", text, ended.peak_memory)
@@ -304,7 +317,7 @@ class Attempt:
         return Outcome(status=JobStatus.FAILED, attempt=self._attempt, finished=now(), error=failure)
 
     def _keep_checkpoint(self) -> None:
-        """Bring checkpoint and log to the store, without waiting for one that is away."""
+        """Upload checkpoint and log to the store, without waiting for one that is away."""
         for send in (self._carrier.send_checkpoint, self._carrier.send_log):
             try:
                 send()
@@ -313,18 +326,18 @@ class Attempt:
 
 
 def folder_name(name: str | None) -> str:
-    """What the capture is called in its report: the job's name, in letters that files bear."""
+    """Return the capture's name in its report: the job's name, in letters that file names allow."""
     return re.sub(r"[^\w.-]+", "_", name or "").strip("._")[:60] or "capture"
 
 
 def joined(earlier: list[dict[str, Any]], curve: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Two curves as one: of the earlier only what lies before the other begins, in seconds of training."""
+    """Join two curves: the earlier one only up to where the other begins, in seconds of training."""
     begins = curve[0]["seconds"] if curve else float("inf")
     return [row for row in earlier if row["seconds"] < begins] + curve
 
 
 def _kernel_kills() -> int:
-    """How many processes the kernel has killed for lack of memory since it started."""
+    """Return how many processes the kernel has killed for lack of memory since it booted."""
     try:
         with open("/proc/vmstat") as file:
             return next((int(line.split()[1]) for line in file if line.startswith("oom_kill ")), 0)

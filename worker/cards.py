@@ -1,6 +1,6 @@
-"""Which NVIDIA cards there are, as CUDA_VISIBLE_DEVICES names them.
+"""List the NVIDIA cards as CUDA_VISIBLE_DEVICES names them.
 
-NVML is asked, the driver's library that nvidia-smi uses: asking CUDA would load it into this process.
+NVML, the driver's library that nvidia-smi uses, answers this. Asking CUDA would load it into this process.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ NAME_THEM = "or name the cards by their numbers: --gpus 0,1"
 
 @dataclass(frozen=True)
 class Card:
-    """A card as NVML sees it. uuid: GPU-...; model: its name; instances: those that MIG cuts it into, each a device
-    with a uuid of its own (MIG-...), or None where MIG is off."""
+    """A card as NVML sees it.
+
+    uuid: GPU-.... model: its name. instances: those that MIG divides it into, each a device with a uuid of its own
+    (MIG-...), or None where MIG is off.
+    """
 
     uuid: str
     model: str
@@ -28,8 +31,11 @@ class Card:
 
 
 def all_cards() -> list[str]:
-    """Every device that this process may use: cards, and of a card in MIG mode its instances. CUDA_VISIBLE_DEVICES
-    limits them where it is set. Raises SetupError where there is none, and where NVML can't be asked."""
+    """Return every device that this process may use: cards, and the instances of a card in MIG mode.
+
+    CUDA_VISIBLE_DEVICES limits them where it is set. Raises SetupError where there is none, and where NVML can't be
+    asked.
+    """
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     found = _named_by_nvml() if visible is None else _named_by(visible)
     if not found:
@@ -41,7 +47,10 @@ def all_cards() -> list[str]:
 
 
 def _named_by_nvml() -> list[str]:
-    """By number, as long as each card is one device. CUDA counts cards in MIG mode otherwise: then by uuid."""
+    """Return the devices by number, as long as each card is one device, else by uuid.
+
+    CUDA counts cards in MIG mode in another way.
+    """
     cards = ask_nvml()
     if all(card.instances is None for card in cards):
         return [str(number) for number, _ in enumerate(cards)]
@@ -49,8 +58,10 @@ def _named_by_nvml() -> list[str]:
 
 
 def _named_by(visible: str) -> list[str]:
-    """Return what CUDA_VISIBLE_DEVICES names, up to the first that is no name, where CUDA stops too. Of a card in MIG
-    mode, its instances; NVML need not be there for the others."""
+    """Return the devices that CUDA_VISIBLE_DEVICES names, up to the first entry that is no name, where CUDA stops too.
+
+    A card in MIG mode stands for its instances. NVML is not needed for the other cards.
+    """
     names = [name.strip() for name in visible.split(",")]
     names = list(takewhile(lambda name: name and not name.startswith("-"), names))
     try:
@@ -66,9 +77,11 @@ def _resolve(name: str, cards: list[Card]) -> tuple[str, ...]:
 
 
 def _find(name: str, cards: list[Card]) -> Card | None:
-    """Return the card of a number or of the beginning of a uuid. NVML counts cards by their places on the bus, and CUDA
-    by their speed unless CUDA_DEVICE_ORDER says otherwise: a number means the same to both where all are of one
-    model."""
+    """Return the card of a number or of the beginning of a uuid.
+
+    NVML counts cards by their places on the bus, and CUDA by their speed unless CUDA_DEVICE_ORDER says otherwise. A
+    number means the same to both where all cards are of one model.
+    """
     if not name.isdecimal():
         return next((card for card in cards if card.uuid.startswith(name)), None)
     same = os.environ.get("CUDA_DEVICE_ORDER") == "PCI_BUS_ID" or len({card.model for card in cards}) == 1
@@ -80,8 +93,10 @@ def _devices(card: Card) -> tuple[str, ...]:
 
 
 def ask_nvml() -> list[Card]:
-    """Return the cards of this machine or container. Raises SetupError where NVML or its package is missing or
-    fails."""
+    """Return the cards of this machine or container.
+
+    Raises SetupError where NVML or its package is missing or fails.
+    """
     try:
         import pynvml
     except ImportError as error:
@@ -98,7 +113,7 @@ def ask_nvml() -> list[Card]:
 
 @contextmanager
 def _nvml(pynvml: Any) -> Iterator[None]:
-    """NVML is there within the block, and whatever fails is a SetupError."""
+    """Yield with NVML initialised. Raises SetupError for any NVML error in the block."""
     try:
         pynvml.nvmlInit()
         try:

@@ -1,4 +1,4 @@
-"""Carries what a running job makes to the store while it runs: checkpoint, previews, log."""
+"""Upload what a running job makes to the store while it runs: checkpoint, previews, log."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Carrier:
         self.cancel_seen = False  # in the store, should Redis have lost it
 
     def start(self) -> None:
-        """Begin to carry."""
+        """Start uploading."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Carry no more; an upload that is under way is waited for."""
+        """Stop uploading, after an upload that is under way has ended."""
         self._done.set()
         self._thread.join()
 

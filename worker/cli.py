@@ -1,5 +1,7 @@
-"""`mgsr-worker`: takes jobs of the service; `mgsr-worker run` makes one run on this machine, as `mgsr run` does,
-and `mgsr-worker health` is for health checks."""
+"""`mgsr-worker`: takes jobs of the service.
+
+`mgsr-worker run` makes one run on this machine, as `mgsr run` does, and `mgsr-worker health` is for health checks.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,10 @@ GpusOption = Annotated[
 
 @app.callback(invoke_without_command=True)
 def main(context: typer.Context, gpus: GpusOption = None) -> None:
-    """Takes jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE until it is stopped; a job that runs then
-    writes a checkpoint and goes back. With `run`, makes one run here, and needs neither."""
+    """Take jobs from the queue at MGSR_REDIS_URL and the store at MGSR_STORE until stopped.
+
+    A job that runs then writes a checkpoint and goes back. With `run`, make one run here, which needs neither.
+    """
     if context.invoked_subcommand is not None:
         return
     with refusals():

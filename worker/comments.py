@@ -1,4 +1,4 @@
-"""What the comments of a source file say of its dataclasses' fields: a setting's comment is its documentation."""
+"""Read the comments on dataclass fields in a source file: a setting's comment is its documentation."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import tokenize
 
 
 def field_comments(source: str) -> dict[str, dict[str, str]]:
-    """The comment of each field by class and field: the one on its lines, and the lines that go on below it, in small
-    letters; where there is none, the lines above it."""
+    """Return the comment of each field, by class and field.
+
+    It is the comment on the field's lines, with the lines below it that continue it in lower case. Without one, it is
+    the comment lines above.
+    """
     at = {t.start[0]: (t.string.lstrip("# "), t.line.lstrip().startswith("#")) for t in _tokens(source)}
     found: dict[str, dict[str, str]] = {}
     for node in ast.parse(source).body:

@@ -1,6 +1,6 @@
-"""Writes what the library's settings are to service/contract/library.json, so that the service needs no library.
+"""Write a description of the library's settings to service/contract/library.json, so that the service needs no library.
 
-python -m worker.describe, after each change of mgsr/config.py or of the version.
+Run `python -m worker.describe` after each change of mgsr/config.py or of the version.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ LIBRARY = Path(contract.__file__).with_name("library.json")
 
 
 def describe_library() -> dict[str, Any]:
-    """Version, presets, methods, and a JSON schema of every single setting with its meaning, by the comments of
-    mgsr/config.py, and its default in the preset standard."""
+    """Return version, presets, methods, and a JSON schema of every setting.
+
+    A schema has the setting's meaning, from the comments of mgsr/config.py, and its default in the preset standard.
+    """
     defaults, comments = Config(), field_comments(inspect.getsource(config))
     settings = {
         path: _schema(kind) | _meaning(defaults, path, kind, comments) | {"default": _value(defaults, path)}
@@ -33,7 +35,7 @@ def describe_library() -> dict[str, Any]:
 
 
 def as_text(library: dict[str, Any]) -> str:
-    """The file's content."""
+    """Return the description as the file's JSON text."""
     return json.dumps(library, indent=1) + "\n"
 
 
@@ -49,7 +51,7 @@ def _schema(kind: Any) -> dict[str, Any]:
 
 
 def _meaning(defaults: Config, path: str, kind: Any, comments: dict[str, dict[str, str]]) -> dict[str, str]:
-    """The setting's comment, and of a choice what its members mean."""
+    """Return the setting's comment, followed by the meaning of each member of an enum."""
     group, _, name = path.rpartition(".")
     texts = [comments[type(_value(defaults, group)).__name__].get(name, "")]
     texts += [" ".join((inspect.getdoc(part) or "").split()) for part in (kind, *get_args(kind)) if _is_choice(part)]

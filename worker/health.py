@@ -1,4 +1,4 @@
-"""Whether a worker of this machine lives: what a container's health check asks."""
+"""Tell a container's health check whether a worker of this machine lives."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ SILENT_SECONDS = 120.0
 
 
 def worker_health(redis: Redis) -> tuple[bool, str]:
-    """Whether a worker that was started on this host has spoken lately, and a line about it. A Redis server that does
-    not answer says nothing about the worker, which waits for it: that counts as healthy."""
+    """Return whether a worker that was started on this host has reported lately, and a line about it.
+
+    A Redis server that does not answer says nothing about the worker, which waits for it, so that counts as healthy.
+    """
     host = socket.gethostname()
     try:
         workers = [worker for worker in Worker.all(connection=redis) if worker.name.rsplit(".", 2)[0] == host]

@@ -1,4 +1,4 @@
-"""Refuses images that would fill the memory when they are decoded."""
+"""Refuse images that would fill the memory when they are decoded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mgsr.errors import ArchiveError
 
 
 def check_images(folder: Path, most: int) -> None:
-    """Raise ArchiveError for the first image below `folder` with more pixels than `most`, judged by its header."""
+    """Raise ArchiveError for the first image below `folder` whose header declares more pixels than `most`."""
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() not in IMAGE_SUFFIXES or not path.is_file():
             continue

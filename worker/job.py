@@ -1,5 +1,7 @@
-"""The job process: unpacks and reconstructs one scene. It knows neither Redis nor the store, and has no secrets: what
-strangers send is read here only. It is told what to do by a file, and tells by lines of JSON and a result file.
+"""The job process: unpacks and reconstructs one scene.
+
+It knows neither Redis nor the store and has no secrets, because only it reads what strangers send. A file tells it what
+to do; it answers with lines of JSON and a result file.
 
 python -m worker.job, with MGSR_JOB naming the spec and MGSR_JOB_PARENT the worker's process id.
 """
@@ -123,18 +125,18 @@ def _reconstruct(spec: JobSpec) -> None:
 
 
 def emit(kind: str, **data: Any) -> None:
-    """Tell the worker something. If it is gone, so are we in a moment."""
+    """Send the worker an event; if the worker is gone, this process ends soon too."""
     with contextlib.suppress(BrokenPipeError):
         os.write(EVENTS_FD, (json.dumps({"event": kind, **data}) + "\n").encode())
 
 
 def _tell(spec: JobSpec, kind: str, **data: Any) -> None:
-    """Tell the worker something that others will read."""
+    """Send the worker an event that others will read, without the worker's own paths."""
     emit(kind, **{name: _without_folders(value, spec) if name == "text" else value for name, value in data.items()})
 
 
 def _log(spec: JobSpec, display: EventCallback, event: Event) -> None:
-    """Log an event: others will read that, too."""
+    """Log an event that others will read, without the worker's own paths."""
     display(dataclasses.replace(event, text=_without_folders(event.text, spec)))
 
 
@@ -144,14 +146,14 @@ def _unexpected(error: BaseException) -> JobResult:
 
 
 def _without_folders(text: str, spec: JobSpec) -> str:
-    """The message without the worker's own paths, which mean nothing to who reads it."""
+    """Return the message without the worker's own paths, which mean nothing to its reader."""
     for folder, name in ((spec.scene, "archive"), (spec.out, "results")):
         text = text.replace(f"{folder}/", "").replace(str(folder), name)
     return text
 
 
 def _first_to_go() -> None:
-    """Have the kernel pick this process, not the worker, when memory runs out."""
+    """Make the kernel kill this process, not the worker, when memory runs out."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("800")
 

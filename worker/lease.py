@@ -1,4 +1,4 @@
-"""Keeps a job's lease while its worker lives."""
+"""Keep a job's lease while its worker lives."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from service.contract.live import Live
 
 
 class LeaseKeeper:
-    """Renews a lease in a thread of its own, so that no upload and no slow store lets it run out. Use in `with`.
+    """Renews a lease in a thread of its own, so that no upload and no slow store lets it expire; a context manager.
 
-    While Redis is away nobody else can take the lease either; when it comes back without it, it is taken anew.
+    While Redis is away nobody else can take the lease either. When Redis comes back without it, it is taken anew.
     """
 
     def __init__(self, live: Live, job: str, holder: str, seconds: float) -> None:

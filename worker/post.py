@@ -1,7 +1,7 @@
-"""Tells owners by webhook that their jobs have ended, signed as Standard Webhooks 1.0 has it.
+"""Tell owners by webhook that their jobs have ended, signed as Standard Webhooks 1.0 requires.
 
-What is still to be told lies in the store (`webhooks/`), so that neither a dead worker nor the loss of Redis loses it.
-Redis keeps when each is tried next. A message may come twice; its id is the same then.
+Pending messages lie in the store (`webhooks/`), so that neither a dead worker nor the loss of Redis loses them. Redis
+keeps the time of each one's next try. A message may come twice; its id is the same then.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Message:
     age: float
 
     def headers(self) -> dict[str, str]:
-        """Those of Standard Webhooks, signed now."""
+        """Return the headers of Standard Webhooks, signed with the current time."""
         sent = str(int(now().timestamp()))
         return {
             "Content-Type": "application/json",
@@ -63,13 +63,16 @@ class Post:
         self._jobs, self._redis, self._allow_private = jobs, redis, allow_private
 
     def look(self) -> None:
-        """Try each message whose time has come, once. Raises StoreError and redis.RedisError."""
+        """Try each due message once. Raises StoreError and redis.RedisError."""
         due = [message for job, number in self._jobs.untold_rounds() if (message := self._due(job, number)) is not None]
         if due:
             asyncio.run(self._deliver(due))
 
     def _due(self, job: str, number: int) -> Message | None:
-        """The message, claimed for one try; None while another worker tries it, or it waits."""
+        """Return the message, claimed for one try; None while another worker tries it or it waits.
+
+        Also None for a job without an outcome or a webhook.
+        """
         outcome, record = self._jobs.outcome(job, number), self._jobs.record(job)
         if outcome is None or record is None or record.options.webhook is None:
             return None
@@ -96,7 +99,7 @@ class Post:
         await asyncio.gather(*(one(message) for message in due))
 
     def _note(self, message: Message, trouble: str | None) -> None:
-        """Forget a message that arrived or never will; set the time of the next try."""
+        """Forget a message that arrived or never will; otherwise set the time of the next try."""
         job, number = message.record.id, message.round
         if trouble is None or trouble == str(_GONE) or message.age > GIVEN_UP_SECONDS:
             self._jobs.told(job, number)
@@ -111,7 +114,7 @@ class Post:
 
 
 def content(record: JobRecord, number: int, outcome: Outcome) -> dict[str, object]:
-    """What the receiver reads."""
+    """Return the message's JSON content: type, timestamp and data, with the job's outcome."""
     told = outcome.model_dump(mode="json", include={"status", "finished", "error", "metrics"})
     return {
         "type": f"job.{outcome.status}",
@@ -121,14 +124,14 @@ def content(record: JobRecord, number: int, outcome: Outcome) -> dict[str, objec
 
 
 def signature(secret: str, message: str, sent: str, body: bytes) -> str:
-    """HMAC-SHA256 over id, time and body, version 1 of Standard Webhooks."""
+    """Return the Standard Webhooks signature, version 1: HMAC-SHA256 over id, time and body."""
     key = base64.b64decode(secret.removeprefix("whsec_"))
     signed = f"{message}.{sent}.".encode() + body
     return "v1," + base64.b64encode(hmac.new(key, signed, hashlib.sha256).digest()).decode()
 
 
 async def call(message: Message, allow_private: bool) -> str | None:
-    """Send a message; None where it was taken (2xx), or why it was not. Redirects are not followed."""
+    """Send a message; return None where it was accepted (2xx), or why it was not. Redirects are not followed."""
     try:
         async with asyncio.timeout(TRY_SECONDS):
             url = httpx.URL(message.url)
@@ -150,7 +153,7 @@ async def call(message: Message, allow_private: bool) -> str | None:
 
 
 async def _address(url: httpx.URL, allow_private: bool) -> str | None:
-    """An IP address of the host; None where it has any that may not be called."""
+    """Return an IP address of the host; None where it has any that may not be called."""
     port = url.port or {"http": 80, "https": 443}[url.scheme]
     found = await asyncio.get_running_loop().getaddrinfo(url.host, port, type=socket.SOCK_STREAM)
     addresses = [str(entry[4][0]) for entry in found]

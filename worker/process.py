@@ -26,15 +26,17 @@ _PASSED_PREFIXES = (
 
 @dataclass(frozen=True)
 class Exit:
-    """How the process ended: its exit code, or minus the signal; the most memory it had, bytes."""
+    """How the process ended: its exit code, or minus the signal, and its peak memory, bytes."""
 
     code: int
     peak_memory: int
 
 
 class JobProcess:
-    """One run of worker/job.py: spawned afresh (so that no thread and no CUDA state is inherited), in a process group
-    of its own, tied to the thread that started it."""
+    """One run of worker/job.py, in a process group of its own and tied to the thread that started it.
+
+    It is spawned afresh, so that it inherits no thread and no CUDA state.
+    """
 
     def __init__(self, spec: Path, scratch: Path) -> None:
         self._buffer = b""
@@ -61,7 +63,7 @@ class JobProcess:
         self.peak_memory = 0
 
     def events(self) -> list[dict[str, Any]]:
-        """What it has told since the last call."""
+        """Return the events that it has sent since the last call."""
         try:
             while chunk := os.read(self._read, 1 << 16):
                 self._buffer += chunk
@@ -71,7 +73,7 @@ class JobProcess:
         return [json.loads(line) for line in lines if line.strip()]
 
     def poll(self) -> Exit | None:
-        """How it ended, or None while it runs."""
+        """Return how it ended, or None while it runs."""
         if self.exit is None:
             pid, status, usage = os.wait4(self.pid, os.WNOHANG)
             if pid != 0:
@@ -80,7 +82,7 @@ class JobProcess:
         return self.exit
 
     def memory(self) -> int:
-        """Bytes of memory that it has now; 0 once it is gone."""
+        """Return the bytes of memory that it uses; 0 once it is gone."""
         try:
             status = Path(f"/proc/{self.pid}/status").read_text()
         except OSError:
@@ -91,18 +93,18 @@ class JobProcess:
         return now
 
     def ask_to_stop(self) -> None:
-        """Have it write a checkpoint and end."""
+        """Ask it to write a checkpoint and end."""
         self._signal(signal.SIGTERM)
 
     def kill(self) -> Exit:
-        """End it and whatever it started, and wait until it is gone."""
+        """Kill it and whatever it started, and wait until they are gone."""
         self._signal(signal.SIGKILL)
         while (ended := self.poll()) is None:
             time.sleep(0.01)
         return ended
 
     def close(self) -> None:
-        """Make sure that it is gone, and let go of the pipe."""
+        """Make sure that it is gone, and close the pipe."""
         if self.exit is None:
             self.kill()
         os.close(self._read)

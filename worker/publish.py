@@ -1,4 +1,4 @@
-"""Brings an attempt's results to the store, and says what they are."""
+"""Upload an attempt's results to the store, and describe them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _METRICS = ("psnr_test", "ssim_test", "mesh", "gaussians", "iterations", "second
 
 
 def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Artifact]:
-    """Every result file, uploaded under the attempt. Raises StoreError."""
+    """Upload every result file under the attempt, and return the artifacts. Raises StoreError."""
     artifacts = []
     for path in sorted(out.rglob("*")):
         name = path.relative_to(out).as_posix()
@@ -36,7 +36,7 @@ def upload_results(store: Store, job: str, attempt: int, out: Path) -> list[Arti
 
 
 def headline(out: Path) -> dict[str, Any]:
-    """Return the figures of report.json that a job's own document shows, and its notes on the photographs."""
+    """Return the figures of report.json for the job's own document, and its notes on the photographs."""
     report = json.loads((out / "report.json").read_text())
     figures = {name: report[name] for name in _METRICS if report.get(name) is not None}
     notes = report.get("input", {}).get("notes")
@@ -49,5 +49,5 @@ def _sha256(path: Path) -> str:
 
 
 def media_type(name: str) -> str:
-    """Of a result file, by its name."""
+    """Return the media type of a result file, by its name."""
     return _TYPES.get(Path(name).suffix) or mimetypes.guess_type(name)[0] or "application/octet-stream"

@@ -1,4 +1,4 @@
-"""Turns a run's events into what the worker passes on: progress that a person believes, and preview pictures."""
+"""Turn a run's events into what the worker passes on: credible progress, and preview pictures."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Reporter:
             self._emit("step", text=event.text, step=event.step, **self._place(self._reached(left), left))
 
     def _prepare(self, event: Event) -> None:
-        """Tell of a step before training: how far it is and how long it will go on, where it says."""
+        """Report a step before training: how far it is and how long it will take, where it says so."""
         if event.step != self._step:
             self._step, self._begun = event.step, time.monotonic()
         begin, done = BEFORE[event.step], event.done
@@ -103,7 +103,7 @@ class Reporter:
         )
 
     def _note(self, training: Progress) -> None:
-        """Add a row to the curve; a long run's is thinned by half when it gets long."""
+        """Add a row to the curve; a long curve is thinned by half."""
         self._curve.append(
             {
                 "seconds": round(training.seconds, 1),
@@ -117,7 +117,10 @@ class Reporter:
             self._curve = self._curve[::2]
 
     def _left(self, training: Progress) -> float | None:
-        """Seconds to the run's end: the rest of training at its pace so far, and what comes after it."""
+        """Return the seconds to the run's end: the rest of training at its pace so far, and what follows it.
+
+        None while training is less than a hundredth done.
+        """
         if training.done < 0.01:
             return None
         whole_training = training.seconds / training.done
@@ -125,12 +128,12 @@ class Reporter:
         return whole_training - training.seconds + self._after
 
     def _reached(self, left: float, trained: float = 0.0) -> float:
-        """Progress by the share of the time from training on that has passed; training before a resume counts too."""
+        """Return progress 0..1, from the share of time since training began; training before a resume counts too."""
         spent = max(time.monotonic() - self._begun, trained)
         return BEFORE["train"] + (1 - BEFORE["train"]) * spent / (spent + left)
 
     def _place(self, progress: float, left: float | None) -> dict[str, Any]:
-        """Progress, which never falls, and the time left; nothing of the step's own."""
+        """Return progress, which never falls, and the time left; the step's own fields are None."""
         self._progress = max(self._progress, min(progress, 0.99))
         whole = {"progress": round(self._progress, 4), "eta_seconds": None if left is None else round(left, 1)}
         return whole | {"step_progress": None, "step_eta_seconds": None}

@@ -1,4 +1,4 @@
-"""Takes up rounds of jobs: claims them, has an attempt made, and files how they ended."""
+"""Take up rounds of jobs: claim them, make an attempt, and file how they ended."""
 
 from __future__ import annotations
 
@@ -40,8 +40,10 @@ class Rounds:
         self.jobs = Jobs(Store(settings.store_url, SHORT_PATIENCE))
 
     def take(self, job: str, number: int, beat: Callable[[], None]) -> None:
-        """Work on a round, unless another worker does or it is over. Trouble with Redis or the store is logged; the
-        round then stays open, and recovery puts it back into the queue."""
+        """Work on a round, unless another worker does or it is over.
+
+        Errors of Redis or the store are logged. The round then stays open, and recovery puts it back into the queue.
+        """
         holder = f"{self.name}.{secrets.token_hex(4)}"
         try:
             if not self.live.take_lease(job, holder, self._settings.lease):
@@ -75,7 +77,7 @@ class Rounds:
                 self.queue.put(job, number, queue_for(record.options), first=True)
 
     def _end(self, record: JobRecord, number: int, outcome: Outcome) -> None:
-        """File the outcome, tell who listens, and drop what is of no more use."""
+        """File the outcome, tell listeners, and delete what is no longer needed."""
         won = self.patient.finish(record.id, number, outcome)
         log.info("job %s: %s%s", record.id, outcome.status, "" if won else ", but another attempt was first")
         if not won:

@@ -37,26 +37,27 @@ current_worker: ContextVar[MgsrWorker] = ContextVar("current_worker")
 
 
 class NoPenalty(BaseDeathPenalty):
-    """RQ's alarm clock, switched off: the job's own deadline is watched by the attempt."""
+    """RQ's timeout, switched off: the attempt watches the job's own deadline."""
 
     def setup_death_penalty(self) -> None:
         """Set no alarm."""
 
     def cancel_death_penalty(self) -> None:
-        """There is none."""
+        """Cancel nothing: no alarm was set."""
 
 
 class StopWish:
-    """SIGTERM and SIGINT: a running attempt writes a checkpoint and goes back into the queue, an idle worker ends.
+    """The wish to stop, from SIGTERM or SIGINT: a running attempt writes a checkpoint and goes back into the queue.
 
-    One for the life of the process: RQ's own handlers belong to a worker, of which each loss of Redis makes a new one.
+    An idle worker ends. There is one for the life of the process: RQ's own handlers belong to a worker, and each loss
+    of Redis makes a new worker.
     """
 
     def __init__(self) -> None:
         self.asked = self.busy = False
 
     def heed_signals(self) -> None:
-        """From now on, for this process."""
+        """Install the signal handlers for this process."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, self._ask)
 
@@ -70,7 +71,7 @@ class StopWish:
 
 
 class MgsrWorker(SimpleWorker):
-    """Runs its tasks in its own process, which only supervises: the job itself is a process that `Attempt` spawns."""
+    """Runs its tasks in its own process, which only supervises; `Attempt` spawns the job itself as a process."""
 
     death_penalty_class = NoPenalty
     max_connection_wait_time = 2.0
@@ -105,7 +106,7 @@ class MgsrWorker(SimpleWorker):
             raise StopRequested
 
     def _install_signal_handlers(self) -> None:
-        """None of its own: see StopWish."""
+        """Install no handlers of its own (see StopWish)."""
 
     def handle_exception(self, job: Job, *exc_info: Any) -> None:
         """Log what should not have happened; recovery puts the round back."""
@@ -113,7 +114,7 @@ class MgsrWorker(SimpleWorker):
 
 
 def work(queues: list[str], settings: Settings) -> None:
-    """Take jobs until SIGTERM or SIGINT. Survives restarts of Redis."""
+    """Take jobs until SIGTERM or SIGINT, across restarts of Redis."""
     for chore in (_keep_house, _send_post):
         threading.Thread(target=chore, args=(settings,), daemon=True, name=chore.__name__).start()
     stop = StopWish()
@@ -145,7 +146,7 @@ def _keep_house(settings: Settings) -> None:
 
 
 def _send_post(settings: Settings) -> None:
-    """Deliver webhooks, in a thread that slow receivers may hold up without harm."""
+    """Deliver webhooks in a thread, which slow receivers may delay without harm."""
     rounds = Rounds(settings, connect(settings.need_redis()), lambda: False)
     post = Post(rounds.jobs, rounds.live.redis, settings.webhook_private)
     while True:

@@ -1,4 +1,4 @@
-"""Folders for attempts, of which none outlives its worker for long, however that dies."""
+"""Folders for attempts. None outlives its worker for long, however the worker dies."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from pathlib import Path
 
 @contextmanager
 def scratch_folder(root: Path, name: str) -> Iterator[Path]:
-    """A new folder under `root`, removed at the block's end. A lock beside it, which the kernel lets go of when this
-    process dies, tells `sweep` that the folder is in use."""
+    """Yield a new folder under `root`, which is removed at the block's end.
+
+    A lock beside it tells `sweep` that the folder is in use. The kernel releases the lock when this process dies.
+    """
     root.mkdir(parents=True, exist_ok=True, mode=0o700)
     folder = root / f"{name}.{secrets.token_hex(4)}"
     lock = _hold(folder.with_suffix(folder.suffix + ".lock"))
@@ -28,7 +30,7 @@ def scratch_folder(root: Path, name: str) -> Iterator[Path]:
 
 
 def sweep(root: Path) -> None:
-    """Remove the folders of workers that are gone."""
+    """Remove the folders of dead workers."""
     for lock in root.glob("*.lock"):
         with suppress(OSError):
             handle = os.open(lock, os.O_RDWR)
@@ -41,7 +43,7 @@ def sweep(root: Path) -> None:
 
 
 def _hold(path: Path) -> int:
-    """A locked file. Should `sweep` have removed it between the two steps, it is made again."""
+    """Create and lock a file, and return its descriptor; the file is made again if `sweep` removed it in between."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
         fcntl.flock(handle, fcntl.LOCK_EX)

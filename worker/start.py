@@ -1,4 +1,4 @@
-"""Starts one worker in this process, or one for each card."""
+"""Start one worker in this process, or one for each card."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ _CARD = "MGSR_WORKER_CARD"
 
 
 def start_workers(gpus: str | None) -> None:
-    """Work until a signal. gpus: "all", or cards by number or uuid, as in CUDA_VISIBLE_DEVICES; None: on the CPU.
-    Raises SetupError."""
+    """Work until a signal.
+
+    gpus: "all", or cards by number or uuid, as in CUDA_VISIBLE_DEVICES; None works on the CPU. Raises SetupError.
+    """
     if _CARD in os.environ:
         _work(on_card=True)
     elif gpus is None:
@@ -38,7 +40,7 @@ def _work(on_card: bool) -> None:
 
 
 def _one_for_each(cards: list[str]) -> None:
-    """A worker for each card, which starts again if it dies; a signal to this process ends all of them."""
+    """Run a worker for each card, restarted if it dies, until a signal to this process ends all of them."""
     settings = Settings()
     settings.need_redis()
     children = [

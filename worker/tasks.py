@@ -1,4 +1,4 @@
-"""What the queue may ask of a worker, by name."""
+"""The tasks that the queue may ask of a worker, by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a running attempt must stop, found by looking at it a few times a second."""
+"""Look a few times a second for a reason why a running attempt must stop."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Reason(StrEnum):
 
 
 class Watch:
-    """Looks at everything that can end an attempt. `look` gives the first reason found; it stays."""
+    """Looks at everything that can end an attempt. `look` returns the first reason found; it stays."""
 
     def __init__(
         self,
@@ -42,7 +42,7 @@ class Watch:
         memory_limit: int,
         outside: Callable[[], Reason | None],
     ) -> None:
-        """deadline: seconds from now. outside: what others than this class know."""
+        """Start the watch. deadline: seconds from now. outside: reports reasons that other classes know."""
         self._live, self._job, self._number = live, job, number
         self._ends = time.monotonic() + deadline
         self._scratch, self._min_free_disk, self._memory_limit = scratch, min_free_disk, memory_limit
@@ -51,7 +51,7 @@ class Watch:
         self.reason: Reason | None = None
 
     def look(self, memory: Callable[[], int] | None = None) -> Reason | None:
-        """The reason to stop, if there is one by now. memory: measures the job process."""
+        """Return the reason to stop, if there is one by now. memory: measures the job process."""
         if self.reason is None:
             self.reason = self._outside() or self._find(memory)
         return self.reason

@@ -1,1 +1,1 @@
-"""Everything that only a card can show, in three parts; `scripts/gpu_check.sh` is the door."""
+"""All checks that only a card can do, in three parts; `scripts/gpu_check.sh` starts them."""

@@ -1,4 +1,4 @@
-"""Everything that only a card can show:
+"""All checks that only a card can do.
 
     scripts/gpu_check.sh [1|2|3] [FOLDER] [PACKED...]
 

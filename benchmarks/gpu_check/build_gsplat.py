@@ -1,4 +1,4 @@
-"""Builds gsplat for the card, and keeps the build for later steps: gsplat.json says what they need to import it.
+"""Build gsplat for the card, and keep the build for later steps: gsplat.json says what they need to import it.
 
 From the wheel that was brought, or as the interpreter has it. A small picture by each of its functions shows that the
 build works. It takes minutes.
@@ -37,8 +37,10 @@ def main() -> None:
 
 
 def compiler_settings() -> dict[str, str]:
-    """For this card alone, beside other work, and with the headers that CUDA 13's toolkit keeps in a folder of their
-    own."""
+    """Return the compiler's settings: for this card alone, beside other work.
+
+    CUDA 13's toolkit keeps headers in a folder of their own, which is among them.
+    """
     import torch
 
     cores = os.cpu_count() or 1
@@ -54,7 +56,10 @@ def compiler_settings() -> dict[str, str]:
 
 
 def render_small(device: str, package: str | None) -> None:
-    """Forward and backward of gsplat's functions. Raises SystemExit where gsplat can't be used."""
+    """Render a small picture forward and backward with each of gsplat's functions.
+
+    Raises SystemExit where gsplat can't be used.
+    """
     import sys
 
     if package is not None:

@@ -1,4 +1,4 @@
-"""Builds the CPU kernels where they are missing: cmake, ninja, nanobind and a C++ compiler are needed then."""
+"""Build the CPU kernels where they are missing: cmake, ninja, nanobind and a C++ compiler are needed then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs pytest where there is a card, and counts its outcomes: without one, tests are skipped, and nothing is shown."""
+"""Run pytest where there is a card, and count its outcomes: without one, tests are skipped, and nothing is shown."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from benchmarks.gpu_check.results import tell
 
 
 class Outcomes:
-    """A plugin that counts: passed, failed and skipped tests."""
+    """A plugin that counts passed, failed and skipped tests."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()

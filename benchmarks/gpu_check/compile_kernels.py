@@ -1,4 +1,4 @@
-"""Compiles every family of CUDA kernels for the card, timed; without a card, for one that is named here."""
+"""Compile every family of CUDA kernels for the card, timed; without a card, for one that is named here."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs single kernels inside the range that ncu watches: forward and backward of both branches, and the image loss.
+"""Run single kernels inside the range that ncu watches: forward and backward of both branches, and the image loss.
 
 ncu --profile-from-start off python -m benchmarks.gpu_check.counted_kernels ...
 """
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def rounds(size: str, device: torch.device) -> Callable[[], None]:
-    """Return what launches each of the kernels once."""
+    """Return a function that launches each of the kernels once."""
     scene = make_scene(size, device)
     modes = our_modes(scene)
     height, width = scene.camera.height, scene.camera.width

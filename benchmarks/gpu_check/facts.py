@@ -1,4 +1,4 @@
-"""Says what is measured, where, and with which versions."""
+"""Print what is measured, where, and with which versions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a person sees after an illegal address: a training on the card, whose kernels go wrong in its midst.
+"""Check of what a person sees after an illegal address: a training on the card, whose kernels go wrong in its midst.
 
 A process of its own trains the ball, as `mgsr train` would tell of it, and launches a kernel of ours on addresses that
 are nobody's. It should end with one message that says what to do, and exit code 2, as after all that is refused.
@@ -89,8 +89,10 @@ def main() -> None:
 
 
 def ended(words: list[str], limit: float = LIMIT) -> tuple[int | None, str]:
-    """Return a process's exit code, None where it had to be killed after so many seconds, and what it said on
-    stderr."""
+    """Return a process's exit code, and what it said on stderr.
+
+    The exit code is None where the process had to be killed after so many seconds.
+    """
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True, errors="replace")
     try:
         _, error = process.communicate(timeout=limit)

@@ -1,4 +1,4 @@
-"""Reads the card's counters for single kernels with ncu: how long they take, and how busy they keep its parts.
+"""Read the card's counters for single kernels with ncu: how long they take, and how busy they keep its parts.
 
 Where ncu can't (it is missing, or counters are for administrators alone), what it says is the result.
 """
@@ -52,15 +52,17 @@ def main() -> None:
 
 
 def shown(lines: Iterable[str]) -> Iterator[str]:
-    """Print the lines as they come."""
+    """Print the lines as they come, and yield them."""
     for line in lines:
         print(line, end="", flush=True)
         yield line
 
 
 def read_metrics(lines: Iterable[str]) -> dict[str, dict[str, str]]:
-    """ncu's numbers with their units, by the kernel and the metric's name; of a kernel that ran twice, the last run's.
-    Where two sections name a metric, the first one's stays."""
+    """Parse ncu's numbers with their units, by the kernel and the metric's name.
+
+    Of a kernel that ran twice, the last run's are taken. Where two sections name a metric, the first one's stays.
+    """
     found, metrics = dict[str, dict[str, str]](), dict[str, str]()
     for line in lines:
         kernel, metric = KERNEL.match(line), METRIC.match(line.rstrip())

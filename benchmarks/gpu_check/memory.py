@@ -44,13 +44,16 @@ class Memory(Protocol):
         """Return what `render` gives, and the most bytes that it takes beside what is held already."""
 
     def leaving(self, count: int) -> AbstractContextManager[None]:
-        """Within the block, so many bytes are free."""
+        """Leave so many bytes free within the block."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a rendering went with so many bytes free. state: same, other (other pixels or gradients), refused (by a
-    GpuError), failed (by anything else); detail: the message, or the largest difference of gradients, relative."""
+    """The outcome of a rendering with so many bytes free.
+
+    state: same, other (other pixels or gradients), refused (by a GpuError), failed (by anything else); detail: the
+    message, or the largest difference of gradients, relative.
+    """
 
     share: float
     free: int
@@ -59,7 +62,7 @@ class Outcome:
 
 
 class CardMemory:
-    """Of the current card, as torch uses it."""
+    """The memory of the current card, as torch uses it."""
 
     def peak_of(self, render: Callable[[], Rendered]) -> tuple[Rendered, int]:
         torch.cuda.empty_cache()
@@ -80,8 +83,11 @@ class CardMemory:
 
 
 def starved(render: Callable[[], Rendered], memory: Memory, shares: Sequence[float] = SHARES) -> Iterator[Outcome]:
-    """Return the rendering with shares of the memory that it takes, the largest first, each beside the one that had
-    enough. After one that failed, nothing more is tried: the card may be unusable."""
+    """Yield the outcomes of a rendering with shares of the memory that it takes, the largest first.
+
+    Each is compared with the rendering that had enough. After one that failed, nothing more is tried: the card may be
+    unusable.
+    """
     whole, peak = memory.peak_of(render)
     for share in shares:
         free = round(share * peak)
@@ -121,7 +127,7 @@ def verdict(outcomes: Sequence[Outcome]) -> str | None:
 
 
 def rendering(scene: Scene, mode: str) -> Callable[[], Rendered]:
-    """Forward and backward, with what comes of them on the CPU."""
+    """Return a function that renders a scene forward and backward, with the results on the CPU."""
     render = our_modes(scene)[mode]
 
     def go() -> Rendered:

@@ -1,4 +1,4 @@
-"""Profiles iterations in the middle of a training: of the training loop itself, with guard, statistics and
+"""Profile iterations in the middle of a training: of the training loop itself, with guard, statistics and
 densification, with the splats that it has there.
 
 Three stretches follow one another in the middle of the last stage: one without any profiler, whose times are the ones
@@ -63,9 +63,10 @@ class Profile:
 
 
 class Watch:
-    """Stands where training asks whether to stop, before every iteration, and measures the stretches there.
+    """A watch that measures the stretches.
 
-    progress tells of the training's place. after: seconds after which the stretches begin wherever training is.
+    It stands where training asks whether to stop, before every iteration. progress tells of the training's place.
+    after: seconds after which the stretches begin wherever training is.
     """
 
     def __init__(self, config: Config, device: torch.device, count: int, after: float, work: Path) -> None:
@@ -79,7 +80,7 @@ class Watch:
         self.made: list[Stretch] = []
 
     def progress(self, progress: Progress) -> None:
-        """Begin before the next iteration, where that is the middle."""
+        """Begin the stretches before the next iteration, where that is the middle."""
         middle = progress.stage in LAST_STAGES and 2 * progress.iteration >= progress.total - self._needed
         aligned = progress.iteration % self._every == 0
         if self._stretches is None and ((middle and aligned) or time.monotonic() > self._latest):
@@ -87,7 +88,7 @@ class Watch:
             self._stretches = self._measure()
 
     def should_stop(self) -> bool:
-        """Whether everything is measured."""
+        """Return whether everything is measured."""
         if self._stretches is None:
             return False
         return next(self._stretches, True) is True
@@ -99,13 +100,13 @@ class Watch:
 
     @property
     def result(self) -> Profile | None:
-        """None where training ended before everything was measured."""
+        """Return the profile; None where training ended before everything was measured."""
         if self._where is None or len(self.made) < 3:
             return None
         return Profile(self._where, *self.made)
 
     def _measure(self) -> Generator[None, None, None]:
-        """Go on by one iteration at each step."""
+        """Measure the stretches; each step of the generator is one iteration."""
         yield from self._stretch("plain", max(self._every, self._count), None)
         for name, kinds in (("card", [ProfilerActivity.CUDA]), ("all", [ProfilerActivity.CPU, ProfilerActivity.CUDA])):
             # The stretch ends with the iteration after which splats are added and removed.

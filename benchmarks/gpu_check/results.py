@@ -26,7 +26,7 @@ class Results:
         self._lock = threading.Lock()  # of the threads that follow steps' output
 
     def add(self, name: str, text: str) -> None:
-        """Append text to a file, which is on disk then. A file that is full takes no more."""
+        """Append text to a file, which is on disk then; a file that is full takes no more."""
         path, content = self.folder / name, text.encode(errors="replace")
         with self._lock, path.open("ab") as file:
             if file.tell() + len(content) <= self._largest:
@@ -45,8 +45,10 @@ class Results:
         return [row for row in map(json.loads, lines) if row["step"] == step]
 
     def keep_splats(self, scene: str, files: list[Path]) -> int:
-        """Put a scene's files into splats.zip, in place of those of an earlier training; the archive is there whole or
-        not at all. The size that it has then; 0, and nothing is changed, where it would be too large."""
+        """Put a scene's files into splats.zip, in place of those of an earlier training, and return the archive's size.
+
+        The archive is there whole or not at all. Where it would be too large, nothing is changed, and 0 is returned.
+        """
         target = self.folder / SPLATS
         unfinished = target.with_name("splats_unfinished.zip")
         with zipfile.ZipFile(unfinished, "w") as archive:

@@ -1,4 +1,4 @@
-"""Runs steps as processes, each with a limit of time, their output in the results as it comes."""
+"""Run steps as processes, each with a limit of time, their output in the results as it comes."""
 
 from __future__ import annotations
 
@@ -37,8 +37,11 @@ class CutOffError(Exception):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a check runs: results, work (a folder that stays on the machine for later calls), the interpreter, the
-    device, and the packed scenes and wheels that were brought, as files and folders."""
+    """The place where a check runs.
+
+    It has the results, work (a folder that stays on the machine for later calls), the interpreter, the device, and the
+    packed scenes and wheels that were brought, as files and folders.
+    """
 
     results: Results
     work: Path
@@ -109,12 +112,12 @@ class Running:
 
     @property
     def seconds(self) -> float:
-        """Since it was begun."""
+        """Return the seconds since the process was begun."""
         return time.monotonic() - self.begun
 
     @property
     def last_lines(self) -> str:
-        """The end of what it printed."""
+        """Return the end of what the process printed."""
         return "".join(f"    {line}" for line in self._last)
 
     def _follow(self, stream: IO[str], file: str) -> threading.Thread:
@@ -140,8 +143,10 @@ class Running:
 
 
 def run_part(steps: list[Step], place: Place, limit: float, skip: frozenset[str] = frozenset()) -> bool:
-    """Run a part's steps one after the other within so many seconds; whether all went well. A step that fails does not
-    stop the others. Raises CutOffError after a signal, once everything that runs is ended."""
+    """Run a part's steps one after the other within so many seconds, and return whether all went well.
+
+    A step that fails does not stop the others. Raises CutOffError after a signal, once everything that runs is ended.
+    """
     ends, alive, good = time.monotonic() + limit, list[Running](), True
 
     def finish(running: Running) -> bool:
@@ -177,7 +182,7 @@ def say(results: Results, line: str) -> None:
 
 @contextlib.contextmanager
 def cut_off_by_signals() -> Iterator[None]:
-    """Signals that end a program, as CutOffError."""
+    """Raise CutOffError within the block for signals that end a program."""
 
     def cut(number: int, frame: FrameType | None) -> None:
         for each in ENDING:  # nothing disturbs the ending of what runs

@@ -22,7 +22,7 @@ MEMCHECKED = ("volumes", "surfels", "image")
 
 
 def parts() -> dict[int, list[Step]]:
-    """Return steps by the part's number."""
+    """Return the steps of each part, by its number."""
     return {1: _first(), 2: _second(), 3: _third()}
 
 
@@ -90,7 +90,10 @@ def _settings() -> list[str]:
 
 
 def packed_scene(place: Place, name: str) -> Path:
-    """Return the packed scene of that name among what was brought. Raises LeftOutError where it is not there."""
+    """Return the packed scene of that name among what was brought.
+
+    Raises LeftOutError where it is not there.
+    """
     files = [file for each in place.brought for file in ([each] if each.is_file() else sorted(each.glob("*.npz")))]
     found = next((file for file in files if file.stem == name), None)
     if found is None:
@@ -124,7 +127,10 @@ def _memcheck(family: str) -> Callable[[Place], list[str]]:
 
 
 def _benchmark(beside: bool) -> Callable[[Place], list[str]]:
-    """beside: only where gsplat has come to be there since the benchmark before, which went without it."""
+    """Return a function that gives the benchmark's command.
+
+    beside: only where gsplat has come to be there since the benchmark before, which went without it.
+    """
 
     def command(place: Place) -> list[str]:
         built, done = _built_gsplat(place), place.work / "measured_beside_gsplat"
@@ -165,14 +171,19 @@ def _built_gsplat(place: Place) -> dict[str, str] | None:
 
 
 def _environment(place: Place) -> dict[str, str]:
-    """Return the project and the packages that were brought; the interpreter's cmake and ninja, and the toolkit's
-    programs, which images leave out of the path."""
+    """Return the environment in which Python finds the project and the packages that were brought.
+
+    The path has the interpreter's cmake and ninja, and the toolkit's programs, which images leave out of it.
+    """
     path = (str(Path(place.python).parent), os.environ.get("PATH", ""), "/usr/local/cuda/bin")
     return {"PYTHONPATH": _joined([str(ROOT), *sites(place)]), "PATH": os.pathsep.join(path)}
 
 
 def _without_cache(place: Place) -> dict[str, str]:
-    """Each of torch's tensors as an allocation of its own, so that reading past one shows."""
+    """Return the environment in which each of torch's tensors is an allocation of its own.
+
+    So reading past one shows.
+    """
     return {**_environment(place), "PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}
 
 

@@ -1,4 +1,4 @@
-"""Reads a trace of torch's profiler (Chrome's format): kernels, gaps, waits, launches and torch's operations."""
+"""Read a trace of torch's profiler (Chrome's format): kernels, gaps, waits, launches and torch's operations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIEWS = {
 
 @dataclass(frozen=True)
 class Event:
-    """Something that took time, in microseconds."""
+    """An event of the trace that took time, in microseconds."""
 
     kind: str
     name: str
@@ -37,8 +37,11 @@ class Event:
 
 @dataclass(frozen=True)
 class KernelRow:
-    """All runs of one kernel: how often and how long, milliseconds, an iteration; the median run, microseconds; its
-    share of the time of all kernels."""
+    """All runs of one kernel.
+
+    How often and how long, milliseconds, an iteration; the median run, microseconds; its share of the time of all
+    kernels.
+    """
 
     name: str
     runs: float
@@ -49,7 +52,7 @@ class KernelRow:
 
 @dataclass(frozen=True)
 class Gap:
-    """Time, microseconds, in which the card did nothing, between two things that it did."""
+    """A time, in microseconds, in which the card did nothing, between two things that it did."""
 
     length: float
     before: str
@@ -88,12 +91,12 @@ def kernel_rows(events: Iterable[Event], iterations: int) -> list[KernelRow]:
 
 
 def on_card(events: Iterable[Event]) -> list[Event]:
-    """Kernels, copies and fills."""
+    """Return the kernels, copies and fills."""
     return [event for event in events if event.kind in GPU]
 
 
 def busy(events: Iterable[Event]) -> float:
-    """Milliseconds in which the card did something; what runs at the same time counts once."""
+    """Return the milliseconds in which the card did something; what runs at the same time counts once."""
     total, reached = 0.0, float("-inf")
     for event in on_card(events):
         total += max(0.0, event.end - max(event.begin, reached))
@@ -113,17 +116,17 @@ def gaps(events: Iterable[Event]) -> list[Gap]:
 
 
 def waits(events: Iterable[Event]) -> float:
-    """Milliseconds in which the host waited for the card."""
+    """Return the milliseconds in which the host waited for the card."""
     return sum(e.duration for e in events if e.kind in RUNTIME and "Synchronize" in e.name) / 1e3
 
 
 def launches(events: Iterable[Event]) -> int:
-    """How many kernels the card ran."""
+    """Return how many kernels the card ran."""
     return sum(event.kind == "kernel" for event in events)
 
 
 def operations(events: Iterable[Event]) -> dict[str, int]:
-    """Torch's operations that were asked for, but for views, by their names; what one calls inside is not counted."""
+    """Count torch's operations that were asked for, but for views, by name; what one calls inside is not counted."""
     counts, ends = defaultdict[str, int](int), dict[tuple[Any, Any], float]()
     for event in events:
         if event.kind != "cpu_op" or not event.name.startswith("aten::"):

@@ -1,4 +1,4 @@
-"""Trains a packed scene on the card, or the tests' ball; its numbers go into results.jsonl.
+"""Train a packed scene on the card, or the tests' ball; its numbers go into results.jsonl.
 
 --bring-home: its splats go into splats.zip, too. --same-as STEP: what was learnt is compared, byte for byte, with what
 the step of that name learnt.
@@ -49,12 +49,15 @@ def line(facts: dict[str, Any]) -> str:
 
 
 def finished(facts: dict[str, Any]) -> bool:
-    """Whether no stage was ended by the deadline."""
+    """Return whether no stage was ended by the deadline."""
     return all(reason != "deadline" for _, _, reason in facts["stages"].values())
 
 
 def compare(facts: dict[str, Any], others: list[dict[str, Any]], name: str) -> None:
-    """Say whether what was learnt is the same; SystemExit where it is not, or nothing can be said."""
+    """Print whether what was learnt is the same as in an earlier training.
+
+    Raises SystemExit where it is not, or nothing can be said.
+    """
     if not others:
         raise SystemExit(f"{name} left no row to compare with")
     other = others[-1]
@@ -67,7 +70,7 @@ def compare(facts: dict[str, Any], others: list[dict[str, Any]], name: str) -> N
 
 
 def bring_home(results: Results, scene: str, out: Path) -> None:
-    """Into splats.zip, what `mgsr mesh` and `mgsr evaluate` need."""
+    """Put into splats.zip what `mgsr mesh` and `mgsr evaluate` need."""
     files = [out / name for name in (*LEARNT, *FINDINGS, "training.json") if (out / name).is_file()]
     size = results.keep_splats(scene, files)
     if size:

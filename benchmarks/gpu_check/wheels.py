@@ -34,8 +34,10 @@ WANTED = (
 
 
 def fetch_wheels(folder: Path, wanted: Sequence[Wanted] = WANTED) -> list[Path]:
-    """Put the wheels into a folder, by pip, slimmed; a package that is there stays. Raises CalledProcessError where pip
-    finds none."""
+    """Download the wheels into a folder, by pip, and slim them; a package that is there stays.
+
+    Raises CalledProcessError where pip finds none.
+    """
     return [find_wheel([folder], _name(each)) or _fetch(folder, each) for each in wanted]
 
 

@@ -15,7 +15,7 @@ OURS = ("psnr", "normal_consistency", "chamfer", "split_gain", "seconds")
 
 
 def ablation_section(rows: Sequence[Row]) -> str:
-    """The table of the rows beside the paper's means, and each finding's verdict."""
+    """Return the table of the ablation rows beside the paper's means, and each finding's verdict, as Markdown."""
     return "\n\n".join(
         (
             "## The paper's ablation rows",
@@ -34,7 +34,7 @@ def ablation_section(rows: Sequence[Row]) -> str:
 
 
 def choices_section(rows: Sequence[Row]) -> str:
-    """Our defaults beside the paper's choices."""
+    """Return the table of our defaults beside the paper's choices, as Markdown."""
     missing = [row.name for row in PAPER_CHOICES if not held_against(_runs(row, rows), rows)]
     parts = [
         "## Where a default differs from the paper's",
@@ -51,7 +51,7 @@ def _runs(row: AblationRow, rows: Sequence[Row]) -> dict[str, Row]:
 
 
 def _table(chosen: Sequence[AblationRow], rows: Sequence[Row], paper: bool = True) -> str:
-    """Rows that were not run have dashes; no table without a row."""
+    """Return a table of ablation rows; rows that were not run have dashes, and without a row there is no table."""
     if not chosen:
         return ""
     head = ["row", "what it changes", "scenes", "PSNR", "NC", "Chamfer", "split gain", "seconds"]
@@ -69,7 +69,7 @@ def _cells(row: AblationRow, rows: Sequence[Row], paper: bool) -> list[str]:
 
 
 def _our_mean(score: str, own: Sequence[Row], method: Sequence[Row]) -> str:
-    """The mean, and its difference to the method's where it is another run."""
+    """Return the mean of a score, and its difference to the method's where that is another run."""
     pairs = [
         (getattr(a, score), getattr(b, score))
         for a, b in zip(own, method, strict=True)
@@ -99,7 +99,7 @@ def _paper_means(paper: PaperMeans, method: PaperMeans) -> list[str]:
 
 
 def _finding(finding: str, name: str, scores: Sequence[str], rows: Sequence[Row]) -> str:
-    """A line of the list: the finding, then each score's verdict and figures."""
+    """Return a line of the list: the finding, then each score's verdict and figures."""
     told, own = [], _runs(named_rows()[name], rows)
     method = held_against(own, rows)
     for score in scores:

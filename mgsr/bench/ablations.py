@@ -1,4 +1,7 @@
-"""The paper's ablation rows and ours, by name: what each changes, what it is to show, and the paper's own figures."""
+"""The paper's ablation rows and ours, by name.
+
+Each says what it changes, what it is to show, and the paper's own figures.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,11 @@ from mgsr.config import ABLATIONS, METHODS
 
 @dataclass(frozen=True)
 class PaperMeans:
-    """Means over the paper's 30 OmniObject3D objects (supplement, Tables 6 to 12): PSNR in dB, normal consistency
-    times 100, Chamfer times 1000; None where the table gives no mean or the row has no such output."""
+    """The means over the paper's 30 OmniObject3D objects (supplement, Tables 6 to 12).
+
+    PSNR in dB, normal consistency times 100, Chamfer times 1000; None where the table gives no mean or the row has no
+    such output.
+    """
 
     psnr: float | None = None
     normal_consistency: float | None = None
@@ -19,8 +25,11 @@ class PaperMeans:
 
 @dataclass(frozen=True)
 class AblationRow:
-    """One row: its name, what it changes, the run that it is (a method with ``key=value`` overrides), and the paper's
-    means. Rows of one run share it: E, I and M are the method itself, B is the method `2dgs`."""
+    """One ablation row.
+
+    It has a name, what it changes, the run that it is (a method with ``key=value`` overrides), and the paper's means.
+    Rows of one run share it: E, I and M are the method itself, B is the method `2dgs`.
+    """
 
     name: str
     meaning: str
@@ -152,6 +161,6 @@ FINDINGS = (
 
 
 def named_rows() -> dict[str, AblationRow]:
-    """Every row by its name, I and M among them."""
+    """Return every row by its name, I and M among them."""
     rows = {row.name: row for row in (*NEED_ROWS, *PAPER_CHOICES, *PAPER_ROWS)}
     return rows | {"I": rows["E"], "M": rows["E"]}

@@ -1,4 +1,4 @@
-"""The matrix: its cells, their names and settings."""
+"""The benchmark matrix: its cells, their names and settings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """A folder's name: the scene, then what differs from a plain run on the processor."""
+        """Return the name of the cell's folder: the scene, then what differs from a plain run on the processor."""
         parts = [self.scene.name, self.preset, self.method]
         parts += [self.device] if self.device != "cpu" else []
         parts += [f"seed{self.seed}"] if self.seed else []
@@ -50,16 +50,19 @@ class Cell:
         return "-".join(parts)
 
     def config(self) -> Config:
-        """Its settings. Raises ConfigError."""
+        """Return the cell's settings.
+
+        Raises ConfigError.
+        """
         return make_config(self.preset, self.method, self.seed, self.variant.overrides)
 
     def settings(self) -> dict[str, Any]:
-        """Its settings as report.json has them."""
+        """Return the cell's settings as report.json has them."""
         plain: dict[str, Any] = json.loads(json.dumps(asdict(self.config())))
         return plain
 
     def arguments(self, out: Path) -> list[str]:
-        """What follows `mgsr` on its command line."""
+        """Return what follows `mgsr` on the cell's command line."""
         words = ["run", str(self.scene), "-o", str(out), "--preset", self.preset, "--method", self.method]
         words += ["--device", self.device, "--seed", str(self.seed)]
         return words + [word for setting in self.variant.overrides for word in ("--set", setting)]
@@ -73,8 +76,9 @@ def matrix(
     seeds: Sequence[int] = (0,),
     variants: Sequence[Variant] = (Variant(),),
 ) -> list[Cell]:
-    """Every combination once, scene by scene, so that a matrix that is stopped early has whole scenes. A variant that
-    needs a method of its own is run with that one alone.
+    """Return every combination once, scene by scene, so that a matrix that is stopped early has whole scenes.
+
+    A variant that needs a method of its own is run with that one alone.
 
     Raises ConfigError for what no run would take, before any run is made.
     """
@@ -88,9 +92,11 @@ def matrix(
 
 
 def read_variants(words: Sequence[str], settings: Sequence[str] = ()) -> list[Variant]:
-    """Variants as a person names them: `plain`, an ablation row (`K`), a group of rows (`ablations`, `paper-choices`,
-    `needs`), or settings (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for all of
-    them, below a variant's own, and stand in their names.
+    """Parse variants as a person names them.
+
+    A word is `plain`, an ablation row (`K`), a group of rows (`ablations`, `paper-choices`, `needs`), or settings
+    (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for all of them, below a variant's
+    own, and stand in their names.
 
     Raises ConfigError for another word.
     """
@@ -106,7 +112,7 @@ def _with_settings(variant: Variant, settings: Sequence[str]) -> Variant:
 
 
 def of_row(row: AblationRow) -> Variant:
-    """The variant that runs an ablation row; the plain one, with its method, for a row without settings."""
+    """Return the variant that runs an ablation row; for a row without settings, the plain one with its method."""
     return Variant(row.name if row.overrides else PLAIN, row.overrides, row.method)
 
 
@@ -125,6 +131,6 @@ def _variant(word: str) -> Variant:
 
 
 def _short(name: str) -> str:
-    """A variant's name as a part of a folder's, which may not be long."""
+    """Shorten a variant's name to a part of a folder's, which may not be long."""
     plain = re.sub(r"[^\w.=-]+", "_", name)
     return plain if len(plain) <= LONGEST else f"{plain[:LONGEST]}~{hashlib.sha256(name.encode()).hexdigest()[:8]}"

@@ -25,8 +25,10 @@ SCORES: dict[str, tuple[str, str, str, bool]] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """One score of two runs on the scenes that both have: each scene's gain, first over second, above zero where the
-    first is better, as the tables round it."""
+    """One score of two runs on the scenes that both have.
+
+    gains: each scene's, first over second, above zero where the first is better, as the tables round it.
+    """
 
     score: str
     gains: dict[str, float]
@@ -34,16 +36,16 @@ class Comparison:
 
     @property
     def better(self) -> list[str]:
-        """The scenes on which the first is better."""
+        """Return the scenes on which the first is better."""
         return [scene for scene, gain in self.gains.items() if gain > 0]
 
     @property
     def worse(self) -> list[str]:
-        """The scenes on which the first is worse."""
+        """Return the scenes on which the first is worse."""
         return [scene for scene, gain in self.gains.items() if gain < 0]
 
     def words(self) -> str:
-        """The mean gain, its range, and on how many scenes it is one."""
+        """Describe the mean gain, its range, and on how many scenes the score is better or worse."""
         name, unit, form, _ = SCORES[self.score]
         gains = list(self.gains.values())
         mean, low, high = (f"{value:+z{form}}" for value in (statistics.fmean(gains), min(gains), max(gains)))
@@ -52,7 +54,7 @@ class Comparison:
 
 
 def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", preset: str = PRESET) -> dict[str, Row]:
-    """By scene, the done runs of a method and variant with the first seed, on the processor."""
+    """Return the done runs of a method and variant with the lowest seed, on the processor, by scene."""
     found: dict[str, Row] = {}
     for row in sorted(rows, key=lambda row: row.seed):
         if (row.method, row.variant, row.preset, row.device, row.state) == (method, variant, preset, "cpu", DONE):
@@ -61,14 +63,17 @@ def plain_runs(rows: Sequence[Row], method: str = "mgsr", variant: str = "", pre
 
 
 def held_against(own: dict[str, Row], rows: Sequence[Row]) -> dict[str, Row]:
-    """By scene, the method's run that another is held against: that of the same commit, of whatever seed. Scenes
-    without one are left out, since what else changed from commit to commit would count as well."""
+    """Return the method's runs that others are compared with, by scene.
+
+    They are of the same commit, of whatever seed. Scenes without one are left out, since what else changed from commit
+    to commit would count as well.
+    """
     beside = {scene: plain_runs([row for row in rows if row.commit == run.commit]) for scene, run in own.items()}
     return {scene: runs[scene] for scene, runs in beside.items() if scene in runs}
 
 
 def compare(first: dict[str, Row], second: dict[str, Row], score: str) -> Comparison | None:
-    """None where no scene has the score in both."""
+    """Compare a score of two methods' runs scene by scene; None where no scene has the score in both."""
     gains, busy = {}, False
     for scene in first:
         if scene not in second:
@@ -81,20 +86,22 @@ def compare(first: dict[str, Row], second: dict[str, Row], score: str) -> Compar
 
 
 def gain(score: str, first: float, second: float) -> float:
-    """How much better the first is, as the tables round both."""
+    """Return how much better the first score is than the second, as the tables round both."""
     *_, form, lower_is_better = SCORES[score]
     difference = float(format(first, form)) - float(format(second, form))
     return -difference if lower_is_better else difference
 
 
 def is_busy(row: Row) -> bool:
-    """Whether others had so much of the machine that the seconds are not the program's own."""
+    """Return whether others had so much of the machine that the seconds are not the program's own."""
     return "Shared" in row.note if row.others is None else row.others > BUSY
 
 
 def seed_spread(rows: Sequence[Row], score: str) -> float | None:
-    """The standard deviation of a score over the seeds of plain runs of one commit, in the mean over scenes; None where
-    no scene has two seeds."""
+    """Return the standard deviation of a score over the seeds of plain runs of one commit, in the mean over scenes.
+
+    None where no scene has two seeds.
+    """
     values: dict[tuple[str, str], list[float]] = {}
     for row in rows:
         if (row.method, row.variant, row.preset, row.device, row.state) == ("mgsr", "", PRESET, "cpu", DONE):
@@ -104,7 +111,7 @@ def seed_spread(rows: Sequence[Row], score: str) -> float | None:
 
 
 def verdict(comparison: Comparison | None, spread: float | None) -> str:
-    """Whether a finding holds, in one word or some."""
+    """Say in a few words whether a finding holds."""
     if comparison is None:
         return "not run yet"
     mean = statistics.fmean(comparison.gains.values())

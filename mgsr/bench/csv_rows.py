@@ -11,7 +11,10 @@ T = TypeVar("T")
 
 
 def write_csv(path: Path, kind: type[T], rows: Sequence[T], digits: int) -> None:
-    """The rows, in the order of the fields of the dataclass `kind`; so many digits of each float, nothing for None."""
+    """Write the rows, in the order of the fields of the dataclass `kind`.
+
+    digits: of each float; None is written as nothing.
+    """
     columns = list(get_type_hints(kind))
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -20,7 +23,7 @@ def write_csv(path: Path, kind: type[T], rows: Sequence[T], digits: int) -> None
 
 
 def read_csv(path: Path, kind: type[T]) -> list[T]:
-    """What `write_csv` wrote; no rows where there is no file."""
+    """Read what `write_csv` wrote; no rows where there is no file."""
     if not path.is_file():
         return []
     kinds = get_type_hints(kind)

@@ -1,4 +1,4 @@
-"""Makes docs/evidence.md and its plots from the result files:
+"""Build docs/evidence.md and its plots from the result files.
 
     python -m mgsr.bench.evidence [benchmarks/results] [docs]
 
@@ -35,7 +35,7 @@ BEFORE_SHADING = "before-shading"
 
 @dataclass(frozen=True)
 class SceneFacts:
-    """What a scene is, and what the visual hull of its masks alone scores."""
+    """The facts of a scene, and what the visual hull of its masks alone scores."""
 
     scene: str
     what: str
@@ -46,8 +46,11 @@ class SceneFacts:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All result files. rows: of each cell the newest; behind: those that gave way to newer ones, which variants of
-    their commit are held against. choices: kernels in which something was chosen otherwise."""
+    """All result files.
+
+    rows: of each cell the newest; behind: those that gave way to newer ones, which variants of their commit are
+    compared with. choices: kernels in which something was chosen otherwise.
+    """
 
     rows: list[Row]
     curves: list[Curve]
@@ -178,7 +181,7 @@ def _weak_measurements(evidence: Evidence) -> list[str]:
 
 
 def _surface_section(evidence: Evidence) -> str:
-    """Each scene's scores beside the hull's."""
+    """Return the table of each scene's scores beside the hull's."""
     runs = plain_runs(evidence.rows)
     facts = [fact for fact in evidence.scenes if fact.scene in runs]
     head = ["scene", "what is hard", "Chamfer (hull)", "F (hull)", "normal error (hull)", "NC", "PSNR", "SSIM"]
@@ -223,7 +226,7 @@ def _with_one_change(evidence: Evidence) -> list[str]:
 
 
 def _beside_masks(row: Row, masked: Row | None) -> list[str]:
-    """Cells of a scene without masks, beside those with them."""
+    """Return the cells of a scene without masks, beside those with them."""
     pairs = [("chamfer", ".2f"), ("f_score", ".3f"), ("normal_error", ".1f")]
     beside = ["" if masked is None else f" ({number(getattr(masked, name), form)})" for name, form in pairs]
     own = [number(getattr(row, name), form) + other for (name, form), other in zip(pairs, beside, strict=True)]
@@ -274,7 +277,7 @@ def _method_words(evidence: Evidence) -> list[str]:
 
 
 def _curve_section(evidence: Evidence) -> str:
-    """How soon each plain run was near its best."""
+    """Return the table of how soon each plain run was near its best."""
     rows, cells = {row.key: row for row in evidence.rows}, []
     for curve in evidence.curves:
         row = rows.get(curve.key)

@@ -13,8 +13,11 @@ EVEN, KEPT, EVENED = "as they are", "exposed differently, kept so", "exposed dif
 
 @dataclass(frozen=True)
 class ExposureRow:
-    """One run: photographs is EVEN, KEPT or EVENED; deviation: of the logarithm of light between the photographs. PSNR
-    is in dB, on the object, after a gain of each channel; Chamfer in thousandths of the object's radius."""
+    """One run with photographs of differing exposure.
+
+    photographs: EVEN, KEPT or EVENED; deviation: of the logarithm of light between the photographs. PSNR is in dB, on
+    the object, after a gain of each channel; Chamfer in thousandths of the object's radius.
+    """
 
     scene: str
     photographs: str
@@ -28,7 +31,7 @@ class ExposureRow:
 
 
 def exposure_section(rows: Sequence[ExposureRow]) -> str:
-    """The table, and how much of the loss is won back; empty without rows."""
+    """Return the table, and how much of the loss is won back; empty without rows."""
     if not rows:
         return ""
     cells = [

@@ -12,8 +12,10 @@ ROUNDING = 1e-4
 
 
 def kernel_section(rows: Sequence[KernelRow], choices: Sequence[KernelRow] = ()) -> str:
-    """The table, the plot, and what they come to; empty without rows. choices: rows whose variant is what was chosen
-    otherwise."""
+    """Return the table, the plot, and what they come to; empty without rows.
+
+    choices: rows whose variant is what was chosen otherwise.
+    """
     if not rows:
         return ""
     return "\n\n".join(
@@ -36,7 +38,7 @@ def _machines(rows: Sequence[KernelRow]) -> str:
 
 
 def _choices(rows: Sequence[KernelRow]) -> list[str]:
-    """The rasterizers with one choice made otherwise, each held against the sources as they are."""
+    """Return the table of the rasterizers with one choice made otherwise, each beside the sources as they are."""
     usual = {row.kernel: row for row in rows if row.variant == AS_IT_IS}
     others = [row for row in rows if row.variant != AS_IT_IS and row.kernel in usual]
     if not others:
@@ -64,7 +66,7 @@ def _beside(own: float | None, usual: float | None) -> str:
 
 
 def kernel_table(rows: Sequence[KernelRow]) -> str:
-    """Every row."""
+    """Return the table of all rows."""
     head = ["kernel", "variant", "timed on", "forward", "backward", "both, least", "CPU", "largest error", "mean error"]
     head += ["gradient: largest", "mean", "against"]
     return markdown(head, [_cells(row) for row in rows])
@@ -98,7 +100,7 @@ def _words(rows: Sequence[KernelRow]) -> str:
 
 
 def _against(rows: Sequence[KernelRow], best: str, other: str, words: str) -> str:
-    """How much more processor time another variant takes; empty where no kernel has both."""
+    """Say how much more processor time another variant takes; empty where no kernel has both."""
     known = {(row.kernel, row.variant): row.cpu for row in rows}
     ratios = [
         (known[row.kernel, other] / row.cpu, row.kernel)

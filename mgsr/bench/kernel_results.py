@@ -1,5 +1,7 @@
-"""Time and error of the kernels, as `benchmarks/kernels.py` measures them: a row for each kernel and variant; and as
-`benchmarks/kernel_choices.py` does, where the variant is what was chosen otherwise."""
+"""Time and error of the kernels, as `benchmarks/kernels.py` measures them: a row for each kernel and variant.
+
+In `benchmarks/kernel_choices.py` the variant is what was chosen otherwise.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,10 @@ AS_IT_IS = "as it is"  # the variant of a choice's row in which nothing is chang
 
 @dataclass(frozen=True)
 class KernelRow:
-    """One kernel in one variant (avx512, avx2, baseline: the processor's; cuda: a card's; torch: plain float32 torch on
-    the processor, for comparison).
+    """One kernel in one variant.
+
+    The variant is avx512, avx2 or baseline (the processor's), cuda (a card's), or torch (plain float32 torch on the
+    processor, for comparison).
 
     size: what the times are for. forward, backward, least, cpu: milliseconds; medians of each way, the least of both
     together, and the median processor time of all threads. error_max, error_mean: of the output images or values
@@ -44,16 +48,19 @@ class KernelRow:
 
     @property
     def cost(self) -> float:
-        """Milliseconds of forward and backward: of the card, or what all threads of the processor spent together, which
-        other programs change least."""
+        """Return the milliseconds of forward and backward.
+
+        They are those of the card, or what all threads of the processor spent together, which other programs change
+        least.
+        """
         return self.forward + (self.backward or 0.0) if self.variant == "cuda" else self.cpu
 
 
 def write_kernels(path: Path, rows: Sequence[KernelRow]) -> None:
-    """Four digits of each figure."""
+    """Write the rows, with four digits of each figure."""
     write_csv(path, KernelRow, rows, digits=4)
 
 
 def read_kernels(path: Path) -> list[KernelRow]:
-    """What `write_kernels` wrote; no rows where there is no file."""
+    """Read what `write_kernels` wrote; no rows where there is no file."""
     return read_csv(path, KernelRow)

@@ -1,4 +1,4 @@
-"""The part of the evidence page on how long a run trains: what ending earlier saves, and what it gives away."""
+"""The part of the evidence page on how long a run trains: what ending earlier saves, and what it costs."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ SHORTER = (
 
 @dataclass(frozen=True)
 class EarlyEnd:
-    """A way to end earlier, on so many scenes, in the mean: the share of the time that it saves, the dB of PSNR and the
-    share of Chamfer that it gives away."""
+    """A way to end training earlier, in the mean over some scenes.
+
+    It has the share of the time that it saves, and the dB of PSNR and share of Chamfer that it gives away.
+    """
 
     meaning: str
     scenes: int
@@ -32,18 +34,18 @@ class EarlyEnd:
 
     @property
     def pays(self) -> bool:
-        """Whether it saves enough for what it gives away."""
+        """Return whether it saves enough for what it gives away."""
         cheap = round(self.psnr_lost, 2) <= PSNR_LOST and round(self.chamfer_lost, 3) <= CHAMFER_LOST
         return self.saved >= SAVED and cheap
 
     @property
     def words(self) -> str:
-        """What it saves and gives away."""
+        """Say what it saves and gives away."""
         return f"{self.saved:z.0%} of the time for {self.psnr_lost:z.2f} dB and {self.chamfer_lost:z.1%} of Chamfer"
 
 
 def early_ends(rows: Sequence[Row]) -> list[EarlyEnd]:
-    """Each way that was run on an idle machine, beside runs of its commit that trained on."""
+    """Return each way to end earlier that was run on an idle machine, beside runs of its commit that trained on."""
     unstopped = plain_runs(rows, variant=NO_STOP)
     ways = [_early_end("warm-ups end by the losses of epochs, as they do", held_against(unstopped, rows), unstopped)]
     for meaning, name in SHORTER:
@@ -53,7 +55,7 @@ def early_ends(rows: Sequence[Row]) -> list[EarlyEnd]:
 
 
 def length_section(rows: Sequence[Row]) -> str:
-    """The table of the ways to end earlier, and whether one pays; nothing where none was run."""
+    """Return the table of the ways to end earlier, and whether one pays; nothing where none was run."""
     ways = early_ends(rows)
     if not ways:
         return ""

@@ -1,4 +1,4 @@
-"""What a figure was measured on: the program's commit, the machine, and how busy others kept it."""
+"""The conditions of a measurement: the program's commit, the machine, and how busy others kept it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ ROOT = Path(mgsr.__file__).resolve().parents[1]
 
 
 def program_commit() -> str:
-    """The commit that last changed what a run computes, with a plus and a mark of the changes where the checkout has
-    uncommitted ones; the version where the program is no checkout."""
+    """Return the commit that last changed what a run computes.
+
+    It has a plus and a mark of the changes where the checkout has uncommitted ones. Where the program is no checkout,
+    its version is returned.
+    """
     name = _git("log", "-1", "--format=%h", "--", *COMPUTED_BY).strip()
     if not name:
         return mgsr.__version__
@@ -37,7 +40,7 @@ def _git(*words: str) -> str:
 
 
 def processor_name() -> str:
-    """The processor's name as the system tells it, with the number of cores that this process may use."""
+    """Return the processor's name as the system tells it, with the number of cores that this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{_cpu_model()}, {cores} cores"
 
@@ -53,21 +56,24 @@ def _cpu_model() -> str:
 
 @dataclass(frozen=True)
 class Load:
-    """wall: seconds; others: processors that programs other than this one's children kept busy, on average; None where
-    the system does not tell."""
+    """The load of the machine during a measurement.
+
+    wall: seconds; others: processors that programs other than this one's children kept busy, on average; None where the
+    system does not tell.
+    """
 
     wall: float
     others: float | None
 
 
 class LoadWatch:
-    """Measures what others did with the machine while a child process ran."""
+    """A watch of what others did with the machine while a child process ran."""
 
     def __init__(self) -> None:
         self._begun, self._busy, self._own = time.monotonic(), _busy_seconds(), _children_seconds()
 
     def read(self) -> Load:
-        """Since the watch was made; the child must have ended."""
+        """Return the load since the watch was made; the child must have ended."""
         wall, busy = time.monotonic() - self._begun, _busy_seconds()
         if busy is None or self._busy is None:
             return Load(wall, None)
@@ -81,7 +87,7 @@ def _children_seconds() -> float:
 
 
 def _busy_seconds() -> float | None:
-    """Processor seconds of all programs since the machine started."""
+    """Return the processor seconds of all programs since the machine started."""
     stat = Path("/proc/stat")
     if not stat.is_file():
         return None

@@ -1,4 +1,4 @@
-"""Runs the cells of a matrix one after another and keeps the table up to date after each."""
+"""Runs of a matrix: its cells one after another, with the tables updated after each."""
 
 from __future__ import annotations
 
@@ -32,9 +32,12 @@ PAGE = "runs.md"
 
 @dataclass(frozen=True)
 class Bench:
-    """How a matrix is run. out: a folder for each cell below it. commit: the program's; any_commit: take finished
-    results of another one too. evaluator: a script that scores instead of the report. keep: the folders of tables that
-    take the rows in, `out` itself among them. command: what was typed."""
+    """The settings with which a matrix is run.
+
+    out: a folder for each cell below it. commit: the program's; any_commit: take finished results of another one too.
+    evaluator: a script that scores instead of the report. keep: the folders of tables that take the rows in, `out`
+    itself among them. command: what was typed.
+    """
 
     out: Path
     commit: str
@@ -47,9 +50,9 @@ class Bench:
 def run_matrix(
     cells: Iterable[Cell], bench: Bench, tell: Callable[[str], None], stop: Callable[[], bool]
 ) -> tuple[list[Row], list[Curve]]:
-    """The rows and curves of all cells; a broken cell has its row too. The tables are written after each cell.
+    """Run all cells, and return their rows and curves; a broken cell has its row too.
 
-    Raises Stopped when `stop` says so.
+    The tables are written after each cell. Raises Stopped when `stop` says so.
     """
     rows: list[Row] = []
     curves: list[Curve] = []
@@ -64,7 +67,7 @@ def run_matrix(
 
 
 def keep_tables(folder: Path, rows: Iterable[Row], curves: Iterable[Curve], command: str) -> None:
-    """Take the rows and curves into the tables of a folder."""
+    """Merge the rows and curves into the tables of a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     kept = keep_rows(read_rows(folder / RUNS), rows)
     write_rows(folder / RUNS, kept)

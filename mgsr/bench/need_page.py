@@ -1,5 +1,8 @@
-"""The part of the evidence page on what a scene needs: models from simple to hard scenes, what each part that a run
-leaves out, or makes do with less of, would have brought, and runs that were given a time."""
+"""The part of the evidence page on what a scene needs.
+
+It shows models from simple to hard scenes, what each part that a run leaves out, or makes do with less of, would have
+brought, and runs that were given a time.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,11 @@ DIFFERENCES = ("psnr", "chamfer", "normal_consistency")
 
 
 def need_section(rows: Sequence[Row], behind: Sequence[Row], ordered: Sequence[str], images: Sequence[str]) -> str:
-    """rows: the newest of each cell; behind: older ones that variants of their commit are held against. ordered: the
-    scenes' names from the simplest to the hardest; images: Markdown of the plots that belong here."""
+    """Return the section on what a scene needs, as Markdown.
+
+    rows: the newest of each cell; behind: older ones that variants of their commit are compared with. ordered: the
+    scenes' names from the simplest to the hardest; images: Markdown of the plots that belong here.
+    """
     runs = plain_runs(rows)
     parts = (
         "## Only what a scene needs",
@@ -50,7 +56,7 @@ def _size_words(rows: Sequence[Row]) -> list[str]:
 
 
 def _parts_left_out(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
-    """A line for each scene on which a row was run: its figures, and in brackets how they differ from the method's."""
+    """Return a table of the scenes on which rows were run: the figures, and their difference to the method's."""
     cells, missing = [], []
     for row in NEED_ROWS:
         own = plain_runs(rows, row.method, of_row(row).name)
@@ -84,7 +90,7 @@ def _share(own: float | None, method: float | None) -> str:
 
 
 def _budgets(rows: Sequence[Row], ordered: Sequence[str]) -> list[str]:
-    """Runs that were given seconds, by scene and time."""
+    """Return a table of the runs that were given a time, by scene and time."""
     given = [(ordered.index(row.scene), _given(row), row) for row in rows if _is_given(row) and row.scene in ordered]
     if not given:
         return []

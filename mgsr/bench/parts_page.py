@@ -1,5 +1,7 @@
-"""What each part of finding the starting surface and of finishing the trained one is worth, as
-`benchmarks/start_parts.py` and `benchmarks/finish_parts.py` measure it, and the sections of the evidence."""
+"""The worth of each part of finding the starting surface and of finishing the trained one, and its evidence sections.
+
+`benchmarks/start_parts.py` and `benchmarks/finish_parts.py` measure it.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,11 @@ ALL = "all parts"
 
 @dataclass(frozen=True)
 class PartRow:
-    """The surface of a scene with one part left out, or with ALL. Chamfer in thousandths of the object's radius, the
-    normal error in degrees; seconds: the processor's, of finding the surface."""
+    """The surface of a scene with one part left out, or with ALL.
+
+    Chamfer in thousandths of the object's radius, the normal error in degrees; seconds: the processor's, of finding the
+    surface.
+    """
 
     scene: str
     without: str

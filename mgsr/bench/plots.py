@@ -39,15 +39,17 @@ SCORES = (
 
 
 def have_matplotlib() -> bool:
-    """Whether plots can be drawn here (`pip install 'mgsr[bench]'`)."""
+    """Return whether plots can be drawn here (`pip install 'mgsr[bench]'`)."""
     from importlib.util import find_spec
 
     return find_spec("matplotlib") is not None
 
 
 def write_plots(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> list[Path]:
-    """error_seconds.svg, error_gaussians.svg and memory.svg of the done rows: the plain ones, or the variants where
-    there is no plain one. No file without a row."""
+    """Write error_seconds.svg, error_gaussians.svg and memory.svg of the done rows, and return their paths.
+
+    The rows are the plain ones, or the variants where there is no plain one. No file is written without a row.
+    """
     done = [row for row in rows if row.state == DONE and row.seconds is not None]
     rows = [row for row in done if not row.variant] or done
     if not rows:
@@ -57,13 +59,13 @@ def write_plots(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> l
 
 
 def write_kernel_plot(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
-    """(kernel, variant, milliseconds, largest error) on two logarithmic axes."""
+    """Plot (kernel, variant, milliseconds, largest error) on two logarithmic axes."""
     with _style():
         return time_and_error(path, points)
 
 
 def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> Path:
-    """A column of panels for each scene: the end points of runs, and the PSNR on the way there."""
+    """Plot the end points of runs, and the PSNR on the way there, in a column of panels for each scene."""
     scenes = _scenes(rows)
     figure, panels = _panels(len(SCORES), len(scenes), "seconds, whole run")
     for column, scene in enumerate(scenes):
@@ -78,7 +80,7 @@ def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve
 
 
 def error_over_gaussians(folder: Path, rows: Sequence[Row]) -> Path:
-    """A column of panels for each scene: Gaussians of both branches against each score."""
+    """Plot the Gaussians of both branches against each score, in a column of panels for each scene."""
     scenes = _scenes(rows)
     figure, panels = _panels(len(SCORES), len(scenes), "thousand Gaussians")
     for column, scene in enumerate(scenes):
@@ -93,7 +95,7 @@ def error_over_gaussians(folder: Path, rows: Sequence[Row]) -> Path:
 
 
 def memory(folder: Path, rows: Sequence[Row]) -> Path:
-    """Bars of the most memory that each run held."""
+    """Plot the most memory that each run held, as bars."""
     known = [row for row in rows if row.memory_mib is not None]
     figure = _figure(7, 0.8 + 0.22 * len(known))
     panel = figure.subplots()
@@ -107,8 +109,11 @@ def memory(folder: Path, rows: Sequence[Row]) -> Path:
 
 
 def time_and_error(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
-    """Kernels: (kernel, variant, milliseconds, largest error), both axes logarithmic; a line joins a kernel's
-    variants, which its name stands beside."""
+    """Plot kernels by time and error, both axes logarithmic.
+
+    points: (kernel, variant, milliseconds, largest error). A line joins a kernel's variants, and its name stands
+    beside.
+    """
     figure = _figure(8, 4.5)
     panel = figure.subplots()
     shapes = dict(zip(dict.fromkeys(variant for _, variant, _, _ in points), "os^Dv", strict=False))
@@ -131,14 +136,14 @@ def time_and_error(path: Path, points: Sequence[tuple[str, str, float, float]]) 
 
 
 def _style() -> AbstractContextManager[None]:
-    """Ours on top of matplotlib's own, whatever the person's is."""
+    """Apply our style on top of matplotlib's own, whatever the person's is."""
     from matplotlib import style
 
     return style.context(["default", STYLE])
 
 
 def _figure(width: float, height: float) -> Figure:
-    """Inches. Not by pyplot, which would keep every figure alive."""
+    """Create a figure of a size in inches; not by pyplot, which would keep every figure alive."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -153,7 +158,10 @@ def _panels(lines: int, columns: int, x_label: str) -> tuple[Figure, list[list[A
 
 
 def _finish(panel: Axes, score: str, label: str) -> None:
-    """The label, x from zero, and for Chamfer, which differs by a factor, a logarithmic scale with plain numbers."""
+    """Label a panel, and scale its axes.
+
+    x begins at zero. Chamfer, which differs by a factor, has a logarithmic scale with plain numbers.
+    """
     from matplotlib.ticker import LogLocator, NullFormatter
 
     panel.set_ylabel(label)
@@ -166,7 +174,7 @@ def _finish(panel: Axes, score: str, label: str) -> None:
 
 
 def _draw_fronts(panel: Axes, rows: Sequence[Row], score: str) -> None:
-    """The presets of each method joined in the order of their time, and a dot for each."""
+    """Draw a dot for each run, and join the presets of each method in the order of their time."""
     done = [row for row in rows if getattr(row, score) is not None]
     for method in dict.fromkeys(row.method for row in done):
         own = sorted((row for row in done if row.method == method), key=lambda row: row.seconds or 0)
@@ -178,7 +186,7 @@ def _draw_fronts(panel: Axes, rows: Sequence[Row], score: str) -> None:
 
 
 def _draw_curves(panel: Axes, scene: str, rows: Sequence[Row], curves: Sequence[Curve]) -> None:
-    """The curve of each run, shifted by what came before its training."""
+    """Draw the curve of each run, shifted by what came before its training."""
     known = {row.key: row for row in rows if row.scene == scene}
     for curve in curves:
         row = known.get(curve.key)
@@ -201,7 +209,7 @@ def _scenes(rows: Sequence[Row]) -> list[str]:
 
 
 def _save(figure: Figure, path: Path, rows: Sequence[Row]) -> Path:
-    """With a legend of the methods by colour and the presets by shape."""
+    """Save a figure with a legend of the methods by colour and the presets by shape."""
     from matplotlib.lines import Line2D
 
     dot: dict[str, Any] = {"linestyle": "", "markersize": 5}
@@ -221,8 +229,10 @@ def _write(figure: Figure, path: Path) -> Path:
 
 
 def _numbered(svg: str) -> str:
-    """An SVG whose clip paths are called by their order: matplotlib names them by all digits of their place, of which
-    the last differ from one machine to the next."""
+    """Rename the clip paths of an SVG by their order.
+
+    matplotlib names them by all digits of their place, of which the last differ from one machine to the next.
+    """
     names = dict.fromkeys(re.findall(r'<clipPath id="(\w+)"', svg))
     for index, name in enumerate(names):
         svg = svg.replace(name, f"clip{index}")

@@ -68,12 +68,12 @@ class Row:
 
     @property
     def key(self) -> tuple[str | int, ...]:
-        """What makes it this cell."""
+        """Return what identifies the cell of this row."""
         return tuple(getattr(self, name) for name in KEY)
 
     @property
     def splats(self) -> int | None:
-        """Gaussians of both branches."""
+        """Return the number of Gaussians of both branches."""
         return None if self.surfels is None or self.volumes is None else self.surfels + self.volumes
 
 
@@ -88,7 +88,7 @@ class Curve:
 def finished_row(
     cell: Cell, folder: Path, report: dict[str, Any], scores: dict[str, float | None], scored_by: str, commit: str
 ) -> Row:
-    """The row of a run that ended well."""
+    """Build the row of a run that ended well."""
     seconds, splats = report["seconds"], report["gaussians"]
     measured = json.loads((folder / MEASURED).read_text())
     figures: dict[str, Any] = {f"{step}_seconds": seconds.get(step) for step in ("start", "train", "mesh")}
@@ -110,17 +110,17 @@ def finished_row(
 
 
 def told_command(words: Sequence[str]) -> str:
-    """What was typed after `mgsr`, for others to read: absolute paths are told from the current folder."""
+    """Join what was typed after `mgsr`, for others to read: absolute paths are told from the current folder."""
     return shlex.join(["mgsr", *(os.path.relpath(word) if os.path.isabs(word) else word for word in words)])
 
 
 def broken_row(cell: Cell, reason: str, commit: str) -> Row:
-    """The row of a run without results."""
+    """Build the row of a run without results."""
     return Row(**_identity(cell), state=f"broken: {reason}", commit=commit)
 
 
 def run_curve(cell: Cell, report: dict[str, Any]) -> Curve:
-    """The PSNR of a few test views while the run trained; no point where it had none."""
+    """Build the curve of a run: the PSNR of a few test views while it trained; no point where it had none."""
     points = ((row["seconds"], row["psnr"]) for row in report["curve"] if row.get("psnr") is not None)
     return Curve(tuple(_identity(cell).values()), tuple(points))
 
@@ -131,10 +131,10 @@ def _identity(cell: Cell) -> dict[str, Any]:
 
 
 def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
-    """Both, sorted; a new row takes the place of the old one of its cell, unless it is broken.
+    """Merge old and new rows, sorted; a new row replaces the old one of its cell, unless it is broken.
 
     A plain run that gives way stays behind it as long as there are variants or other methods of its scene, preset and
-    commit, which only it can be held against.
+    commit, which only it can be compared with.
     """
     kept: dict[tuple[str | int, ...], Row] = {}
     behind: dict[tuple[str | int, ...], Row] = {}
@@ -153,12 +153,12 @@ def _is_plain(row: Row) -> bool:
 
 
 def _circumstances(row: Row) -> tuple[str, str, str]:
-    """In which runs can be held against each other."""
+    """Return the circumstances that runs must share to be compared."""
     return row.scene, row.preset, row.commit
 
 
 def latest(rows: Iterable[Row]) -> list[Row]:
-    """Of the rows that `keep_rows` gave, those that stand behind no newer one of their cell."""
+    """Return the rows, of those that `keep_rows` gave, that stand behind no newer one of their cell."""
     found: dict[tuple[str | int, ...], Row] = {}
     for row in rows:
         found.setdefault(row.key, row)
@@ -166,22 +166,22 @@ def latest(rows: Iterable[Row]) -> list[Row]:
 
 
 def keep_curves(old: Iterable[Curve], new: Iterable[Curve]) -> list[Curve]:
-    """Both, sorted; a new curve takes the place of the old one of its cell."""
+    """Merge old and new curves, sorted; a new curve replaces the old one of its cell."""
     return sorted({curve.key: curve for curve in (*old, *new)}.values(), key=lambda curve: curve.key)
 
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Six digits of each figure, in the order of the fields."""
+    """Write the rows, with six digits of each figure, in the order of the fields."""
     write_csv(path, Row, rows, digits=6)
 
 
 def read_rows(path: Path) -> list[Row]:
-    """What `write_rows` wrote; no rows where there is no file."""
+    """Read what `write_rows` wrote; no rows where there is no file."""
     return read_csv(path, Row)
 
 
 def write_curves(path: Path, curves: Sequence[Curve]) -> None:
-    """A line for each point: the cell's key, seconds, PSNR."""
+    """Write a line for each point of the curves: the cell's key, seconds, PSNR."""
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow((*KEY, "seconds", "psnr"))
@@ -190,7 +190,7 @@ def write_curves(path: Path, curves: Sequence[Curve]) -> None:
 
 
 def read_curves(path: Path) -> list[Curve]:
-    """What `write_curves` wrote; no curves where there is no file."""
+    """Read what `write_curves` wrote; no curves where there is no file."""
     if not path.is_file():
         return []
     points: dict[tuple[str | int, ...], list[tuple[float, float]]] = {}

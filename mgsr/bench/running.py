@@ -1,4 +1,4 @@
-"""One cell of the matrix in a process of its own, unless its results are there already."""
+"""The run of one cell of the matrix in a process of its own, unless its results are there already."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ class Stopped(Exception):
 
 
 def is_finished(cell: Cell, folder: Path, commit: str | None) -> bool:
-    """Whether the folder holds the complete results of this cell, made with the same settings at this commit (None:
-    at any)."""
+    """Return whether the folder holds the complete results of this cell.
+
+    They must be made with the same settings at this commit (None: at any).
+    """
     try:
         asked, report = _read(folder / ASKED), _read(folder / REPORT)
         ReportData.from_json(report)
@@ -42,15 +44,15 @@ def is_finished(cell: Cell, folder: Path, commit: str | None) -> bool:
 
 
 def made_at(folder: Path) -> str:
-    """The commit at which a finished cell was run."""
+    """Return the commit at which a finished cell was run."""
     return str(_read(folder / ASKED)["commit"])
 
 
 def run_cell(cell: Cell, folder: Path, commit: str, stop: Callable[[], bool]) -> None:
-    """Run it into `folder`, which is emptied before. Its lines go to console.txt, the load of the machine to
-    machine.json.
+    """Run a cell into `folder`, which is emptied before.
 
-    Raises BrokenCell when the run fails, Stopped when `stop` says so meanwhile.
+    Its lines go to console.txt, the load of the machine to machine.json. Raises BrokenCell when the run fails, Stopped
+    when `stop` says so meanwhile.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -69,7 +71,7 @@ def run_cell(cell: Cell, folder: Path, commit: str, stop: Callable[[], bool]) ->
 
 
 def identity(cell: Cell, commit: str) -> dict[str, Any]:
-    """All that makes two runs the same run."""
+    """Return all that makes two runs the same run."""
     return {
         "scene": str(cell.scene.resolve()),
         "device": cell.device,
@@ -80,7 +82,7 @@ def identity(cell: Cell, commit: str) -> dict[str, Any]:
 
 
 def _wait(process: subprocess.Popen[bytes], stop: Callable[[], bool]) -> int:
-    """Its exit code."""
+    """Wait for the process, and return its exit code."""
     try:
         while process.poll() is None:
             if stop():

@@ -27,7 +27,7 @@ NAMES: dict[str, tuple[str, str, str, float]] = {
 
 
 def report_scores(report: dict[str, Any]) -> dict[str, float | None]:
-    """The program's own scores: `gt`, `split` and the test views of report.json."""
+    """Return the program's own scores: `gt`, `split` and the test views of report.json."""
     found = {}
     for name, (section, key, _, factor) in NAMES.items():
         value = ((report.get(section) or {}) if section else report).get(key)
@@ -36,8 +36,10 @@ def report_scores(report: dict[str, Any]) -> dict[str, float | None]:
 
 
 def evaluator_scores(evaluator: Path, scene: Path, folder: Path) -> dict[str, float | None]:
-    """The scores of a script that is called as `evaluate.py SCENE --mesh MESH --renders FOLDER` and ends with a line of
-    JSON. They are kept beside the run.
+    """Run an evaluator on a finished run, and return its scores.
+
+    It is a script that is called as `evaluate.py SCENE --mesh MESH --renders FOLDER` and ends with a line of JSON. The
+    scores are kept beside the run.
 
     Raises BrokenCell where it fails.
     """
@@ -65,6 +67,6 @@ def _evaluate(evaluator: Path, scene: Path, folder: Path) -> str:
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """report.json of a finished run."""
+    """Read report.json of a finished run."""
     report: dict[str, Any] = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     return report

@@ -1,5 +1,4 @@
-"""The benchmark's two sets of scenes, as `benchmarks/scene_scores.py` measures them, and their section of the
-evidence."""
+"""The benchmark's two sets of scenes, as `benchmarks/scene_scores.py` measures them, and their evidence section."""
 
 from __future__ import annotations
 
@@ -14,8 +13,11 @@ TUNING, JUDGING = "tuning", "judging"
 
 @dataclass(frozen=True)
 class SetRow:
-    """One run of a scene; set: TUNING, on which settings are chosen, or JUDGING. Chamfer in thousandths of the object's
-    radius, normal errors in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone."""
+    """One run of a scene of the sets.
+
+    set: TUNING, on which settings are chosen, or JUDGING. Chamfer in thousandths of the object's radius, normal errors
+    in degrees, PSNR of the test views in dB; hull_*: of the visual hull of the masks alone.
+    """
 
     scene: str
     set: str

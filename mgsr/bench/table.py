@@ -1,4 +1,4 @@
-"""The rows of a matrix as a Markdown page for reading; the CSV beside it has every field."""
+"""The Markdown page of a matrix, for reading; the CSV beside it has every field."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WORDS = (
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:
-    """What was measured by which command on what, then the table, then what broke."""
+    """Return the page: what was measured by which command on what, then the table, then what broke."""
     done = [row for row in rows if row.state == DONE]
     parts = [f"Last changed by `{command}`. {WORDS} Each run's own command stands in runs.csv.", *_circumstances(done)]
     parts.append(runs_table(done))
@@ -41,7 +41,7 @@ def results_page(rows: Sequence[Row], command: str) -> str:
 
 
 def runs_table(rows: Sequence[Row]) -> str:
-    """The done rows."""
+    """Return the table of the done rows."""
     if not rows:
         return ""
     head = ["scene", "variant", "method", "preset", "device", "seed", *(heading for heading, _, _ in COLUMNS)]
@@ -54,17 +54,17 @@ def runs_table(rows: Sequence[Row]) -> str:
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
 
 
 def number(value: float | str | None, form: str) -> str:
-    """A figure, or a dash for none."""
+    """Format a figure, or return a dash for none."""
     return "-" if value is None or value == "" else format(value, form)
 
 
 def _circumstances(rows: Sequence[Row]) -> list[str]:
-    """The machines, versions and notes of the rows, each once, with the rows that it is about where not all are."""
+    """Return the machines, versions and notes of the rows, each once, with its rows where it is not of all."""
     told = []
     for field, words in (("machine", "Machine"), ("versions", "Versions"), ("scored_by", "Scored by"), ("note", "")):
         for value in dict.fromkeys(getattr(row, field) for row in rows if getattr(row, field)):
@@ -74,7 +74,10 @@ def _circumstances(rows: Sequence[Row]) -> list[str]:
 
 
 def _which(about: Sequence[Row], rows: Sequence[Row]) -> str:
-    """Which of the rows are meant, in brackets, by the shorter list of those and the others; nothing if all are."""
+    """Name the rows that are meant, in brackets; nothing if all are.
+
+    The shorter list is named: the rows themselves, or the others after 'all but'.
+    """
     others = [row for row in rows if row not in about]
     if not others:
         return ""

@@ -1,4 +1,4 @@
-"""Plans a run so that it ends near the best that can be reached in the time that a person gives it.
+"""Time budgets: a run is planned so that it ends near the best that can be reached in the given time.
 
 Once the photographs are read, their size is chosen; once an iteration of each stage has been timed, the place on the
 line of settings (`mgsr.budget.line`). From then on the settings stay and the lengths of the stages follow the clock.
@@ -41,11 +41,11 @@ THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a low
 
 
 class TimeBudget:
-    """The budget of `config`, from the time when `clock`, which tells seconds, was 0. on_card: whether training's speed
-    says nothing of the processor's.
+    """The budget of `config`, from the time when `clock`, which tells seconds, was 0.
 
-    place: on the line of settings; scale: of the training photographs' sides. Both are None until they are chosen.
-    refined: the share of its time that the surface's refinement is planned to have.
+    on_card: whether training's speed says nothing of the processor's. place: on the line of settings; scale: of the
+    training photographs' sides. Both are None until they are chosen. refined: the share of its time that the surface's
+    refinement is planned to have.
     """
 
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
@@ -74,21 +74,21 @@ class TimeBudget:
 
     @property
     def spent(self) -> float:
-        """Seconds of the run so far, those before a resume included."""
+        """Return the seconds of the run so far, those before a resume included."""
         return self._earlier + self._clock()
 
     @property
     def slowness(self) -> float:
-        """How many times longer than the reference machine this one takes at present."""
+        """Return how many times longer than the reference machine this one takes at present."""
         return (self._slowness or 1.0) * self._drift
 
     @property
     def too_small(self) -> bool:
-        """Whether not even the least plan was expected to end in time."""
+        """Return whether not even the least plan was expected to end in time."""
         return self.least > 1.05 * self.seconds
 
     def learn(self, reference: float, seconds: float) -> None:
-        """Take in how long a step took that the reference machine does in `reference` seconds."""
+        """Update the machine's slowness by a step that took `seconds`, against `reference` on the reference machine."""
         ratio = min(max(seconds / reference, 0.05), 50.0)
         self._slowness = ratio if self._slowness is None else (self.slowness * ratio) ** 0.5
         self._drift = self._latest = 1.0
@@ -129,7 +129,10 @@ class TimeBudget:
         return self.place
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
-        """How many iterations the stage shall have in all; at least one more than it has done. splats: by branch."""
+        """Return how many iterations the stage shall have in all; at least one more than it has done.
+
+        splats: by branch.
+        """
         stage, now = stages[index], self.spent
         if stage.name != self._open:
             self._open, self._opened = stage.name, now
@@ -145,7 +148,7 @@ class TimeBudget:
         return min(iterations, self._ceilings.get(stage.name, iterations))
 
     def mesh_settings(self) -> MeshConfig:
-        """Return the best settings of the surface that still fit, up to the plan's; of its refinement, the least."""
+        """Choose the best settings of the surface that still fit, up to the plan's; of its refinement, the least."""
         assert self.place is not None
         place, least = self.place, min(self.refined, LEAST_REFINED)
         self._drift = max(self._drift, self._latest)  # training ends soon after the machine has slowed down
@@ -155,25 +158,28 @@ class TimeBudget:
         return self._mesh
 
     def learn_surface(self, surface: float, judging: float) -> None:
-        """Take in how many seconds the surface, and its scores and pictures, took."""
+        """Update the machine's slowness by the seconds that the surface, and its scores and pictures, took."""
         if not self._cut:
             self.learn(costs.mesh_cost(self._facts, self._mesh, refined=1.0), surface)
         self.learn(costs.judging_cost(self._facts), judging)
 
     def go_on(self) -> bool:
-        """Whether there is time for another round of refining the surface."""
+        """Return whether there is time for another round of refining the surface."""
         rest = costs.judging_cost(self._facts) + costs.closing_cost(self._facts)
         fits = self.spent + self.slowness * (costs.round_cost(self._facts, self._mesh) + rest) < self._aim
         self._cut |= not fits
         return fits
 
     def room(self, splats: Mapping[str, int]) -> int:
-        """Return about how many iterations the stage FINISH will have. splats: by branch."""
+        """Return about how many iterations the stage FINISH will have.
+
+        splats: by branch.
+        """
         left = self._aim - self.slowness * costs.closing_cost(self._facts) - self.spent
         return max(0, int(left / self._expected(FINISH, splats)))
 
     def state(self) -> dict[str, Any]:
-        """Return what a checkpoint keeps of it."""
+        """Return what a checkpoint keeps of the budget."""
         return {
             "spent": self.spent,
             "place": self.place,
@@ -187,7 +193,7 @@ class TimeBudget:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` gave: with its seconds, and the settings that were chosen then."""
+        """Restore what `state` returned: the seconds spent, and the settings that were chosen then."""
         self._earlier = state["spent"]
         self.place, self.scale, self.refined = state["place"], state["scale"], state["refined"]
         self.planned, self.least = dict(state["planned"]), state["least"]
@@ -195,13 +201,13 @@ class TimeBudget:
         self._costs, self._probed = dict(state["costs"]), dict(state["probed"])
 
     def take_up(self, facts: Facts) -> None:
-        """After `restore`, what `choose_place` would have set."""
+        """Set after `restore` what `choose_place` would have set."""
         self._facts = facts
         self._settle()
 
     @property
     def settings(self) -> Config:
-        """Those of the place that was chosen."""
+        """Return the settings of the place that was chosen."""
         assert self.place is not None
         return self.line.at(self.place)
 
@@ -210,8 +216,10 @@ class TimeBudget:
         return AIM * self.seconds
 
     def _settle(self) -> None:
-        """Note what follows from the place: what each stage should take, its least length, and the most that is of use
-        to the surface, which gets rougher by more; the last stage has the rest."""
+        """Derive from the chosen place what each stage should take, and its least and largest length.
+
+        The largest is the most that is of use to the surface, which gets rougher by more; the last stage has the rest.
+        """
         chosen, least, most = self.settings, self.line.at(LOWEST), self.line.at(HIGHEST)
         self._mesh = chosen.mesh
         self._weights = {name: self._stage(name, chosen) for name in self._costs}
@@ -231,7 +239,7 @@ class TimeBudget:
             }
 
     def _total(self, config: Config, unsure: float = UNSURE, refined: float = 1.0) -> float:
-        """Seconds that these settings take from the first iteration on."""
+        """Return the seconds that these settings take from the first iteration on."""
         training = sum(self._stage(name, config) for name in self._costs)
         return training + self._after(self._facts, config.mesh, unsure, refined)
 
@@ -246,13 +254,13 @@ class TimeBudget:
         return _work(config, name) * self._expected(name, splats)
 
     def _expected(self, name: str, splats: Mapping[str, int]) -> float:
-        """Seconds of one iteration: as measured, but with so many splats."""
+        """Return the expected seconds of one iteration: as measured, but scaled to this number of splats."""
         like = name if name in self._costs else list(self._costs)[-1]
         reference = costs.iteration_cost(like, self._facts, self._probed)
         return self._costs[like] * costs.iteration_cost(name, self._facts, splats) / reference
 
     def _present(self, name: str, splats: Mapping[str, int]) -> float:
-        """Seconds of one iteration at present; how they differ from what was expected tells how the machine does."""
+        """Return the seconds of one iteration at present, and update the machine's drift from what was expected."""
         expected = self._expected(name, splats)
         (first, begun), (last, done) = self._recent[0], self._recent[-1]
         if len(self._recent) < 3:
@@ -264,7 +272,7 @@ class TimeBudget:
         return each
 
     def _end(self, stages: Sequence[StageLength], index: int) -> float:
-        """When the stage should end: its share of the time until the surface must begin."""
+        """Return the time at which the stage should end: its share of the time until the surface must begin."""
         if stages[index].name == FINISH:
             return self._aim - self.slowness * costs.closing_cost(self._facts)
         assert self.place is not None
@@ -273,8 +281,11 @@ class TimeBudget:
         return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
     def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE, refined: float | None = None) -> float:
-        """Seconds that are kept for what comes after training. refined: the share of the refinement's time, None for
-        the planned one; none is kept for its taking longer, since it can end before."""
+        """Return the seconds that are kept for what comes after training.
+
+        refined: the share of the refinement's time, None for the planned one. unsure: the share that is kept for the
+        surface taking longer; none is kept for the refinement, since it can end before.
+        """
         surface = (1 + unsure) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
         refinement = (self.refined if refined is None else refined) * costs.refinement_cost(facts, mesh)
         return self.slowness * (surface + refinement + costs.closing_cost(facts))
@@ -295,7 +306,7 @@ def _iterations(config: Config, stage: str) -> int:
 
 
 def _work(config: Config, stage: str) -> int:
-    """Return iterations of a stage, with those of a trial's candidates that are thrown away."""
+    """Return the iterations of a stage, with those of a trial's candidates that are thrown away."""
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
         return iterations
@@ -303,7 +314,7 @@ def _work(config: Config, stage: str) -> int:
 
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
-    """By branch, in the middle of a stage."""
+    """Return the number of splats by branch, in the middle of a stage."""
     volumes = volume_settings(config.train.volumes, facts.masked)
     branches: dict[str, SurfelConfig | VolumeConfig] = {"surfels": config.train.surfels, "volumes": volumes}
     if config.train.branches is not Branches.BOTH:
@@ -317,7 +328,7 @@ def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
 
 
 def _reference_training(facts: Facts, config: Config) -> float:
-    """Seconds of training on the reference machine."""
+    """Return the seconds of training on the reference machine."""
     return sum(
         _work(config, name) * costs.iteration_cost(name, facts, _splats(name, facts, config))
         for name in _stages(config)

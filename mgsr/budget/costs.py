@@ -1,4 +1,4 @@
-"""What each step of a run costs, in seconds of a reference machine: two idle cores with AVX2 kernels.
+"""Cost model of a run's steps, in seconds of a reference machine: two idle cores with AVX2 kernels.
 
 Fitted by hand to runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard; a step of one
 scene takes up to half more or less than of another. Who plans with them measures how the machine at hand compares.
@@ -21,9 +21,12 @@ LEARNED = 12.0  # masks that are learned from small photographs
 
 @dataclass(frozen=True)
 class Facts:
-    """What the cost of a scene depends on: its training and test views, the mean pixels of one, whether the true
-    surface lies beside it, whether shading may refine its mesh, whether there are masks, whether masks are learned
-    where there are none, and whether the light is a flash's."""
+    """What the cost of a scene depends on.
+
+    views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
+    beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
+    learned where there are none; flash: whether the light is a flash's.
+    """
 
     views: int
     tests: int
@@ -36,17 +39,20 @@ class Facts:
 
     @property
     def size(self) -> float:
-        """Pixels of a view against the usual."""
+        """Return the pixels of a view as a share of the usual."""
         return self.pixels / USUAL_PIXELS
 
 
 def load_cost(facts: Facts) -> float:
-    """Return what reading the photographs takes."""
+    """Return the seconds that reading the photographs takes."""
     return 0.15 + 0.01 * (facts.views + facts.tests) * facts.size
 
 
 def start_cost(facts: Facts) -> float:
-    """Return what finding the starting points takes, on the hull or by stereo, which looks at small photographs."""
+    """Return the seconds that finding the starting points takes, on the hull or by stereo.
+
+    Stereo looks at small photographs, so their size does not count.
+    """
     if not facts.masked and not facts.learned:
         return STEREO * facts.views
     surface = (29.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
@@ -54,7 +60,7 @@ def start_cost(facts: Facts) -> float:
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
-    """Return what one iteration of a stage of training takes, with so many splats in each branch."""
+    """Return the seconds that one iteration of a stage of training takes, with so many splats in each branch."""
     flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "volumes"))
     surfels = 0.0045 + 0.011 * facts.size + 0.0025 * flat
     volumes = 0.0045 + 0.015 * facts.size + 0.0035 * full
@@ -64,21 +70,26 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
 
 
 def usual_count(start: int, facts: Facts) -> int:
-    """Return how many Gaussians a branch that starts with so many, and grows by errors, usually comes to have. Scenes
-    differ much: matte toys take 0.02 a pixel, lego 0.2."""
+    """Return how many Gaussians a branch of `start` Gaussians that grows by errors usually comes to have.
+
+    Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
+    """
     return start + round(GROWN * facts.pixels)
 
 
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return what rendering the surface's views and extracting it from them takes, without its refinement."""
+    """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
     waves = WAVES if config.wave_angle and not facts.flash else 0.0
     return 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8 + waves
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return what all rounds of holding the surface against the photographs take. They read them at every vertex, of
-    which there is one for each cell of the surface, but none finer than pixels."""
+    """Return the seconds that all rounds of refining the surface by the photographs take.
+
+    They read the photographs at every vertex, of which there is one for each cell of the surface, but none finer than
+    pixels.
+    """
     if config.shading_ratio is None:
         return 0.0
     shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
@@ -88,20 +99,20 @@ def refinement_cost(facts: Facts, config: MeshConfig) -> float:
 
 
 def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
-    """Return what the surface takes with a share `refined` of its refinement."""
+    """Return the seconds that the surface takes with a share `refined` of its refinement."""
     return surface_cost(facts, config) + refined * refinement_cost(facts, config)
 
 
 def round_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return what a round of the refinement takes, with what it may have to prepare."""
+    """Return the seconds that a round of the refinement takes, with what it may have to prepare."""
     return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
 
 
 def judging_cost(facts: Facts) -> float:
-    """Return what scores and pictures of the surface take."""
+    """Return the seconds that scores and pictures of the surface take."""
     return (4.0 if facts.truth else 0.1) + 2.0 + 0.3 * min(facts.tests, 6)
 
 
 def closing_cost(facts: Facts) -> float:
-    """Return what the test renders, their scores and the report take."""
+    """Return the seconds that the test renders, their scores and the report take."""
     return 0.8 + 0.2 * facts.tests * facts.size

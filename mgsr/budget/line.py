@@ -19,8 +19,10 @@ JUST_ABOVE_DRAFT = 0.01  # where what draft goes without begins
 
 
 class Line:
-    """The line for one run's settings: what the caller has set otherwise than the preset and the method have it stays
-    at all places."""
+    """The line of settings for one run.
+
+    What the caller has set otherwise than the preset and the method have it stays at all places.
+    """
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -35,7 +37,7 @@ class Line:
         self._values.pop("preset", None)
 
     def at(self, place: float) -> Config:
-        """The settings at a place."""
+        """Return the settings at a place."""
         config = self._config
         for path, values in self._values.items():
             config = _with(config, path.split("."), value_at(values, place))
@@ -43,7 +45,7 @@ class Line:
 
 
 def value_at(values: list[Any], place: float) -> Any:
-    """The value at a place on a line whose points 0, 1, ... have these values."""
+    """Return the value at a place on a line whose points 0, 1, ... have these values."""
     if None in values:
         return values[min(max(math.ceil(place), 0), len(values) - 1)]
     if not all(isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0 for value in values):

@@ -1,4 +1,4 @@
-"""How torch takes a card's memory from the driver."""
+"""The way in which torch takes a card's memory from the driver."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXPANDABLE = "expandable_segments:True"
 
 
 def prefer_expandable_segments(launcher: CudaLauncher) -> None:
-    """Have torch's allocator extend the memory that it holds instead of adding pieces to it.
+    """Let torch's allocator extend the memory that it holds instead of adding pieces to it.
 
     The splats' tensors change their sizes at each densification, so that no later one fits exactly into the pieces that
     earlier ones leave. Nothing is done where the user has set the allocator, and where the card or the system can't map
@@ -28,7 +28,7 @@ def prefer_expandable_segments(launcher: CudaLauncher) -> None:
 
 
 def _under_windows() -> bool:
-    """Whether the driver is that of Windows, also below WSL."""
+    """Return whether the driver is that of Windows, also below WSL."""
     return sys.platform == "win32" or "microsoft" in platform.release().lower()
 
 

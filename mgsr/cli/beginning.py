@@ -1,4 +1,4 @@
-"""What a run finds out before training: the scene, its exposures, and where splats begin."""
+"""Preprocessing of a run: the scene, its exposures, and where splats begin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mgsr.training.outlines import learned_outlines
 
 
 def load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
-    """The scene of a folder or archive, told of; an earlier run's reports in `out` are gone then."""
+    """Load the scene of a folder or archive, report it, and remove an earlier run's reports from `out`."""
     with step("load", f"reading {path}"):
         scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
         outputs.clear_reports(out)
@@ -42,8 +42,11 @@ def _loading(done: int, total: int) -> Event:
 def begin(
     scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
 ) -> tuple[Scene, StartingPoints]:
-    """The scene with its photographs at a common exposure, where theirs differ, and what a flash makes of them, where
-    there is one; and the points to start from. What is found is left in `out`."""
+    """Preprocess a scene: even its exposures, find its light, and choose the starting points.
+
+    Returns the scene with its photographs at a common exposure, where theirs differ, and with a flash's irradiance,
+    where there is one; and the points to start from. What is found is left in `out`.
+    """
     masks = _learn_masks(scene, config, step)
 
     def points(of: Scene, during: str, text: str) -> StartingPoints:
@@ -66,7 +69,10 @@ def _at_one_exposure(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints],
 ) -> tuple[Scene, StartingPoints]:
-    """Both as they are, where exposures do not differ; points: chooses them anew during a step."""
+    """Bring the photographs to a common exposure, and choose the starting points anew; both stay where exposures agree.
+
+    points: chooses the starting points during a step.
+    """
     with step("exposures", "comparing the photographs' exposures"):
         exposures = find_exposures(scene, start, config.seed, step.should_stop)
         if exposures is None:
@@ -79,7 +85,7 @@ def _at_one_exposure(
 
 
 def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
-    """The scene with what a flash makes of its views, where one was found and training shall know of it."""
+    """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
     if lighting is None or not config.train.flash:
         return scene
     with step("start", "computing what the flash makes of each view"):
@@ -88,7 +94,7 @@ def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, 
 
 
 def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
-    """Masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
+    """Learn masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
     if not backdrop(scene, config.train.background).plain:
         return None
     text = "learning where the object ends"

@@ -50,9 +50,11 @@ def bench(
     keep: KeepOption = None,
     any_commit: AnyCommitOption = False,
 ) -> None:
-    """Run every SCENE with every method, preset, device, seed and variant, one after another, each in a process of its
-    own, and write runs.csv, runs.md, curves.csv and plots to OUT. What is finished there already is not run again; what
-    fails is reported, and the rest goes on."""
+    """Run every SCENE with every method, preset, device, seed and variant, one after another.
+
+    Each runs in a process of its own, and OUT gets runs.csv, runs.md, curves.csv and plots. What is finished there
+    already is not run again; what fails is reported, and the rest goes on.
+    """
     from mgsr.bench.cells import matrix, read_variants
     from mgsr.bench.machine import program_commit
     from mgsr.bench.matrix import Bench
@@ -69,7 +71,7 @@ def bench(
 
 
 def _run(cells: list, bench: object) -> int:
-    """The exit code: 0, 1 where a cell broke, 130 where it was stopped."""
+    """Run the cells, and return the exit code: 0, 1 where a cell broke, 130 where it was stopped."""
     from mgsr.bench.matrix import Bench, run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
     from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows

@@ -1,4 +1,4 @@
-"""How a run keeps to a time budget: what it asks of `TimeBudget`, and when."""
+"""The time budget in a run: what it asks of `TimeBudget`, and when."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mgsr.training.probe import probe
 def make_budget(
     config: Config, clock: Callable[[], float], device: Device, checkpoint: Path | None
 ) -> TimeBudget | None:
-    """The budget that the settings ask for; it goes on from that of a checkpoint, if there is one."""
+    """Build the budget that the settings ask for; it goes on from that of a checkpoint, if there is one."""
     if config.time_budget is None:
         return None
     budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
@@ -36,7 +36,10 @@ def make_budget(
 
 
 def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) -> Facts:
-    """What the costs of a scene depend on; what only its starting points tell is taken for the costlier without."""
+    """Return what the costs of a scene depend on.
+
+    What only its starting points tell is taken for the costlier case without them.
+    """
     cameras = [view.camera for view in scene.train]
     pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
     shiny = flash = True
@@ -47,8 +50,10 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
-    """The scene with its training views as small as the budget wants them; the test views stay as they are. clock:
-    says how long they took to read."""
+    """Reduce the training views of a scene to the size that the budget allows; the test views stay as they are.
+
+    clock: says how long the photographs took to read.
+    """
     facts = facts_of(scene, config)
     budget.learn(load_cost(facts), clock.steps["load"])
     scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
@@ -58,7 +63,7 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 
 
 def most_points(config: Config, budget: TimeBudget | None) -> int:
-    """How many starting points may be of use."""
+    """Return how many starting points may be of use."""
     settings = config if budget is None else budget.line.at(HIGHEST)
     return max(settings.train.surfels.max_start, settings.train.volumes.max_start)
 
@@ -66,8 +71,10 @@ def most_points(config: Config, budget: TimeBudget | None) -> int:
 def planned_config(
     scene: Scene, start: StartingPoints, budget: TimeBudget, config: Config, device: Device, clock: StepClock
 ) -> Config:
-    """The settings that fit the time that is left. clock: says how long the starting points took. Raises what training
-    does."""
+    """Choose the settings that fit the time that is left.
+
+    clock: says how long the starting points took. Raises what training does.
+    """
     facts = facts_of(scene, config, start)
     budget.learn(start_cost(facts), clock.steps["start"] + clock.steps.get("outlines", 0.0))
     if budget.place is None:
@@ -79,7 +86,7 @@ def planned_config(
 
 
 def plan_line(budget: TimeBudget) -> str:
-    """What was planned, in one line."""
+    """Say in one line what was planned."""
     assert budget.place is not None
     words = f"{budget.seconds:g} s: settings {place_words(budget.place)}"
     if budget.scale != 1:
@@ -91,7 +98,7 @@ def plan_line(budget: TimeBudget) -> str:
 
 
 def place_words(place: float) -> str:
-    """A place on the line of settings, told by the presets."""
+    """Describe a place on the line of settings by the presets."""
     names = list(PRESETS)
     below = int(place // 1)
     if below < 0:
@@ -102,7 +109,7 @@ def place_words(place: float) -> str:
 
 
 def budget_report(budget: TimeBudget, steps: dict[str, float]) -> dict[str, Any]:
-    """What report.json says of it: seconds given, planned and spent, whole and by step."""
+    """Return what report.json says of the budget: seconds given, planned and spent, whole and by step."""
     return {
         "seconds": budget.seconds,
         "used": budget.spent,

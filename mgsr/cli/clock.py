@@ -1,4 +1,4 @@
-"""Where a run's time goes."""
+"""Timing of a run's steps."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ class StepClock:
     """Seconds spent in each step, by name, and since the start."""
 
     def __init__(self, begun: float | None = None) -> None:
-        """begun: what time.perf_counter() said at the start; None is now."""
+        """Start the clock at `begun`, a value of time.perf_counter(); None is now."""
         self._begun = time.perf_counter() if begun is None else begun
         self.steps: dict[str, float] = {}
 
     @property
     def total(self) -> float:
-        """Seconds since the start."""
+        """Return the seconds since the start."""
         return time.perf_counter() - self._begun
 
     @contextmanager

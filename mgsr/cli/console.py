@@ -1,4 +1,4 @@
-"""Shows a run as it goes: a live bar on a terminal, plain lines elsewhere, and the lines in log.txt in any case."""
+"""The display of a run as it goes: a live bar on a terminal, plain lines elsewhere, and log.txt in any case."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _is_refusal(error: BaseException | None) -> bool:
 
 
 def training_line(training: Progress) -> str:
-    """Where training is, in one line."""
+    """Say in one line where training is."""
     parts = [f"{training.stage} {training.iteration}/{training.total}", f"loss {sum(training.losses.values()):.4f}"]
     if training.psnr is not None:
         parts.append(f"PSNR {training.psnr:.2f} dB")

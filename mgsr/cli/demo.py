@@ -29,7 +29,10 @@ def demo(
 
 
 def find_example() -> Path:
-    """The example capture: inside an installed package, or beside it in the sources. Raises MgsrError without."""
+    """Find the example capture, inside an installed package or beside it in the sources.
+
+    Raises MgsrError where there is none.
+    """
     package = Path(__file__).resolve().parents[1]
     for folder in (package, package.parent):
         if (folder / EXAMPLE).is_dir():

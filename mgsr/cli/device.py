@@ -1,4 +1,4 @@
-"""Which device a run computes on."""
+"""The choice of the device that a run computes on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from mgsr.native.cuda.launcher import cuda_launcher
 
 
 class Device(StrEnum):
-    """auto: a card where there is a usable one, else the processor."""
+    """The device of a run.
+
+    auto: a card where there is a usable one, else the processor.
+    """
 
     AUTO = "auto"
     CPU = "cpu"
@@ -20,12 +23,15 @@ class Device(StrEnum):
 
     @property
     def torch(self) -> torch.device:
-        """For tensors; of several cards, torch's current one (CUDA_VISIBLE_DEVICES chooses which there are)."""
+        """Return the device for tensors.
+
+        Of several cards it is torch's current one (CUDA_VISIBLE_DEVICES chooses among them).
+        """
         return torch.device(self.value)
 
 
 def pick_device(name: str) -> Device:
-    """Return the device to use, cpu or cuda; torch's allocator is prepared for a card.
+    """Return the device to use, cpu or cuda, and prepare torch's allocator for a card.
 
     Raises ConfigError for an unknown name, and where cuda is asked for and torch sees no card; GpuError for a card that
     can't be used (auto falls back to the processor then).

@@ -24,9 +24,11 @@ MATTE_FOLDER = "test_matte"
 
 
 def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
-    """psnr_test and ssim_test, on the background, None without test views; psnr_fg_test and psnr_fg_gain_test where
-    there are masks; views: each view's values; split where the scene has matte test views. All of the pixels that the
-    photographs show."""
+    """Score the test renders against the photographs, over all pixels that the photographs show.
+
+    psnr_test and ssim_test are on the background, None without test views; psnr_fg_test and psnr_fg_gain_test come
+    where there are masks; views: each view's values; split comes where the scene has matte test views.
+    """
     views = {
         image.name: image_metrics(photograph(view), rendering(image), view.known, background)
         for image, view in zip(rendered, scene.test, strict=True)
@@ -40,13 +42,13 @@ def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color
 
 
 def find_truth(scene: Scene) -> TrueSurface | None:
-    """The true surface, in the user's frame, where a `mesh_gt.ply` lies in the scene's folder."""
+    """Load the true surface, in the user's frame, where a `mesh_gt.ply` lies in the scene's folder."""
     to_user = scene.user_from_scene.camera_to_user
     return load_truth(scene.root, [to_user(view.camera) for view in scene.train])
 
 
 def surface_scores(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
-    """gt: a mesh of the user's frame against the truth; None without one."""
+    """Score a mesh of the user's frame against the truth, as {"gt": scores}; None in their place without a truth."""
     if truth is None:
         return {"gt": None}
     scores = surface_metrics(mesh.vertices, mesh.faces, truth)
@@ -57,12 +59,12 @@ def surface_scores(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -
 
 
 def photograph(view: View) -> np.ndarray:
-    """uint8 [H,W,3], or [H,W,4] with straight alpha where the view has a mask."""
+    """Return a view's photograph, uint8 [H,W,3], or [H,W,4] with straight alpha where the view has a mask."""
     return view.image if view.alpha is None else np.dstack([view.image, view.alpha])
 
 
 def rendering(image: ViewImages) -> np.ndarray:
-    """float32 [H,W,4] with straight alpha."""
+    """Return an image as float32 [H,W,4] with straight alpha."""
     return np.dstack([straight_color(image.color, image.alpha), np.clip(image.alpha, 0, 1)])
 
 
@@ -79,7 +81,11 @@ def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | N
 
 
 def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | None:
-    """None without a light split or without a matte picture of the view's size, whose lens is undone, too."""
+    """Score the light split of a view.
+
+    Returns None without a light split, without a matte picture of the view's size, and where the photograph has unknown
+    pixels, since the matte picture's lens is not undone.
+    """
     path = scene.root / MATTE_FOLDER / f"{view.name}.png"
     if image.transmitted is None or view.known is not None or not path.is_file():
         return None
@@ -91,9 +97,10 @@ def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | Non
 
 
 def off_white(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Straight colours [H,W,3], float 0..1, of an image [H,W,3] that lies on white as alpha [H,W] says; both uint8.
+    """Take white off an image [H,W,3] that lies on it as alpha [H,W] says, both uint8: straight colours, float 0..1.
 
-    For photographs whose masks were put aside, so that their outlines count as they do with masks."""
+    For photographs whose masks were put aside, so that their silhouettes count as they do with masks.
+    """
     cover = alpha[..., None] / 255.0
     return np.clip((image / 255.0 - (1 - cover)) / np.maximum(cover, 1 / 255), 0, 1)
 

@@ -1,4 +1,4 @@
-"""What a run tells its caller while it goes."""
+"""The events by which a run reports to its caller."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from mgsr.training.progress import Progress
 
 @dataclass(frozen=True)
 class Event:
-    """step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for a person; training:
+    """One event of a run.
+
+    step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for a person; training:
     where training is, in events of the training itself; done: the share of the step that is done, 0..1, in events that
-    come on the way through a long step."""
+    come on the way through a long step.
+    """
 
     step: str
     text: str
@@ -24,4 +27,4 @@ EventCallback = Callable[[Event], None]
 
 
 def ignore(event: Event) -> None:
-    """For callers that want no events."""
+    """Ignore an event, for callers that want none."""

@@ -1,4 +1,4 @@
-"""What report.json says: what was run, on what, how long it took, and what came of it."""
+"""The metadata of a run in report.json: what was run, on what, how long it took, and what came of it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,10 @@ def run_report(
     clock: StepClock,
     time_budget: dict[str, Any] | None = None,
 ) -> ReportData:
-    """Everything that report.json says; scores: psnr_test, ssim_test, gt and whatever else was measured."""
+    """Build everything that report.json says.
+
+    scores: psnr_test, ssim_test, gt and whatever else was measured.
+    """
     known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
     counts = topology(mesh.vertices, mesh.faces)
     return ReportData(
@@ -81,10 +84,12 @@ def run_report(
 
 
 def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
-    """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame; splats_origin:
-    what positions in splat files are about, where the frame's origin lies far away; shown: the share of the pixels that
-    photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind photographs without
-    masks. unit: what lengths are multiplied with."""
+    """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame.
+
+    splats_origin: what positions in splat files are about, where the frame's origin lies far away; shown: the share of
+    the pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind
+    photographs without masks. unit: what lengths are multiplied with.
+    """
     camera, frame = scene.train[0].camera, scene.user_from_scene
     shown, plain = shown_share(scene), scene.plain_backdrop
     origin, notes = origin_of_frame(frame, unit), [*scene.notes, *origin_notes(frame, unit)]

@@ -31,14 +31,17 @@ from mgsr.report.shading import MeshPainter, TriangleMesh, surface_pictures, up_
 
 @dataclass(frozen=True)
 class SurfaceDrawings:
-    """A surface for the report: from its sides, and shaded [H,W,4] uint8 as each of the first test views sees it."""
+    """The drawings of a surface for the report.
+
+    They are from its sides, and shaded [H,W,4] uint8 as each of the first test views sees it.
+    """
 
     sides: SurfacePictures
     views: list[np.ndarray]
 
 
 def draw_surface(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
-    """Mesh and truth are in the user's frame."""
+    """Draw the surface for the report; mesh and truth are in the user's frame."""
     shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
     painter = MeshPainter(shown)
     to_user = scene.user_from_scene.camera_to_user
@@ -56,8 +59,10 @@ def report_pictures(
     light: MirroredLight | None,
     background: Color,
 ) -> ReportPictures:
-    """The first test views, with their PSNR in dB, the surface, and the light that it mirrors. background: what lies
-    behind views without masks."""
+    """Collect the pictures of the report: the first test views, the surface, and the light that it mirrors.
+
+    psnr: of the test views, dB; background: what lies behind views without masks.
+    """
     views = [
         _view_pictures(images, view, value, shaded, background)
         for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
@@ -71,7 +76,7 @@ def _up(scene: Scene) -> np.ndarray:
 
 
 def _shown(view: View) -> np.ndarray:
-    """The photograph, clear where it shows nothing."""
+    """Return the photograph, transparent where it shows nothing."""
     pixels = photograph(view)
     if view.known is None:
         return pixels

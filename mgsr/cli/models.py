@@ -13,15 +13,17 @@ from mgsr.gaussians.volumes import VolumeModel
 
 @dataclass(frozen=True)
 class Models:
-    """The branches in the scene's frame; None for one that the method lacks. At least one is there. light: what the
-    surface mirrors, None where that has no use."""
+    """The trained branches in the scene's frame, of which there is at least one.
+
+    A branch is None where the method lacks it. light: what the surface mirrors, None where that has no use.
+    """
 
     surfels: SurfelModel | None
     volumes: VolumeModel | None
     light: MirroredLight | None = None
 
     def to(self, device: torch.device) -> Models:
-        """The same on a device."""
+        """Return the same models on a device."""
         return Models(
             None if self.surfels is None else self.surfels.to(device),
             None if self.volumes is None else self.volumes.to(device),
@@ -30,13 +32,13 @@ class Models:
 
     @property
     def device(self) -> torch.device:
-        """Where they are."""
+        """Return the device of the models."""
         model = self.volumes if self.volumes is not None else self.surfels
         assert model is not None
         return model.means.device
 
     @property
     def counts(self) -> dict[str, int]:
-        """Splats by branch."""
+        """Return the number of splats by branch."""
         named = {"surfels": self.surfels, "volumes": self.volumes}
         return {name: len(model) for name, model in named.items() if model is not None}

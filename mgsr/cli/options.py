@@ -69,8 +69,10 @@ def output_overrides(texture: int | None, obj: bool, up: Up | None, scale: float
 
 @contextmanager
 def refusals(resumes: bool = False) -> Iterator[None]:
-    """Turn what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130; what signals
-    end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command has --resume.
+    """Turn what MGSR refuses into one message on stderr and exit code 2, and a stop into exit code 130.
+
+    What signals end is cleaned up after. After a LostCardError the process ends at once. resumes: whether the command
+    has --resume.
     """
     try:
         with cleaned_up_after_signals():

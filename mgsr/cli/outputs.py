@@ -69,7 +69,7 @@ def clear_findings(out: Path) -> None:
 
 
 def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
-    """exposures.json: by split and the views' names, the factors [3] of the photographs' linear light."""
+    """Write exposures.json: by split and the views' names, the factors [3] of the photographs' linear light."""
     splits = {"train": (scene.train, exposures.train), "test": (scene.test, exposures.test)}
     table = {
         split: {view.name: factor.tolist() for view, factor in zip(views, factors, strict=True)}
@@ -80,8 +80,10 @@ def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
 
 
 def at_known_exposures(out: Path, scene: Scene) -> Scene:
-    """Return the scene as the run that left its results in `out` saw it. Raises MgsrError for a file that is damaged or
-    of other photographs."""
+    """Return the scene at the exposures that the run in `out` found.
+
+    Raises MgsrError for a file that is damaged or of other photographs.
+    """
     if not (out / EXPOSURES).is_file():
         return scene
     try:
@@ -102,22 +104,27 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
 
 
 def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
-    """flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
+    """Write flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
     with whole(out / FLASH) as path:
         write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
 
 
 def as_lit(out: Path, scene: Scene) -> Scene:
-    """Return the scene with what the flash that the run in `out` found makes of its views, if it found one. Raises
-    SceneError for a file that is damaged."""
+    """Return the scene with the irradiance of the flash that the run in `out` found, if it found one.
+
+    Raises SceneError for a file that is damaged.
+    """
     if not (out / FLASH).is_file():
         return scene
     return lit_scene(scene, load_flash(out / FLASH).moved(scene.user_from_scene.inverse))
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
-    """Write the branches as splat files, in the output's unit and about the frame's origin or one near the scene (see
-    `origin_of_frame`), and the light; what is not there leaves none, also none of an earlier run."""
+    """Write the branches as splat files, and the environment maps.
+
+    What is not there leaves no file, also none of an earlier run. Splats are in the output's unit and about the frame's
+    origin or one near the scene (see `origin_of_frame`).
+    """
     origin = origin_of_frame(scene.user_from_scene, output.scale)
     file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
     for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
@@ -136,7 +143,10 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
 
 
 def read_models(out: Path, scene: Scene) -> Models:
-    """Read the branches that a run left in `out`, in the scene's frame. Raises MgsrError where there are none."""
+    """Read the branches that a run left in `out`, in the scene's frame.
+
+    Raises MgsrError where there are none.
+    """
     found = {name: _read_tensors(out / name, scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
     if not found:
         raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
@@ -165,8 +175,10 @@ def _read_light(path: Path, scene: Scene) -> MirroredLight:
 
 
 def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig) -> None:
-    """mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for, of a mesh in the user's frame;
-    lengths are in the output's unit. Those that are not asked for are removed."""
+    """Write mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for.
+
+    The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
+    """
     arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
     up = _up(scene, output)
     with whole(out / MESH) as path:
@@ -186,15 +198,17 @@ def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:
-    """Return what points up in the user's frame, whose axes are the scene's."""
+    """Return the direction that points up in the user's frame, whose axes are the scene's."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
     return up_direction([view.camera for view in scene.train])
 
 
 def read_mesh(out: Path) -> SurfaceMesh:
-    """Read the mesh that an earlier run left in `out`, in the user's frame and unit. Raises MgsrError where there is
-    none."""
+    """Read the mesh that an earlier run left in `out`, in the user's frame and unit.
+
+    Raises MgsrError where there is none.
+    """
     import trimesh
 
     if not (out / MESH).is_file():
@@ -207,7 +221,10 @@ def read_mesh(out: Path) -> SurfaceMesh:
 
 
 def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
-    """renders/test with all pictures of each test view (see mgsr/export/renders.py); depths in the output's unit."""
+    """Write renders/test with all pictures of each test view (see mgsr/export/renders.py).
+
+    Depths are in the output's unit.
+    """
     with whole(out / RENDERS) as folder:
         folder.mkdir()
         for view in rendered:
@@ -215,7 +232,7 @@ def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, outpu
 
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
-    """report.html, then report.json, which says that the run is complete."""
+    """Write report.html, then report.json, which says that the run is complete."""
     report = with_decisions(report)
     with whole(out / REPORT_HTML) as path:
         write_report_html(path, report, pictures)
@@ -224,7 +241,7 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 
 def _export_form(view: ViewImages, unit: float) -> RenderedView:
-    """With straight colours, and depth in the files' unit, of which the scene's is `unit`."""
+    """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
     transmitted, even = (
         None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
     )

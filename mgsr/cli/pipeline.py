@@ -1,4 +1,4 @@
-"""The whole way from a scene to its results, as steps that the single commands share."""
+"""The pipeline from a scene to its results, as steps that the single commands share."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def run_scene(
     deadline: float | None = None,
     begun: float | None = None,
 ) -> Path:
-    """Reconstruct the scene into the folder `out`; the path of report.json, which is written last.
+    """Reconstruct the scene into the folder `out`, and return the path of report.json, which is written last.
 
     resume: go on from the checkpoint in `out`, if there is one. should_stop: looked at between iterations and between
     steps. deadline: seconds of training after which it ends where it is. begun: what time.perf_counter() said when the
@@ -118,8 +118,10 @@ def train_only(
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
 ) -> TrainResult:
-    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`; the same arguments and
-    errors, but a time budget is refused: it is for whole runs."""
+    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`.
+
+    Arguments and errors are the same, but a time budget is refused: it is for whole runs.
+    """
     if config.time_budget is not None:
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
@@ -130,7 +132,7 @@ def train_only(
 
 
 def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
-    """Return the scene, told of, and of the origin of the files that will be written."""
+    """Load the scene, and report it and the origin of the files that will be written."""
     scene = load(path, out, config, step)
     for text in origin_notes(scene.user_from_scene, config.output.scale):
         step.progress(Event("load", text))
@@ -138,8 +140,10 @@ def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
 
 
 def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
-    """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
-    cast in float32."""
+    """Draw the pictures of a mesh of the user's frame.
+
+    They are drawn about the origin of the scene's files, as rays are cast in float32.
+    """
     origin = origin_of_frame(scene.user_from_scene)
     mesh = replace(mesh, vertices=mesh.vertices - origin)
     truth = None if truth is None else replace(truth, vertices=truth.vertices - origin)
@@ -182,8 +186,10 @@ def result_line(report: ReportData) -> str:
 
 
 class _Training:
-    """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
-    written as splats; `out`/checkpoint holds them on the way and at the end."""
+    """Training as a step of the run, which may have two parts: before and after the surface.
+
+    The branches are also written as splats; `out`/checkpoint holds them on the way and at the end.
+    """
 
     def __init__(
         self,
@@ -214,11 +220,14 @@ class _Training:
             )
 
     def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
-        """See `Training.mirror_at`."""
+        """Let the finished mesh mirror the light, and return whether the stage FINISH has work then.
+
+        vertices [V,3] in the scene's frame; faces [F,3].
+        """
         return self._training.mirror_at(vertices, faces)
 
     def run(self, before_surface: bool = False) -> TrainResult:
-        """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
+        """Train, and return the branches after all stages, or with `before_surface` after those before the surface."""
         with self._step("train", self._text):
             trained = self._training.run(finish=not before_surface)
         self._text = "training goes on"

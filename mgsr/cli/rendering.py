@@ -1,4 +1,4 @@
-"""Renders the trained branches: the test views for the person, the training views for the surface."""
+"""Rendering of the trained branches: the test views for the person, the training views for the surface."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ViewImages:
 
 
 def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
-    """Each view's camera seen by the branches, one after the other.
+    """Render each view's camera with the branches, one after the other.
 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
@@ -63,8 +63,11 @@ def render_views(models: Models, views: Sequence[View], config: Config) -> Itera
 
 
 def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceView]:
-    """What surface extraction takes in: the training cameras, and those between them that `config.mesh` asks for.
-    What a photograph does not show, no loss has seen from there: such pixels are left out."""
+    """Render the views for surface extraction.
+
+    They are those of the training cameras, and of those between them that `config.mesh` asks for. What a photograph
+    does not show, no loss has seen from there: such pixels are left out.
+    """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
     known = [view.known for view in scene.train] + [None] * (len(cameras) - len(scene.train))
     with torch.no_grad():
@@ -75,8 +78,10 @@ def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceV
 
 
 def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
-    """The scene with renders in place of its photographs, and of its masks if it has any: the transmitted colour, so
-    without highlights, where there is a light split and `mesh.color` asks for it."""
+    """Return the scene with renders in place of its photographs, and of its masks if it has any.
+
+    They show the transmitted colour, so without highlights, where there is a light split and `mesh.color` asks for it.
+    """
     behind = backdrop(scene, config.train.background).color
     return replace(
         scene,
@@ -97,8 +102,11 @@ def _as_photograph(models: Models, view: View, config: Config, behind: Color) ->
 
 
 def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
-    """The scene with masks: its own, or else, where its photographs have a plain backdrop, the opacity that the
-    branches have learned, for before one they need cover nothing but the object. Without masks where it has neither."""
+    """Return the scene with masks: its own, or those that the branches have learned before a plain backdrop.
+
+    There the branches' opacity needs to cover nothing but the object. Without masks and backdrop, the scene stays as it
+    is.
+    """
     if not backdrop(scene, config.train.background).plain:
         return scene
     with torch.no_grad():
@@ -107,7 +115,7 @@ def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
 
 
 def scene_silhouettes(scene: Scene) -> list[Silhouette]:
-    """The training photographs' masks; none where the scene has none."""
+    """Return the silhouettes of the training photographs' masks; none where the scene has none."""
     if not scene.masked:
         return []
     return silhouettes(scene.train, MASK_SIDE)
@@ -128,7 +136,7 @@ def _render_view(models: Models, view: View, config: Config) -> ViewImages:
 
 
 def _opacity(models: Models, camera: Camera) -> np.ndarray:
-    """The alpha [H,W] of the branch that renders."""
+    """Return the alpha [H,W] of the branch that renders."""
     if models.volumes is not None:
         return _numpy(render_volumes(models.volumes, camera, depth=False).alpha)
     assert models.surfels is not None
@@ -136,7 +144,7 @@ def _opacity(models: Models, camera: Camera) -> np.ndarray:
 
 
 def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:
-    """Known pixels as a camera of another image size has them."""
+    """Resample known pixels [H,W] bool to a camera of another image size; None stays None."""
     if known is None:
         return None
     rows = (np.arange(camera.height) + 0.5) * known.shape[0] / camera.height
@@ -161,7 +169,7 @@ def _see(
 def _surface(
     flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, config: Config
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depth and normal of the 2D branch; of the 3D branch's depth where it stands alone."""
+    """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it stands alone."""
     if flat is not None:
         median = config.train.surfels.depth is SurfaceDepth.MEDIAN
         return _numpy(flat.median_depth if median else flat.depth), _numpy(flat.normal)
@@ -170,8 +178,7 @@ def _surface(
 
 
 def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind: MeshColor) -> np.ndarray:
-    """Straight colour, so that the mesh gets no dark rim where the splats thin out; under even light, where a flash is
-    known."""
+    """Return the straight colour [H,W,3], so that the mesh gets no dark rim where the splats thin out."""
     outputs = full if full is not None else flat
     assert outputs is not None
     color = full.transmitted if full is not None and kind is MeshColor.TRANSMITTED else outputs.color

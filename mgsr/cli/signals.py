@@ -1,4 +1,7 @@
-"""Ctrl-C and SIGTERM as a wish that the work heeds between two iterations, and signals as an ordinary end."""
+"""Handling of signals: Ctrl-C and SIGTERM as a wish to stop, and signals as an ordinary end.
+
+The work heeds the wish between two iterations.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(si
 
 
 class StopWish:
-    """Whether the person, or the system, asked to stop."""
+    """The wish of the person, or the system, that the work stop; false until it is asked for."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -26,7 +29,10 @@ class StopWish:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopWish]:
-    """A wish that the first SIGINT or SIGTERM inside sets; the second one stops at once (KeyboardInterrupt)."""
+    """Yield a wish to stop, which the first SIGINT or SIGTERM inside sets.
+
+    A second one stops at once (KeyboardInterrupt).
+    """
     wish = StopWish()
 
     def ask(number: int, frame: FrameType | None) -> None:
@@ -44,9 +50,11 @@ def stop_on_signals() -> Iterator[StopWish]:
 
 @contextmanager
 def cleaned_up_after_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP inside end the program as SystemExit does, with the shell's code for them, so that temporary
-    files go; by themselves they would leave them. One that is ignored (nohup) stays so, and in other threads than the
-    main one, which alone may do this, nothing changes."""
+    """Let SIGTERM and SIGHUP inside end the program as SystemExit does, so that temporary files go.
+
+    The exit code is the shell's for them; by themselves they would leave temporary files. A signal that is ignored
+    (nohup) stays so, and in other threads than the main one, which alone may do this, nothing changes.
+    """
 
     def end(number: int, frame: FrameType | None) -> None:
         raise SystemExit(128 + number)

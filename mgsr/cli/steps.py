@@ -17,17 +17,17 @@ SELDOM = 2.0
 
 
 def never() -> bool:
-    """For callers that will not stop a run."""
+    """Return False, for callers that will not stop a run."""
     return False
 
 
 def always() -> bool:
-    """For callers that have all the time there is."""
+    """Return True, for callers that have all the time there is."""
     return True
 
 
 class Steps:
-    """Announces each step, times it, and heeds the wish to stop before it begins."""
+    """The steps of a run: each is announced and timed, and the wish to stop is heeded before it begins."""
 
     def __init__(self, clock: StepClock, progress: EventCallback, should_stop: StopCheck) -> None:
         self.clock = clock
@@ -41,8 +41,10 @@ class Steps:
         return self.clock.step(step)
 
     def share(self, step: str, text: str) -> Callable[[float], None]:
-        """What a long step calls with the share of it that is done, 0..1: passed on now and then; heeds the wish to
-        stop, too."""
+        """Return a callback by which a long step reports the share of it that is done, 0..1.
+
+        It is passed on now and then. The callback raises Cancelled where a stop is asked for.
+        """
         told = time.monotonic()
 
         def tell(done: float) -> None:

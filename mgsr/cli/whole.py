@@ -1,4 +1,4 @@
-"""Results that appear whole or not at all: written beside their place, then moved there."""
+"""Atomic writes: results appear whole or not at all, written beside their place, then moved there."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from mgsr.errors import ConfigError
 
 @contextmanager
 def whole(target: Path) -> Iterator[Path]:
-    """A path beside `target` with the same endings, for a file or a folder to be written; moved to `target` when the
-    block ends well, replacing a file by a file and a folder by a folder, and removed when it does not. Where `target`
-    is a link, what it leads to is replaced.
+    """Yield a path beside `target` with the same endings, for a file or a folder to be written atomically.
+
+    It is moved to `target` when the block ends well, replacing a file by a file and a folder by a folder, and removed
+    when it does not. Where `target` is a link, what it leads to is replaced.
 
     Raises ConfigError where a file would take a folder's place or the other way round, and for places that can't be
     replaced: devices, and the folder that the program runs in.
@@ -38,13 +39,19 @@ def whole(target: Path) -> Iterator[Path]:
 
 
 def require_file_place(target: Path) -> None:
-    """Raises ConfigError where a file can't be written: a folder is there. It asks before the work, not after."""
+    """Check that a file can be written at `target`, before the work rather than after it.
+
+    Raises ConfigError where a folder is there.
+    """
     if _place(target).is_dir():
         raise ConfigError(f"{target}: is a folder, and a file is to be written; name a file in it")
 
 
 def _place(target: Path) -> Path:
-    """What `target` leads to through links, `.` and `..`."""
+    """Resolve what `target` leads to through links, `.` and `..`.
+
+    Raises ConfigError for places that must not be replaced.
+    """
     place = Path(os.path.realpath(target))
     if Path.cwd().is_relative_to(place):
         raise ConfigError(f"{target}: is the folder that MGSR runs in, or holds it; name something new in it")

@@ -1,4 +1,4 @@
-"""An archived scene, unpacked without letting it write anywhere else, fill the disk or leave anything behind."""
+"""Unpack an archived scene safely: nothing lands outside the target folder, fills the disk or stays behind."""
 
 from __future__ import annotations
 
@@ -64,8 +64,10 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class ArchiveLimits:
-    """What is taken at most: files, bytes after unpacking, and unpacked against packed bytes. The defaults are far
-    above any capture that a run could use; they stop archives that are made to fill the disk."""
+    """The most that an archive may hold: files, bytes after unpacking, and the ratio of unpacked to packed bytes.
+
+    The defaults are far above any capture that a run could use. They stop archives made to fill the disk.
+    """
 
     members: int = 100_000
     unpacked: int = 32 << 30
@@ -81,14 +83,16 @@ class _Member:
 
 
 def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | None = None) -> Path:
-    """The folder with the archive's files: `target`, which must not hold anything, or else one that is removed when
-    this process ends. zip, tar, tar.gz and tar.zst, told apart by their content. What macOS and Windows put beside the
-    files is left out.
+    """Unpack an archive and return the folder that holds its files.
+
+    target: the folder to unpack to, which must be empty. Without it, the folder is a temporary one that is removed when
+    this process ends. Zip, tar, tar.gz and tar.zst are told apart by their content. Files that macOS and Windows add
+    beside the user's own are left out.
 
     Raises ArchiveError, naming the member and the limit, for names that are absolute, have '..' or control characters,
-    are too long or come twice (also where only their case differs), for links and devices, encrypted or damaged
-    members, for archives that unpack to more than the limits, where what counts is what really comes out, and for other
-    kinds of archives. Raises OSError, naming the folder, where the disk is full. Then nothing is left behind.
+    are too long or come twice (also where only their case differs); for links and devices; for encrypted or damaged
+    members; for archives that unpack to more than the limits, counted in bytes really written; and for other kinds of
+    archives. Raises OSError, naming the folder, where the disk is full. After an error nothing is left behind.
     """
     folder = target or _temporary_folder() / archive_stem(archive)  # messages name a scene by its folder
     if folder.is_dir() and any(folder.iterdir()):
@@ -111,13 +115,13 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
 
 
 def _is_damage(error: BaseException) -> bool:
-    """Whether an error comes from what the archive holds, and not from the disk or from us."""
+    """Return whether an error comes from the archive's content, and not from the disk or this program."""
     # zipfile seeks to places before the file's beginning where an archive says so.
     return isinstance(error, _DAMAGE) or (isinstance(error, OSError) and error.errno == errno.EINVAL)
 
 
 def archive_stem(path: Path) -> str:
-    """The archive's name without what says that it is one."""
+    """Return the archive's file name without its archive suffix."""
     suffix = next((end for end in sorted(ARCHIVE_SUFFIXES, key=len)[::-1] if path.name.lower().endswith(end)), "")
     return path.name[: len(path.name) - len(suffix)] or path.name
 
@@ -147,7 +151,7 @@ def _opened(budget: _Budget) -> Iterator[Iterator[_Member]]:
 
 
 def _is_old_tar(head: bytes) -> bool:
-    """Whether a checksum as in a tar's first header is right: those of Unix V7 have nothing else that tells them."""
+    """Return whether the first header's checksum is valid, the only mark of a Unix V7 tar."""
     try:
         tarfile.TarInfo.frombuf(head, "utf-8", "surrogateescape")
     except tarfile.HeaderError:
@@ -156,8 +160,10 @@ def _is_old_tar(head: bytes) -> bool:
 
 
 def _declared_count(file: IO[bytes]) -> int:
-    """How many members a zip says that it has, 0 if it says nothing (APPNOTE.TXT 4.3.14 and 4.3.16). The file is left
-    at its beginning."""
+    """Return how many members a zip declares, or 0 if it declares none (APPNOTE.TXT 4.3.14 and 4.3.16).
+
+    The file is left at its beginning.
+    """
     size = file.seek(0, os.SEEK_END)
     file.seek(max(size - _ZIP_END, 0))
     tail = file.read()
@@ -180,7 +186,7 @@ def _zstd_reader(file: IO[bytes]) -> Any:
 
 
 class _Zstd:
-    """Reads zstd with the errors that the other archives have."""
+    """Reads zstd and raises the same errors as the other archive readers."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -196,7 +202,7 @@ class _Zstd:
 
 
 class _Gauge:
-    """Counts what a stream gives, against what may come before the next file's content."""
+    """Counts the bytes that a stream yields against the most that may come before the next file's content."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -280,7 +286,7 @@ class _Budget:
         self._members = self._bytes = 0
 
     def check_declared(self, count: int) -> None:
-        """Spares reading the names of far too many members where an archive is honest about them."""
+        """Raise ArchiveError if the archive declares too many members, before their names are read."""
         if count > (most := self._limits.members):
             text = f"{self.archive.name}: {count} files; at most {most} are taken: put fewer in"
             raise ArchiveError("archive_too_many_members", text)

@@ -1,7 +1,8 @@
-"""The colour that lies behind everything: white, black, or that of a plain backdrop in the photographs.
+"""The colour behind everything: white, black, or that of a plain backdrop in the photographs.
 
-Without masks, splats must show all that photographs show. Behind an object on black velvet or before white paper they
-would so build a curtain, and the mesh would have it; as the colour behind the splats it costs none.
+Without masks, splats must reproduce everything that photographs show. Around an object on black velvet or before white
+paper they would build a curtain, which would end up in the mesh. As the colour behind the splats, a plain backdrop
+costs none.
 """
 
 from __future__ import annotations
@@ -30,8 +31,11 @@ NEAR = 24  # what is nearer, of 255, to the backdrop's colour is taken for it
 
 @dataclass(frozen=True)
 class Backdrop:
-    """The colour behind the splats, sRGB 0..1. random: in training each iteration has another, and `color` is that on
-    which renderings are judged. plain: photographs show it, so that what has this colour is taken for it."""
+    """The colour behind the splats, sRGB 0..1.
+
+    random: training draws another colour in each iteration, and `color` is the one that renderings are judged on.
+    plain: the photographs show this backdrop, so whatever has its colour is taken for it.
+    """
 
     color: Color
     random: bool = False
@@ -39,7 +43,7 @@ class Backdrop:
 
 
 def backdrop(scene: Scene, kind: Background) -> Backdrop:
-    """What lies behind a scene's splats."""
+    """Choose the backdrop of a scene's splats from the background setting, the masks and the photographs."""
     if kind is Background.RANDOM or (kind is Background.AUTO and scene.masked):
         return Backdrop(WHITE, random=True)
     if kind is Background.AUTO and scene.plain_backdrop is not None:
@@ -48,8 +52,11 @@ def backdrop(scene: Scene, kind: Background) -> Backdrop:
 
 
 def plain_backdrop(views: Sequence[View]) -> Color | None:
-    """The one colour, sRGB 0..1, that the borders of photographs have where something else stands before it; None where
-    they have no such colour. Looks at all of them: `Scene.plain_backdrop` keeps the answer."""
+    """Find the colour, sRGB 0..1, that nearly all borders of the photographs share.
+
+    Returns None where the borders have no such colour, or where nothing else stands before it. It reads all
+    photographs; `Scene.plain_backdrop` caches the result.
+    """
     borders, others = (np.concatenate(parts) for parts in zip(*map(_border_and_rest, views), strict=True))
     if not len(borders):
         return None
@@ -62,14 +69,14 @@ def plain_backdrop(views: Sequence[View]) -> Color | None:
 
 
 def without_backdrop(points: PointCloud, behind: Backdrop) -> PointCloud:
-    """The points without those that have the colour of a plain backdrop."""
+    """Return the points without those in the colour of a plain backdrop."""
     if not behind.plain:
         return points
     return points.rows((np.abs(points.colors - 255 * np.array(behind.color)) >= NEAR).any(axis=1))
 
 
 def _border_and_rest(view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels [P,3] of a photograph's border and others, of those that it shows."""
+    """Return the pixels [P,3] float32 of a photograph's border, and its other pixels, without unknown ones."""
     step = -(-max(view.image.shape[:2]) // SIDE)
     image = view.image[::step, ::step].astype(np.float32)
     known = np.ones(image.shape[:2], bool) if view.known is None else view.known[::step, ::step]

@@ -25,7 +25,7 @@ class Camera:
 
     @cached_property
     def center(self) -> np.ndarray:
-        """The camera's position in the world, [3]; not to be written to."""
+        """Return the camera's position [3] in the world; the array is read-only."""
         rotation, translation = self.cam_from_world[:3, :3], self.cam_from_world[:3, 3]
         center: np.ndarray = -rotation.T @ translation
         center.setflags(write=False)
@@ -33,7 +33,7 @@ class Camera:
 
     @property
     def world_from_cam(self) -> np.ndarray:
-        """The inverse pose, [4,4]."""
+        """Return the inverse pose [4,4]."""
         pose = np.eye(4)
         pose[:3, :3] = self.cam_from_world[:3, :3].T
         pose[:3, 3] = self.center
@@ -47,15 +47,20 @@ class Camera:
         return replace(self, K=K, width=width, height=height)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixel coordinates [P,2] and camera depths [P] of world points [P,3]; only depths > 0 are in front."""
+        """Return pixel coordinates [P,2] and camera depths [P] of world points [P,3].
+
+        Only points with a depth above 0 lie in front of the camera.
+        """
         local = points @ self.cam_from_world[:3, :3].T + self.cam_from_world[:3, 3]
         depth = local[:, 2]
         safe = np.where(np.abs(depth) < 1e-12, 1e-12, depth)
         return local[:, :2] / safe[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], depth
 
     def project_inside(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return those of the world points [P,3] that lie before the camera and inside its image: their indices [Q],
-        pixel coordinates [Q,2] and camera depths [Q]."""
+        """Return which world points [P,3] lie before the camera and inside its image.
+
+        Returns their indices [Q], pixel coordinates [Q,2] and camera depths [Q].
+        """
         pixels, depths = self.project(points)
         inside = (depths > 0) & (pixels >= 0).all(axis=1) & (pixels < (self.width, self.height)).all(axis=1)
         index = np.flatnonzero(inside)
@@ -63,8 +68,10 @@ class Camera:
 
 
 def pinhole_row(camera: Camera) -> np.ndarray:
-    """Return a camera as kernels read it, [16] float64: fx, fy, cx, cy, then the pose's rotation, row by row, and its
-    translation."""
+    """Return a camera as kernels read it, [16] float64.
+
+    The values are fx, fy, cx, cy, then the pose's rotation, row by row, and its translation.
+    """
     K, pose = camera.K, camera.cam_from_world
     return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *pose[:3, :3].ravel(), *pose[:3, 3]])
 

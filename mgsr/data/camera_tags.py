@@ -1,4 +1,4 @@
-"""EXIF of photographs: which camera took them, with which lens and focal length."""
+"""EXIF of photographs: the camera, the lens and the focal length."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ _LONGEST_SEGMENT = 65533
 
 @dataclass(frozen=True)
 class CameraTags:
-    """What a photograph says about its camera; empty or None where it says nothing. serial: the body's number. focal:
-    mm. focal_35mm: mm, what would show as much on a frame of 36 x 24 mm. zoom: how many times the camera has enlarged
-    the middle of the picture."""
+    """What a photograph's EXIF says about its camera; fields are empty or None where it says nothing.
+
+    serial: the body's number. focal: mm. focal_35mm: mm, the focal length with the same view on a frame of 36 x 24 mm.
+    zoom: the factor of the digital zoom.
+    """
 
     make: str = ""
     model: str = ""
@@ -33,20 +35,22 @@ class CameraTags:
 
     @property
     def known(self) -> bool:
-        """Whether the camera or its lens is named at all."""
+        """Return whether the EXIF says anything about the camera or its lens."""
         return self != CameraTags()
 
     @property
     def camera(self) -> str:
-        """The camera's name for people, without a maker that the model's name already begins with."""
+        """Return the camera's name for people, without a maker that the model's name already begins with."""
         maker = self.make.split(maxsplit=1)[:1]
         if maker and self.model.casefold().startswith(maker[0].casefold()):
             return self.model
         return f"{self.make} {self.model}".strip()
 
     def focal_pixels(self, size: tuple[int, int]) -> float | None:
-        """Return the focal length in pixels of a photograph of a size (width, height), from the equivalent one; None
-        without it."""
+        """Return the focal length in pixels of a photograph of a size (width, height), from the 35 mm equivalent.
+
+        Returns None where the EXIF has no equivalent.
+        """
         return None if self.focal_35mm is None else self.focal_35mm / _DIAGONAL_35MM * math.hypot(*size)
 
 
@@ -67,7 +71,7 @@ def read_tags(path: Path) -> CameraTags:
 
 
 def _header(path: Path) -> Any:
-    """OpenImageIO's header of a file; None where it can't be opened."""
+    """Return OpenImageIO's header of a file; None where the file can't be opened."""
     import OpenImageIO  # late: training needs none
 
     handle = OpenImageIO.ImageInput.open(str(path))
@@ -80,7 +84,10 @@ def _header(path: Path) -> Any:
 
 
 def _heif_header(path: Path) -> Any:
-    """The header of a JPEG of one pixel with a HEIC's EXIF, which OpenImageIO reads from there alone."""
+    """Return OpenImageIO's header of a one-pixel JPEG that carries a HEIC's EXIF.
+
+    OpenImageIO reads EXIF from JPEG but not from HEIC. Returns None where the EXIF is missing or too long.
+    """
     import cv2
     import pillow_heif
 
@@ -103,6 +110,6 @@ def _text(header: Any, name: str) -> str:
 
 
 def _length(header: Any, name: str) -> float | None:
-    """A number above 0: cameras write 0 for what they don't know."""
+    """Return a header's number if it is finite and above 0, else None: cameras write 0 for what they don't know."""
     value = header.getattribute(name)
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) and value > 0 else None

@@ -1,4 +1,4 @@
-"""What a format hands over: photographs as the files describe them, in the user's frame, nothing decoded yet.
+"""What a format reader returns: photographs as the files describe them, in the user's frame, not yet decoded.
 
 A new format is one new file in `mgsr/data/formats/` with a constant ``FORMAT: Format``.
 """
@@ -53,10 +53,10 @@ class Photo:
 class Capture:
     """What a capture's files say.
 
-    photos: the photographs that can be used. points: points of the surface in the user's frame, where the files have
-    them. notes: for the person, what the files have and the reader left out. file: what names the photographs, for
-    messages. lost: for each photograph that is missing or whose camera can't be used, why. least_kept: the share of
-    the photographs that must be left.
+    photos: the usable photographs. points: points of the surface in the user's frame, where the files have them. notes:
+    messages for the person about what the reader left out. file: the file that names the photographs, for messages.
+    lost: the reason for each photograph that is missing or whose camera can't be used. least_kept: the share of the
+    photographs that must be left.
     """
 
     photos: list[Photo]
@@ -70,8 +70,8 @@ class Capture:
     def of(cls, found: FoundPhotos, build: Callable[[int, Path], Photo]) -> Capture:
         """Make a capture of photographs that were looked for.
 
-        build: makes the photograph of the name with that number, whose file was found. A SceneError that it raises
-        loses that photograph alone.
+        build: makes the photograph with a given number in the list of names, whose file was found. A SceneError that it
+        raises loses that photograph alone.
         """
         photos: list[Photo] = []
         lost: list[SceneError] = []
@@ -84,7 +84,7 @@ class Capture:
 
     @property
     def missing(self) -> list[MissingPhotoError]:
-        """The photographs that the files name and that are not there."""
+        """Return the errors of the photographs that the files name but that are missing."""
         return [error for error in self.lost if isinstance(error, MissingPhotoError)]
 
 

@@ -1,4 +1,4 @@
-"""Which of a file's channels are its colours and its alpha."""
+"""Which of an image file's channels are its colours and its alpha."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ _WHOLE = ("", "combined", "beauty", "rgba", "rgb", "color")
 
 @dataclass(frozen=True)
 class Channels:
-    """part: the file's subimage, of which all but EXRs of several parts have one. colors: the channels that are red,
-    green and blue, or grey alone. alpha: the one that is alpha, or None. multiplied: whether the colours come
-    multiplied by it."""
+    """The channels of an image file that hold its colours and its alpha.
+
+    part: the file's subimage; only EXRs have several. colors: the channels that are red, green and blue, or grey alone.
+    alpha: the one that is alpha, or None. multiplied: whether the colours come premultiplied by alpha.
+    """
 
     part: int
     colors: tuple[int, ...]
@@ -24,14 +26,16 @@ class Channels:
 
     @property
     def all(self) -> tuple[int, ...]:
-        """Those that are read, in the order in which they are given on."""
+        """Return the channels to read, colours first and then alpha."""
         return self.colors if self.alpha is None else (*self.colors, self.alpha)
 
 
 def find_channels(handle: Any, name: str, source: str) -> Channels:
-    """The channels of an opened image (OpenImageIO's ImageInput), which is left at their part. Raises SceneError for
-    an EXR without colours, or with several layers of them of which none is known to be the whole picture; `name` is
-    the file's, `source` that of the file that asks for it."""
+    """Find the colour and alpha channels of an opened image (OpenImageIO's ImageInput), and leave it at their part.
+
+    name: the image file's name. source: the file that asks for it. Raises SceneError for an EXR without colours, or
+    with several colour layers of which none is known to be the whole picture.
+    """
     if handle.format_name() != "openexr":
         return _by_place(handle)
     known: list[str] = []
@@ -50,7 +54,7 @@ def find_channels(handle: Any, name: str, source: str) -> Channels:
 
 
 def _by_place(handle: Any) -> Channels:
-    """Colours come first in all formats but EXR."""
+    """Return the channels of any format but EXR, where the colours come first."""
     spec = handle.spec()
     colors = (0, 1, 2) if spec.nchannels >= 3 else (0,)
     alpha = spec.channelnames.index("A") if "A" in spec.channelnames else None
@@ -60,7 +64,7 @@ def _by_place(handle: Any) -> Channels:
 
 
 def _layers(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
-    """By layer (what stands before the last dot), the places of its channels by their last name."""
+    """Return each layer's channels: the layer is the name before the last dot, and its values map channel to index."""
     layers: dict[str, dict[str, int]] = {}
     for place, name in enumerate(names):
         layer, _, channel = name.rpartition(".")
@@ -69,7 +73,7 @@ def _layers(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
 
 
 def _layer(layers: dict[str, dict[str, int]]) -> tuple[tuple[int, ...], int | None] | None:
-    """Colours and alpha of the layer that is the whole picture, if one is."""
+    """Return the colours and alpha of the layer that is the whole picture; None if no layer is."""
     for wanted in ("RGB", "Y"):
         # X and Y with each other are no colours but coordinates.
         fitting = {name: of for name, of in layers.items() if set(wanted) <= set(of) and "X" not in of}

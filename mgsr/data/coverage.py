@@ -1,4 +1,4 @@
-"""Whether there are enough photographs, near enough to each other, to tell a surface."""
+"""Whether the photographs are many enough, and close enough to each other, to reconstruct a surface."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ STEREO_ANGLE = 35.0
 
 
 def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -> str | None:
-    """Return a note where training views are too few, or too far apart, for what they show; else None.
+    """Return a note where the training views are too few or too far apart for what they show, else None.
 
-    center [3]: what they look at, in the views' frame. masked: whether silhouettes tell the shape besides.
+    center: the point [3] that the cameras look at, in the views' frame. masked: whether silhouettes constrain the shape
+    too.
     """
     count = len(views)
     alone = np.mean(_angles_to_nearest(views, center) > STEREO_ANGLE)
@@ -35,7 +36,7 @@ def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -
 
 
 def _angles_to_nearest(views: Sequence[View], center: np.ndarray) -> np.ndarray:
-    """Degrees [V] between each view and the nearest other one, as seen from a place."""
+    """Return the angle [V], degrees, between each view and its nearest neighbour, as seen from `center` [3]."""
     rays = np.array([view.camera.center - center for view in views])
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     cosines = rays @ rays.T

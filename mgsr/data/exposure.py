@@ -1,8 +1,8 @@
-"""Photographs taken at different exposures, brought to a common one.
+"""Bring photographs taken at different exposures to a common one.
 
-A camera that sets its own exposure, or its white balance, makes the same surface brighter in one photograph than in the
-next. What that did to each is found by `mgsr.training.exposure`, as a factor on each channel's linear light against the
-common exposure. Here it is taken back, so that all that reads views afterwards meets one exposure.
+A camera that sets its own exposure or white balance shows the same surface brighter in one photograph than in the next.
+`mgsr.training.exposure` finds for each photograph a factor on each channel's linear light against the common exposure.
+This module divides by that factor, so that everything that reads views afterwards sees one exposure.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
 
 
 def evened(scene: Scene, exposures: Exposures) -> Scene:
-    """The scene with its photographs at the common exposure. Past a limit they lie in files, as they do when read."""
+    """Return the scene with its photographs at the common exposure.
+
+    Images beyond the limit of `PixelStore` lie in files, as they do when read.
+    """
     pixels = PixelStore()
 
     def at_common(view: View, factor: np.ndarray) -> View:
@@ -34,8 +37,10 @@ def evened(scene: Scene, exposures: Exposures) -> Scene:
 
 
 def at_common_exposure(view: View, factor: np.ndarray) -> View:
-    """The view with its light divided by the factor [3]. What the photograph had clipped stays the brightest in it, and
-    what becomes brighter than white is white."""
+    """Return the view with its linear light divided by the factor [3].
+
+    Values that become brighter than white are clipped. Values that the photograph had clipped stay its brightest.
+    """
     if (factor == 1).all():
         return view
     light = srgb_to_linear(np.arange(256) / 255)[:, None] / factor
@@ -45,8 +50,11 @@ def at_common_exposure(view: View, factor: np.ndarray) -> View:
 
 
 def brightness_jumps(views: Sequence[View]) -> float:
-    """How much the logarithm of a photograph's mean light differs from its neighbours', robustly: what the light does
-    to it changes little from one camera to the next. 0.1 is a tenth more or less light."""
+    """Return the robust deviation of the logarithm of a photograph's mean light from that of its neighbours.
+
+    The scene's own light changes little from one camera to the next, so larger jumps come from exposure. A result of
+    0.1 is a tenth more or less light.
+    """
     light = np.log(np.maximum([_mean_light(view) for view in views], 1e-6))
     centers = np.array([view.camera.center for view in views])
     directions = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-9)
@@ -60,7 +68,10 @@ def brightness_jumps(views: Sequence[View]) -> float:
 
 
 def _mean_light(view: View) -> float:
-    """The mean of linear light over the object, or the whole photograph without a mask; 0 where nothing is known."""
+    """Return the mean linear light over the object, or over the whole photograph without a mask.
+
+    It is 0 where nothing is known.
+    """
     step = max(1, max(view.image.shape[:2]) // ENOUGH)
     some = (slice(None, None, step),) * 2
     light = srgb_to_linear(np.arange(256) / 255)[view.image[some]].mean(axis=-1)

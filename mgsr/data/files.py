@@ -36,14 +36,18 @@ _NO_NUMBER_IN_JSON = re.compile(rf"(?<=[\[,:\s]){_NO_NUMBER}(?=[\s,\]}}])", re.I
 
 
 def text_number(text: str) -> float:
-    """Return a number of a text file as a float: NaN for what C prints for NaN and infinity (``-nan(ind)``,
-    ``1.#QNAN``). Raises ValueError for what is no number."""
+    """Return a number of a text file as a float, with NaN for what C prints for NaN and infinity.
+
+    Examples of such words are ``-nan(ind)`` and ``1.#QNAN``. Raises ValueError for text that is no number.
+    """
     return math.nan if re.fullmatch(_NO_NUMBER, text, re.IGNORECASE) else float(text)
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file, with NaN for the words that C prints for it. Raises SceneError that names the line of a
-    mistake, or what the file is instead."""
+    """Read a JSON file, with NaN for the words that C prints for NaN and infinity.
+
+    Raises SceneError that names the line of a mistake, or what the file is instead.
+    """
     require_content(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -70,7 +74,7 @@ def _parsed(text: str) -> Any:
 
 
 def number(values: Mapping[str, Any], name: str, source: str) -> float:
-    """values[name] as a float. Raises SceneError naming `source` for what is no finite number."""
+    """Return values[name] as a float. Raises SceneError naming `source` for anything but a finite number."""
     value = values.get(name)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not _finite(value):
         raise SceneError(f"{source}: {name}: expected a number, got {str(value)[:80]!r}; mend the file")
@@ -85,7 +89,10 @@ def _finite(value: float) -> bool:
 
 
 def in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
-    """The first of the files of these names in a folder below the root, but for what `folded` leaves out."""
+    """Return the first existing file of these names in a folder below the root; names match as `folded` has them.
+
+    Returns None where a folder on the way, or every file, is missing.
+    """
     place = root
     for wanted in [*[[part] for part in folder.relative_to(place).parts], names]:
         there = _listed(place, place.stat().st_mtime_ns) if place.is_dir() else {}
@@ -98,35 +105,41 @@ def in_any_case(root: Path, folder: Path, names: Sequence[str]) -> Path | None:
 
 @lru_cache(maxsize=16)
 def _listed(folder: Path, changed: int) -> dict[str, str]:
-    """A folder's names by what is left of them when `folded`, kept for the next of its files until it has changed (its
-    time of change, ns): to read it for each missing file of thousands would take minutes."""
+    """Return a folder's names by their folded form, cached until the folder's time of change (ns) differs.
+
+    Reading the folder again for each missing file of thousands would take minutes.
+    """
     return {folded(name): name for name in sorted(os.listdir(folder), reverse=True)}
 
 
 def folded(name: str) -> str:
-    """A name without what file systems and programs change: large and small letters, and how accents are written."""
+    """Return a name in a form without differences of case and of accent encoding, which file systems change."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def images_below(root: Path) -> list[Path]:
-    """Return every photograph in the folder and below: as `all_images`, without masks that lie beside photographs."""
+    """Return every photograph in the folder and below: `all_images` without masks that lie beside photographs."""
     return [path for path in all_images(root) if not is_mask_beside(path)]
 
 
 def is_mask_beside(path: Path) -> bool:
-    """Return whether an image is the mask of another by its name: RealityCapture's ``a.mask.png``, instant-ngp's
-    ``dynamic_mask_a.png``."""
+    """Return whether an image's name marks it as the mask of another image.
+
+    Such names are RealityCapture's ``a.mask.png`` and instant-ngp's ``dynamic_mask_a.png``.
+    """
     return path.stem.lower().endswith(".mask") or path.name.lower().startswith(IGNORED_PREFIX)
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether a path is a photograph by its name."""
+    """Return whether a path's name is that of a photograph."""
     return _is_image(path.name) and not is_mask_beside(path)
 
 
 def all_images(root: Path) -> list[Path]:
-    """Every image file in the folder and below, without those of mask folders and hidden ones; sorted. Links to folders
-    are followed, each folder once."""
+    """Return every image file in the folder and below, sorted, without hidden ones and those of mask folders.
+
+    Links to folders are followed, each folder once.
+    """
     found, walked = [], {os.path.realpath(root)}
     for folder, inner, names in os.walk(root, followlinks=True):
         inner[:] = sorted(name for name in inner if _may_hold_images(name) and _is_new(Path(folder, name), walked))
@@ -139,7 +152,7 @@ def _may_hold_images(folder: str) -> bool:
 
 
 def _is_new(folder: Path, walked: set[str]) -> bool:
-    """Whether a folder was not walked yet; from now on it was."""
+    """Return whether a folder is visited for the first time, and mark it as visited."""
     real = os.path.realpath(folder)
     new = real not in walked
     walked.add(real)
@@ -151,8 +164,10 @@ def _is_image(name: str) -> bool:
 
 
 def view_names(images: Sequence[Path]) -> list[str]:
-    """Return a unique name for each image: its file name without extension, after the folders in which the images
-    differ; with the extension where two would have the same name, and with a number where they still would."""
+    """Return a unique name for each image: its file name without extension, after the folders that differ.
+
+    The extension is kept where two names would be equal, and a number is added where they still would.
+    """
     parents = [str(image.parent) for image in images]
     common = os.path.commonpath(parents) if parents else ""
     relative = [PurePosixPath(image.relative_to(common).as_posix()) for image in images]

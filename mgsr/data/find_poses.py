@@ -1,4 +1,7 @@
-"""Cameras for photographs that have none, by COLMAP (pycolmap): a scene folder with images/ and sparse/0."""
+"""Estimate cameras for photographs that have none, with COLMAP (pycolmap).
+
+The result is a scene folder with images/ and sparse/0.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +40,16 @@ Say = Callable[[str], None]
 def find_poses(
     photos: Path, scene: Path, seed: int, say: Say = print, camera_per_image: bool = False
 ) -> tuple[str, ...]:
-    """Make the folder `scene` from the photographs below `photos`, a folder or an archive: COLMAP's largest model in
-    sparse/0 and the photographs in images/ (hard links where the disk allows it; PNG where COLMAP can't read them).
+    """Estimate the cameras of the photographs below `photos`, a folder or an archive, and make the folder `scene`.
 
-    The same seed gives the same choices of COLMAP's random samples; its threads may still differ in the last digits.
-    say: told in a line what is being done. camera_per_image: give each photograph a lens of its own, where otherwise
-    the photographs of one camera share one. Returns notes on what could not be placed. Raises ConfigError without
-    pycolmap or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no
-    `scene` is left.
+    The scene holds COLMAP's largest model in sparse/0 and the photographs in images/. They are hard links where the
+    disk allows it, and PNG where COLMAP can't read the originals. The same seed gives the same choices of COLMAP's
+    random samples; its threads may still differ in the last digits.
+
+    say: receives a line on each stage. camera_per_image: give each photograph a lens of its own; otherwise the
+    photographs of one camera share one. Returns notes on what could not be placed. Raises ConfigError without pycolmap
+    or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no `scene` is
+    left.
     """
     _require_pycolmap()
     if is_video(photos) and photos.is_file():
@@ -75,10 +80,11 @@ def _require_pycolmap() -> None:
 
 
 def _pycolmap() -> Any:
-    """pycolmap, with its messages and signals as ours.
+    """Import pycolmap, with its logging and signal handlers set as MGSR needs them.
 
-    It has an OpenImageIO of its own, and the one that is loaded later uses parts of the other. The process ends where
-    ours comes later and refuses a file, and where pycolmap's is given a file that it refuses.
+    pycolmap bundles an OpenImageIO of its own, and the one that is loaded later uses parts of the other. The process
+    crashes where ours comes later and refuses a file, and where pycolmap's is given a file that it refuses. Raises
+    ConfigError where pycolmap can't be loaded.
     """
     importlib.import_module("OpenImageIO")
     try:
@@ -96,7 +102,10 @@ def _pycolmap() -> Any:
 
 
 def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: Say) -> tuple[Any, tuple[str, ...]]:
-    """COLMAP's largest model of the photographs in a folder, and notes on it."""
+    """Return COLMAP's largest model of the photographs in a folder, and notes on it.
+
+    Raises SceneError where too few photographs could be placed.
+    """
     with tempfile.TemporaryDirectory(prefix="mgsr-poses-") as work:
         model = _largest(_run(colmap, folder, lenses, Path(work), seed, say))
     total = sum(len(lens.shots) for lens in lenses)
@@ -113,7 +122,7 @@ def _placed(colmap: Any, folder: Path, lenses: Sequence[Lens], seed: int, say: S
 
 
 def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: int, say: Say) -> Sequence[Any]:
-    """COLMAP's models of the photographs."""
+    """Run COLMAP's feature extraction, matching and incremental mapping; return its models."""
     colmap.set_random_seed(seed)
     database = work / "database.db"
     names = _write_cameras(colmap, database, folder, lenses)
@@ -137,9 +146,11 @@ def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: in
 
 
 def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Lens]) -> list[str]:
-    """Write a camera for each lens, and the photographs that have it, into a new database of COLMAP; their names,
-    sorted. COLMAP's own ways of sharing cameras know neither several lenses in a folder nor photographs whose EXIF is
-    in another file."""
+    """Write a camera for each lens, and its photographs, into a new COLMAP database; return their names, sorted.
+
+    COLMAP's own ways of sharing cameras know neither several lenses in a folder nor photographs whose EXIF is in
+    another file.
+    """
     with colmap.Database.open(str(database)) as opened:
         rigs = {}
         for lens in lenses:
@@ -159,8 +170,11 @@ def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[L
 
 
 def _camera(colmap: Any, folder: Path, lens: Lens) -> Any:
-    """A camera of COLMAP with what EXIF says of the focal length: the equivalent one, or else the real one with the
-    size of the sensor, which COLMAP knows for many cameras."""
+    """Return a COLMAP camera with the focal length that EXIF gives.
+
+    The 35 mm equivalent comes first; else the real focal length with the sensor's size, which COLMAP knows for many
+    cameras; else a guess from the image's size.
+    """
     focal = lens.tags.focal_pixels(lens.size)
     if focal is None and lens.tags.focal is not None:
         return colmap.infer_camera_from_image(folder / lens.shots[0].name)
@@ -172,7 +186,7 @@ def _camera(colmap: Any, folder: Path, lens: Lens) -> Any:
 
 
 class _Counter:
-    """Says how many photographs COLMAP has placed, every now and then."""
+    """Reports from time to time how many photographs COLMAP has placed."""
 
     def __init__(self, total: int, say: Say) -> None:
         self._total, self._say = total, say

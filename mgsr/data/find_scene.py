@@ -1,4 +1,4 @@
-"""Where a scene lies in what a person gives: the folder itself, one below it, or the one that it is a part of."""
+"""Find the scene in what a person gives: the folder itself, one below it, or the one that it is a part of."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PROGRAMS_FOLDER = re.compile(r"\d+$|sparse|dense|colmap|sfm|.*_calibration|.*di
 
 @dataclass(frozen=True)
 class FoundScene:
-    """A scene's folder, its format, its name, and notes for the person on where and how else it could be read."""
+    """A scene's folder, format and name, with notes for the person on where it was found and other ways to read it."""
 
     folder: SceneFolder
     kind: Format
@@ -44,12 +44,12 @@ class FoundScene:
 
 
 def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
-    """Find the scene in a folder: the nearest of the folders below it that a format recognises, itself first.
+    """Find the scene in a folder: the nearest folder that a format recognises, itself first and then those below.
 
-    given: what the person gave, for messages: the folder or the archive that it was unpacked from. A folder of
+    given: what the person gave, for messages: the folder, or the archive that it was unpacked from. A folder of
     photographs whose cameras lie beside it belongs to the scene around it, unless it comes from an archive. confined:
-    nothing outside the folder is looked at.
-    Raises SceneError, with what lies there and what to do, where no scene or several are found.
+    nothing outside the folder is looked at. Raises SceneError, with what lies there and what to do, where no scene or
+    several are found.
     """
     formats = all_formats()
     for level in _levels(folder):
@@ -65,7 +65,7 @@ def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
 
 
 def _levels(folder: Path) -> Iterator[list[Path]]:
-    """The folder, those in it, those in these, and so on."""
+    """Yield the folder, then the folders in it, then those in these, level by level."""
     level, seen = [folder], {os.path.realpath(folder)}
     for _ in range(_DEEPEST):
         if not level:
@@ -75,7 +75,7 @@ def _levels(folder: Path) -> Iterator[list[Path]]:
 
 
 def _inner(folder: Path, seen: set[str]) -> list[Path]:
-    """The folders in a folder that may hold a scene and were not seen yet."""
+    """Return the folders in a folder that may hold a scene and are not in `seen`, and add them to it."""
     try:
         paths = sorted(path for path in folder.iterdir() if path.is_dir())
     except OSError:
@@ -91,7 +91,7 @@ def _inner(folder: Path, seen: set[str]) -> list[Path]:
 
 
 def _recognised(root: Path, formats: Sequence[Format]) -> list[tuple[Format, str]]:
-    """The formats that the folder may be read as, and the files that tell so."""
+    """Return the formats that recognise the folder, each with the file that identifies it."""
     return [(kind, file) for kind in formats if (file := kind.recognises(root))]
 
 
@@ -103,7 +103,7 @@ def _found(folder: SceneFolder, formats: Sequence[Format]) -> FoundScene:
 
 
 def _name(folder: SceneFolder) -> str:
-    """The name of the scene's folder, or of the first around it that has no program's name."""
+    """Return the name of the scene's folder, or of the nearest one around it that is not named by a program."""
     path = folder.root
     while path != folder.top and _PROGRAMS_FOLDER.match(path.name):
         path = path.parent
@@ -111,8 +111,10 @@ def _name(folder: SceneFolder) -> str:
 
 
 def scene_around(folder: Path) -> FoundScene | None:
-    """Return the scene that a folder of photographs, or of cameras alone, is a part of: the one in the nearest of the
-    folders around it that has photographs and cameras of which some lie in this folder, or None."""
+    """Return the scene that a folder of photographs alone, or of cameras alone, is a part of; None without one.
+
+    It is the scene in the nearest enclosing folder that has photographs and cameras of which some lie in this folder.
+    """
     inner, formats = folder.resolve(), all_formats()
     for outer in inner.parents[:_FARTHEST_AROUND]:
         found = _scene_with(outer, inner, formats)
@@ -123,7 +125,7 @@ def scene_around(folder: Path) -> FoundScene | None:
 
 
 def _scene_with(outer: Path, inner: Path, formats: Sequence[Format]) -> FoundScene | None:
-    """The scene in a folder, if its cameras or most of its photographs lie in the inner one."""
+    """Return the scene in the outer folder if its cameras or most of its photographs lie in the inner one."""
     for level in itertools.islice(_levels(outer), _DEEPEST_AROUND):
         scenes = [path for path in level if _recognised(path, formats)]
         if len(scenes) > 1:
@@ -146,7 +148,7 @@ def _photos(found: FoundScene) -> list[Photo]:
 
 
 def _unknown(folder: Path, given: Path, formats: Sequence[Format]) -> SceneError:
-    """What is wrong with a folder that no format recognises."""
+    """Return the error for a folder that no format recognises, with what lies there and what to do."""
     looked = "; ".join(kind.looks_for for kind in formats)
     files = [path for level in _levels(folder) for inner in level for path in _files(inner)]
     archives = [path.name for path in files if path.name.lower().endswith(ARCHIVE_SUFFIXES)]

@@ -1,4 +1,4 @@
-"""Photographs put into a scene's folder in a form that COLMAP reads; what can't be read is left out."""
+"""Put photographs into a scene's folder in a form that COLMAP reads, and leave out those that can't be read."""
 
 from __future__ import annotations
 
@@ -49,8 +49,10 @@ class Gathered:
 
 
 def find_photos(folder: Path, given: Path) -> list[Path]:
-    """Find the photographs below a folder. Raises SceneError, with what lies there instead, where they are too few;
-    `given` is what the person gave, for the message."""
+    """Find the photographs below a folder.
+
+    given: what the person gave, for messages. Raises SceneError, with what lies there instead, where they are too few.
+    """
     images = images_below(folder)
     if len(images) < _FEWEST:
         text = f"{given}: {len(images)} images; at least {_FEWEST} are needed to find cameras, 20 or more are good"
@@ -59,11 +61,11 @@ def find_photos(folder: Path, given: Path) -> list[Path]:
 
 
 def gather(photos: Path, images: Sequence[Path], folder: Path) -> Gathered:
-    """Put the photographs below `photos` into `folder`: hard links (copies where the disk has none), or PNG in 8-bit
-    sRGB with their alpha for kinds that COLMAP does not read.
+    """Put the photographs below `photos` into `folder` as hard links, or as PNG where COLMAP does not read their kind.
 
-    Each is decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are
-    left, with the reason of the first.
+    Where the disk has no hard links, files are copied. PNGs are 8-bit sRGB and keep their alpha. Each photograph is
+    decoded once, so that damaged ones are found. Raises SceneError where most can't be read or too few are left, with
+    the reason of the first.
     """
     shots: list[Shot] = []
     lost: dict[str, SceneError] = {}
@@ -88,8 +90,11 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
 
 
 def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
-    """One photograph of a name below the photographs' folder. taken: the names that others have, to which one may be
-    added."""
+    """Put one photograph into the folder under `name`, converted to PNG if need be.
+
+    taken: folded names in use; the name of a converted photograph is added. Raises SceneError for what is no
+    photograph.
+    """
     _require_photo(image)
     picture = read_picture(image, "mgsr poses")
     tags = read_tags(image)
@@ -114,7 +119,7 @@ def _require_photo(image: Path) -> None:
 
 
 def _has_heif_brand(image: Path) -> bool:
-    """Whether the first box, of type ftyp, names a brand of HEIC's family (ISO/IEC 14496-12, 4.3)."""
+    """Return whether the first box, of type ftyp, names a brand of HEIC's family (ISO/IEC 14496-12, 4.3)."""
     with image.open("rb") as file:
         head = file.read(256)
     box = head[8 : int.from_bytes(head[:4], "big")]
@@ -134,7 +139,10 @@ def _is_read_by_colmap(image: Path) -> bool:
 
 
 def _free_name(name: Path, taken: set[str]) -> Path:
-    """A name for a photograph that becomes a PNG: its own stem, with its extension where another has that one."""
+    """Return a free name for a photograph that becomes a PNG, and add it to `taken`.
+
+    It is the photograph's own stem, with its extension and then a number added where that name is taken.
+    """
     other = f"{name.stem}_{name.suffix[1:].lower()}"
     stems = itertools.chain([name.stem, other], (f"{other}_{number}" for number in itertools.count(2)))
     places = (name.with_name(f"{stem}.png") for stem in stems)
@@ -160,8 +168,10 @@ def _link(image: Path, place: Path) -> None:
 
 
 def _bystanders(folder: Path, images: Iterable[Path]) -> tuple[str, ...]:
-    """Notes on videos and raw photographs in the folder. Those beside a photograph of their name are no loss: cameras
-    write a raw file beside each JPEG, and phones a short video beside each photograph."""
+    """Return notes on videos and raw photographs in the folder that have no photograph of the same name beside them.
+
+    Cameras write a raw file beside each JPEG, and phones a short video beside each photograph; those are no loss.
+    """
     known = {folded(str(image.with_suffix(""))) for image in images}
     files = [path for path in sorted(folder.rglob("*")) if not path.name.startswith(".") and path.is_file()]
     alone = [path for path in files if folded(str(path.with_suffix(""))) not in known]

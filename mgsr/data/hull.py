@@ -24,20 +24,23 @@ SLACK = 1.2
 
 @dataclass(frozen=True)
 class Hull:
-    """field [R,R,R] float32 (x, y, z): about the signed distance to the hull's surface, positive inside, exact only
+    """A visual hull as a grid of approximate signed distances.
+
+    field [R,R,R] float32 (x, y, z): about the signed distance to the hull's surface, positive inside. It is exact only
     near the surface and where enough views look. Its samples are voxel centres: voxel is their spacing, origin the
-    first one's place."""
+    position of the first one.
+    """
 
     field: np.ndarray
     origin: np.ndarray
     voxel: float
 
     def reached(self) -> np.ndarray:
-        """Centres [P,3] of the voxels that the hull reaches into, thin tips too."""
+        """Return the centres [P,3] of the voxels that the hull reaches into, thin tips included."""
         return np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
 
     def values(self, points: np.ndarray) -> np.ndarray:
-        """Return the field at points [P,3], trilinear; far negative outside the grid."""
+        """Return the field at points [P,3], trilinearly interpolated; far negative outside the grid."""
         place = ((points - self.origin) / self.voxel).T
         return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
 
@@ -45,7 +48,7 @@ class Hull:
 def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128) -> Hull:
     """Return the hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
 
-    resolution: voxels a side, a multiple of 16; 64 and 128 start from 32.
+    resolution: voxels per side, a multiple of 16; 64 and 128 start from 32.
     """
     size = resolution
     while size % 2 == 0 and size > 32:
@@ -67,7 +70,7 @@ def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resol
 
 
 def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V,3] and outward faces [F,3] of the hull. Raises SceneError if it is empty."""
+    """Return vertices [V,3] and outward faces [F,3] of the hull's surface. Raises SceneError if the hull is empty."""
     from skimage.measure import marching_cubes
 
     if not (hull.field > 0).any():
@@ -79,8 +82,10 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
 
 
 def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest signed distance [P] float32 over the views that tell it for each point, in world units, and
-    whether enough views do [P] bool; where they don't, the point counts as outside."""
+    """Return each point's smallest signed distance [P] float32, in world units, over the views that constrain it.
+
+    Also returns whether enough views constrain the point, [P] bool; where they don't, it counts as outside.
+    """
     lowest = np.full(len(points), np.inf, dtype=np.float32)
     told = np.zeros(len(points), dtype=np.int32)
     for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):
@@ -90,8 +95,10 @@ def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np
 
 
 def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whether one view tells if each point [P] is the object's, and its signed distance [P] there, in world units. A
-    view tells what it sees; one that shows the object whole tells that nothing else is."""
+    """Return whether a view constrains each point [P], and the signed distance [P] there, in world units.
+
+    A view constrains the points that it sees. A view that shows the object whole constrains all others too, as outside.
+    """
     camera = outline.camera
     pixels, depth = camera.project(points)
     x, y = pixels.T
@@ -110,7 +117,7 @@ def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """About how far points [P,3] beyond an image lie from what it shows, in world units."""
+    """Return about how far points [P,3] that project outside an image lie from what it shows, in world units."""
     over = np.maximum(np.maximum(-pixels, pixels - [camera.width, camera.height]), 0)
     before = np.linalg.norm(over / camera.K.diagonal()[:2], axis=1) * depth
     return np.where(depth > 0, before, np.linalg.norm(points - camera.center, axis=1))

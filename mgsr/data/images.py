@@ -25,8 +25,11 @@ _HEIF_ERRORS = (ValueError, EOFError, SyntaxError, OSError, RuntimeError, IndexE
 
 @dataclass(frozen=True)
 class Picture:
-    """A decoded file: colors [H,W,3] uint8 sRGB, straight; alpha [H,W] uint8 or None; orientation: EXIF's number from 1
-    to 8, which says how the stored pixels have to be turned to stand upright."""
+    """A decoded image file.
+
+    colors [H,W,3] uint8 sRGB, not premultiplied; alpha [H,W] uint8 or None. orientation: EXIF's number from 1 to 8,
+    which says how to turn the stored pixels upright.
+    """
 
     colors: np.ndarray
     alpha: np.ndarray | None
@@ -34,8 +37,10 @@ class Picture:
 
 
 def image_size(path: Path, source: str) -> tuple[int, int]:
-    """Width and height of what `read_picture` gives, from the file's header. Raises SceneError for files that can't be
-    read or are larger than MAX_PIXELS; `source` names the file that asks for the image."""
+    """Return the width and height of what `read_picture` gives, from the file's header.
+
+    source: the file that asks for the image. Raises SceneError for files that can't be read or exceed MAX_PIXELS.
+    """
     if is_heif(path):
         width, height = _open_heif(path, source).size
         return width, height
@@ -46,8 +51,10 @@ def image_size(path: Path, source: str) -> tuple[int, int]:
 
 
 def is_heif(path: Path) -> bool:
-    """Whether the file is of HEIC's family by its content, not its name: phones and messengers rename them to .jpg, and
-    back."""
+    """Return whether the file's content is of HEIC's family, whatever its name.
+
+    Phones and messengers rename such files to .jpg, and back.
+    """
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -55,18 +62,18 @@ def is_heif(path: Path) -> bool:
 
 
 def read_image(path: Path, source: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """The colours and alpha of `read_picture`."""
+    """Return the colours and alpha of `read_picture`."""
     picture = read_picture(path, source)
     return picture.colors, picture.alpha
 
 
 def read_picture(path: Path, source: str) -> Picture:
-    """The file's pixels as they are stored, not yet turned by their EXIF orientation.
+    """Read the file's pixels as they are stored, not turned by their EXIF orientation.
 
-    Grey images become RGB, and CMYK too. Files that say they are linear, and float images that say nothing (EXR, HDR),
-    get the sRGB curve; all others are taken as sRGB, whatever their depth. Colours that the file has multiplied by
-    alpha (EXR, TIFF) are divided by it, before the curve. Of an EXR, the display window is given, black and transparent
-    where the file has no pixels. Raises SceneError naming the file.
+    Grey and CMYK images become RGB. Files that say they are linear, and float images that say nothing (EXR, HDR), get
+    the sRGB curve. All others are taken as sRGB, whatever their depth. Premultiplied colours (EXR, TIFF) are divided by
+    alpha before the curve. An EXR yields its display window, black and transparent where the file has no pixels. Raises
+    SceneError naming the file.
     """
     if is_heif(path):
         return _read_heif(path, source)
@@ -77,7 +84,7 @@ def read_picture(path: Path, source: str) -> Picture:
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Stored pixels [H,W,...] turned and mirrored as EXIF's orientation says (Exif 2.32, "Orientation")."""
+    """Return stored pixels [H,W,...] turned and mirrored as EXIF's orientation says (Exif 2.32, "Orientation")."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -88,9 +95,9 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def read_mask(path: Path, source: str) -> np.ndarray:
-    """A mask [H,W] uint8, 255 on the object: the alpha channel if it says something, else the brightness.
+    """Read a mask [H,W] uint8, 255 on the object, from the alpha channel unless it is all opaque, else the brightness.
 
-    Masks with the values 0 and 1 are spread to 0 and 255.
+    Masks with the values 0 and 1 are spread to 0 and 255. Raises SceneError naming the file.
     """
     colors, alpha = read_image(path, source)
     mask = alpha if alpha is not None and alpha.min() < 255 else colors.max(axis=2)
@@ -98,7 +105,7 @@ def read_mask(path: Path, source: str) -> np.ndarray:
 
 
 def reduce_area(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The image [H,W,C] at a smaller size, float32: each pixel is the exact mean over the area that it covers."""
+    """Return the image [H,W,C] at a smaller size, float32; each pixel is the exact mean over its area."""
     import cv2  # late: training needs no OpenCV
 
     pixels = np.ascontiguousarray(image, np.float32)
@@ -107,34 +114,34 @@ def reduce_area(image: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def composite_on_white(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Colours [H,W,3] uint8 over white, by alpha [H,W] uint8."""
+    """Return colours [H,W,3] uint8 composited over white by alpha [H,W] uint8."""
     opacity = alpha[..., None].astype(np.float32) / 255
     return to_uint8(colors * opacity + 255 * (1 - opacity))
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:
-    """Values in 0..255, rounded and clipped."""
+    """Return values, meant for 0..255, rounded and clipped to uint8."""
     rounded = np.rint(values)
     return np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
 
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
-    """sRGB values 0..1 as linear light (IEC 61966-2-1)."""
+    """Return linear light 0..1 of sRGB values 0..1 (IEC 61966-2-1)."""
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_rate(colors: np.ndarray) -> np.ndarray:
-    """How fast sRGB values, where they are these, rise with linear light."""
+    """Return the derivative of the sRGB curve with respect to linear light, at sRGB values 0..1."""
     return np.where(colors <= 0.04045, 12.92, 1.055 / 2.4 * ((colors + 0.055) / 1.055) ** -1.4)
 
 
 def linear_to_srgb(light: np.ndarray) -> np.ndarray:
-    """Linear light 0..1 as sRGB values (IEC 61966-2-1)."""
+    """Return sRGB values of linear light 0..1 (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)
 
 
 def _encode_srgb(linear: np.ndarray, has_alpha: bool) -> np.ndarray:
-    """8-bit sRGB from linear light 0..1; alpha, the last channel where there is one, is left linear."""
+    """Return 8-bit sRGB of linear light 0..1; alpha, the last channel where there is one, stays linear."""
     curve = linear_to_srgb(linear)
     if has_alpha:
         curve[..., -1] = linear[..., -1]
@@ -146,7 +153,7 @@ def _as_rgb(colors: np.ndarray) -> np.ndarray:
 
 
 def _read_pixels(path: Path, source: str) -> tuple[np.ndarray, Channels, int]:
-    """The colours and, where there is one, alpha [H,W,1..4] uint8; which channels they are; EXIF's orientation."""
+    """Read the colours and, where there is one, alpha [H,W,1..4] uint8, with their channels and EXIF's orientation."""
     handle = _open(path, source)
     window = _shown_window(handle)
     channels = find_channels(handle, path.name, source)
@@ -163,7 +170,10 @@ def _read_pixels(path: Path, source: str) -> tuple[np.ndarray, Channels, int]:
 
 
 def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.ndarray:
-    """The wanted channels [h,w,1..4] of what the file holds: uint8, or float32 where these have to be computed."""
+    """Decode the wanted channels [h,w,1..4] of the file: uint8, or float32 where values must be computed.
+
+    Raises SceneError for damaged files.
+    """
     spec = handle.spec()
     as_float = channels.multiplied or _is_linear(spec) or str(spec.format) in _FLOATS
     first, end = min(channels.all), max(channels.all) + 1
@@ -178,7 +188,10 @@ def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.nda
 
 
 def _as_bytes(pixels: np.ndarray, channels: Channels, is_linear: bool) -> np.ndarray:
-    """Float pixels as 8-bit sRGB, straight; alpha, where there is one, is the last channel and has no curve."""
+    """Return float pixels as 8-bit sRGB, not premultiplied.
+
+    Alpha, the last channel where there is one, has no curve.
+    """
     pixels = np.clip(np.nan_to_num(_divided(pixels) if channels.multiplied else pixels), 0, 1)
     return _encode_srgb(pixels, channels.alpha is not None) if is_linear else to_uint8(pixels * 255)
 
@@ -193,7 +206,7 @@ def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
 
 
 def _divided(pixels: np.ndarray) -> np.ndarray:
-    """Straight colours from those that come multiplied by alpha, the last channel."""
+    """Return pixels whose premultiplied colours are divided by alpha, the last channel."""
     alpha = pixels[..., -1:]
     with np.errstate(over="ignore"):  # of alpha next to nothing
         straight = pixels / np.where(alpha > 0, alpha, 1)
@@ -212,7 +225,10 @@ class _Window:
 
 
 def _shown_window(handle: Any) -> _Window:
-    """What is to be seen: of an EXR its display window, around which or in which its pixels may lie."""
+    """Return the window to show: an EXR's display window, otherwise the file's own pixels.
+
+    An EXR's pixels may lie around its display window or within it.
+    """
     spec = handle.spec()
     if handle.format_name() != "openexr":
         return _Window(spec.x, spec.y, spec.width, spec.height)
@@ -220,7 +236,7 @@ def _shown_window(handle: Any) -> _Window:
 
 
 def _in_window(pixels: np.ndarray, spec: Any, window: _Window) -> np.ndarray:
-    """The pixels that lie in the window, which is 0 elsewhere."""
+    """Return the pixels inside the window, with 0 where the file has none."""
     if window == _Window(spec.x, spec.y, spec.width, spec.height):
         return pixels
     placed = np.zeros((window.height, window.width, pixels.shape[2]), pixels.dtype)
@@ -239,7 +255,7 @@ def _is_linear(spec: Any) -> bool:
 
 
 def _trouble(geterror: Callable[[], str]) -> str:
-    """What OpenImageIO says of its last failure, in short; empty if there was none."""
+    """Return OpenImageIO's last error in short; empty if there was none."""
     try:
         return in_short(geterror())
     except UnicodeDecodeError as error:  # it puts a damaged file's own bytes into its text
@@ -282,7 +298,10 @@ def _open_heif(path: Path, source: str) -> Any:
 
 
 def _read_heif(path: Path, source: str) -> Picture:
-    """HEIC turns its own pixels upright when it is decoded, so that nothing is left to turn."""
+    """Read a HEIC file, whose decoder turns the pixels upright, so that no orientation remains.
+
+    Raises SceneError for damaged files.
+    """
     opened = _open_heif(path, source)
     try:
         pixels = np.asarray(opened)

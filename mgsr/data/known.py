@@ -1,7 +1,7 @@
-"""Pixels that a photograph does not show: undoing a strong lens leaves an image whose corners, or sides, nobody saw.
+"""Pixels that a photograph does not show: undistorting a strong lens leaves corners or sides that no pixel covers.
 
-`known` [H,W] bool says which pixels are shown, None that all are. What the others hold means nothing: whoever reads a
-view leaves them out by it.
+`known` [H,W] bool says which pixels are shown; None means all. The others hold no meaning, and whoever reads a view
+leaves them out.
 """
 
 from __future__ import annotations
@@ -21,8 +21,11 @@ NEARLY_ALL = 0.99
 def known_mean(
     pixels: np.ndarray, known: np.ndarray | None, mean: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """What an area mean, [H,W,C] to [h,w,C] float, makes of the known ones of the pixels [H,W,C], 0 where it meets
-    none; and which of its own are known."""
+    """Return the area mean of the known pixels, and which of the resulting pixels are known.
+
+    pixels: [H,W,C]. mean: maps [H,W,C] to [h,w,C] float. The result is 0 where no known pixel contributes. It counts as
+    known where nearly all pixels that it covers are; None where all pixels are known.
+    """
     if known is None:
         return mean(pixels), None
     weight = known[..., None].astype(np.float32)
@@ -32,8 +35,10 @@ def known_mean(
 
 
 def filled(pixels: np.ndarray, known: np.ndarray | None) -> np.ndarray:
-    """The image [H,W,...] with the nearest known pixel's values in the unknown ones, so that windows and interpolation
-    which reach over the edge of what is known meet what they do at an image's border. All 0 if nothing is known."""
+    """Return the image [H,W,...] with each unknown pixel set to the nearest known one; all 0 if nothing is known.
+
+    Windows and interpolation that reach over the edge of the known region then see what they see at an image's border.
+    """
     if known is None:
         return pixels
     if not known.any():
@@ -43,18 +48,18 @@ def filled(pixels: np.ndarray, known: np.ndarray | None) -> np.ndarray:
 
 
 def known_at(known: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Which of the pixel coordinates [P,2], all inside the image, lie on known pixels; [P] bool."""
+    """Return which pixel coordinates [P,2], all inside the image, lie on known pixels, [P] bool."""
     columns, rows = pixels.astype(np.intp).T
     return np.asarray(known[rows, columns])
 
 
 def known_inside(known: np.ndarray, reach: int) -> np.ndarray:
-    """[H,W] bool: pixels without anything unknown, or the image's border, within `reach` pixels, diagonals included."""
+    """Return the pixels [H,W] bool that have only known pixels of the image within `reach`, diagonals included."""
     return np.asarray(ndimage.minimum_filter(known, 2 * reach + 1, mode="constant", cval=False))
 
 
 def whole_part(view: View) -> View:
-    """The view cut to a large rectangle of which the photograph shows every pixel; the view itself if it shows all."""
+    """Return the view cut to a large rectangle of known pixels; the view itself if it shows all."""
     if view.known is None:
         return view
     rows, columns = largest_rectangle(view.known)
@@ -67,8 +72,11 @@ def whole_part(view: View) -> View:
 
 
 def largest_rectangle(known: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a large rectangle of known pixels: the worst side is cut until the border is good, and then
-    all sides, should unknown pixels lie inside. One pixel, known or not, if there is none."""
+    """Return the rows and columns of a large rectangle of known pixels.
+
+    Each step cuts the side with the most unknown pixels. Where all borders are known but the inside is not, it cuts all
+    sides. The result is one pixel wide or high, known or not, where no such rectangle exists.
+    """
     top, bottom, left, right = 0, known.shape[0], 0, known.shape[1]
     while bottom - top > 1 and right - left > 1:
         inner = known[top:bottom, left:right]

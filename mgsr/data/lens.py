@@ -26,10 +26,10 @@ class AnyLens(Protocol):
 
     @property
     def flat(self) -> bool:
-        """Whether this lens changes nothing."""
+        """Return whether this lens changes nothing."""
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Where the lens puts the rays (x, y, 1), arrays that broadcast; NaN for rays that it can't show."""
+        """Return where the lens puts the rays (x, y, 1), arrays that broadcast; NaN for rays that it can't show."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,15 @@ class Lens:
 
     @property
     def flat(self) -> bool:
-        """Whether this lens changes nothing."""
+        """Return whether this lens changes nothing."""
         terms = (self.k1, self.k2, self.p1, self.p2, *self.higher, *self.divisor, *self.prism, self.skew)
         return not self.fisheye and not any(terms)
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """OpenCV's calib3d documentation, "Detailed Description"; for fisheyes its section "Fisheye camera model"."""
+        """Return the distorted coordinates of the rays (x, y, 1), by OpenCV's model.
+
+        Source: OpenCV's calib3d documentation, "Detailed Description"; for fisheyes its section "Fisheye camera model".
+        """
         if self.fisheye:
             x, y = _by_angle(x, y)
         r2 = x * x + y * y
@@ -76,13 +79,13 @@ class Lens:
 
 @dataclass(frozen=True)
 class FieldOfViewLens:
-    """One angle, radians (Devernay and Faugeras 2001)."""
+    """The field-of-view model, with one angle `omega`, radians (Devernay and Faugeras 2001)."""
 
     omega: float
     flat: bool = False
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Radii r to atan(2 r tan(omega / 2)) / omega."""
+        """Return the rays (x, y, 1) with their radius r mapped to atan(2 r tan(omega / 2)) / omega."""
         r = np.maximum(np.hypot(x, y), 1e-12)
         factor = np.arctan(2 * r * math.tan(self.omega / 2)) / (self.omega * r)
         return x * factor, y * factor
@@ -90,17 +93,20 @@ class FieldOfViewLens:
 
 @dataclass(frozen=True)
 class DivisionLens:
-    """One factor; undistorted = distorted / (1 + k r^2), with the distorted radius r (Fitzgibbon 2001)."""
+    """The division model, with one factor (Fitzgibbon 2001).
+
+    undistorted = distorted / (1 + k r^2), with the distorted radius r.
+    """
 
     k: float
 
     @property
     def flat(self) -> bool:
-        """Whether this lens changes nothing."""
+        """Return whether this lens changes nothing."""
         return self.k == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """The quadratic equation's root that goes over into r at k = 0."""
+        """Return the distorted coordinates, from the root of the quadratic equation that becomes r at k = 0."""
         with np.errstate(invalid="ignore"):
             factor = 2 / (1 + np.sqrt(1 - 4 * self.k * (x * x + y * y)))
         return x * factor, y * factor
@@ -108,19 +114,23 @@ class DivisionLens:
 
 @dataclass(frozen=True)
 class InverseRadialLens:
-    """One factor; undistorted = distorted (1 + k r^2), with the distorted radius r (VisualSFM's "measurement
-    distortion", Wu 2011)."""
+    """An inverse radial model with one factor: VisualSFM's "measurement distortion" (Wu 2011).
+
+    undistorted = distorted (1 + k r^2), with the distorted radius r.
+    """
 
     k: float
 
     @property
     def flat(self) -> bool:
-        """Whether this lens changes nothing."""
+        """Return whether this lens changes nothing."""
         return self.k == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """The cubic equation's root that goes over into r at k = 0; none is left beyond the largest undistorted radius
-        that a negative k has."""
+        """Return the distorted coordinates, from the root of the cubic equation that becomes r at k = 0.
+
+        A negative k has a largest undistorted radius; rays beyond it have no root and become NaN.
+        """
         if self.flat:
             return x, y
         r = np.maximum(np.hypot(x, y), 1e-12)
@@ -140,18 +150,18 @@ class UnifiedLens:
 
     @property
     def flat(self) -> bool:
-        """Whether this lens changes nothing."""
+        """Return whether this lens changes nothing."""
         return self.alpha == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """The ray over alpha times its distance on the ellipsoid and 1 - alpha times its depth."""
+        """Return the ray divided by alpha times its distance on the ellipsoid plus 1 - alpha times its depth."""
         factor = 1 / (self.alpha * np.sqrt(self.beta * (x * x + y * y) + 1) + 1 - self.alpha)
         return x * factor, y * factor
 
 
 @dataclass(frozen=True)
 class AriaLens:
-    """Fisheye with six radial, two tangential and four prism terms (Project Aria's "Fisheye624")."""
+    """A fisheye with six radial, two tangential and four prism terms (Project Aria's "Fisheye624")."""
 
     radial: tuple[float, ...]
     tangential: tuple[float, float]
@@ -159,7 +169,7 @@ class AriaLens:
     flat: bool = False
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Radial terms on the ray's angle; the others on what comes of that."""
+        """Return the distorted coordinates: radial terms act on the ray's angle, the others on the result."""
         x, y = _by_angle(x, y)
         factor = 1 + _polynomial(x * x + y * y, self.radial)
         x, y = x * factor, y * factor
@@ -171,14 +181,14 @@ class AriaLens:
 
 
 def _by_angle(x: np.ndarray, y: np.ndarray) -> Coordinates:
-    """Rays with their angle to the axis, radians, as length."""
+    """Return rays scaled so that their length is their angle to the axis, radians."""
     r = np.maximum(np.hypot(x, y), 1e-12)
     factor = np.arctan(r) / r
     return x * factor, y * factor
 
 
 def _polynomial(r2: np.ndarray, factors: tuple[float, ...]) -> np.ndarray:
-    """factors[0] r^2 + factors[1] r^4 + ..., by Horner's rule."""
+    """Return factors[0] r^2 + factors[1] r^4 + ..., by Horner's rule."""
     used = len(factors)
     while used > 1 and factors[used - 1] == 0:
         used -= 1

@@ -1,4 +1,4 @@
-"""Photographs to views: decoded in parallel, turned, reduced and undistorted, with the masks beside them."""
+"""Turn photographs into views: decoded in parallel, turned, reduced and undistorted, with the masks beside them."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _REPORT_EVERY = 2.0
 
 @dataclass(frozen=True)
 class LoadedView:
-    """A view in the user's frame, whose alpha came with the colours, which then mean nothing where it is zero.
+    """A view in the user's frame. Its alpha came with the colours, which mean nothing where alpha is zero.
 
-    mask [H,W] uint8: what a file beside the photograph holds, white on the object or black on what is to be ignored;
-    ignored [H,W] uint8: what another one holds, white on what is to be ignored. None where there is none.
+    mask [H,W] uint8: from a file beside the photograph, white on the object or black on what is to be ignored. ignored
+    [H,W] uint8: from another file, white on what is to be ignored. Each is None where there is no such file.
     """
 
     view: View
@@ -56,9 +56,11 @@ class _Tools:
 def load_views(
     photos: Sequence[Photo], names: Sequence[str], config: DataConfig, progress: LoadProgress | None = None
 ) -> list[LoadedView | SceneError]:
-    """Decode every photograph once; in the order given, and for one that can't be read the reason. At most as many as
-    there are threads are in work at a time, beside the finished ones. Raises the first reason once most of the
-    photographs have one."""
+    """Decode every photograph once; return a view, or the reason why it can't be read, for each in the order given.
+
+    At most as many photographs as there are threads are in work at a time, beside the finished ones. Raises the first
+    reason once most of the photographs have one.
+    """
     pixels = PixelStore()
     tools = _Tools(config, Undistorter(pixels), pixels)
     loaded: list[LoadedView | SceneError] = []
@@ -105,8 +107,11 @@ def _load(photo: Photo, name: str, tools: _Tools) -> LoadedView:
 
 
 def _turned(picture: Picture, masks: list[np.ndarray | None], photo: Photo) -> tuple[Picture, list[np.ndarray | None]]:
-    """The photograph as the camera was calibrated for it: as it is stored, as in COLMAP, unless only its upright form
-    has the camera's shape. Masks of the stored form are turned along."""
+    """Return the photograph in the orientation that its camera was calibrated for, with its masks.
+
+    It stays as stored, as in COLMAP, unless only its upright form has the camera's shape. Masks of the stored shape are
+    turned with it.
+    """
     height, width = picture.colors.shape[:2]
     if picture.orientation == 1 or _same_shape(photo.size, (width, height)):
         return picture, masks
@@ -123,7 +128,10 @@ def _turned(picture: Picture, masks: list[np.ndarray | None], photo: Photo) -> t
 
 
 def _camera(photo: Photo, width: int, height: int) -> Camera:
-    """The camera for an image of this size, which may be a reduced copy of the one that was calibrated."""
+    """Return the camera for an image of this size, which may be a scaled copy of the calibrated one.
+
+    Raises SceneError where the image has another shape, or where the calibrated size is below 1.
+    """
     camera = Camera(photo.K, photo.cam_from_world, *photo.size)
     if photo.size == (width, height):
         return camera
@@ -138,16 +146,20 @@ def _camera(photo: Photo, width: int, height: int) -> Camera:
 
 
 def _same_shape(size: tuple[int, ...], copy: tuple[int, ...]) -> bool:
-    """Whether an image of one size, (width, height), may be a scaled copy of the other: a copy's sides are rounded to
-    whole pixels, so its two scales agree to about a pixel only."""
+    """Return whether an image of size (width, height) may be a scaled copy of another.
+
+    The sides of a copy are rounded to whole pixels, so its two scales agree only to about a pixel.
+    """
     return min(size) > 0 and abs(copy[0] / size[0] - copy[1] / size[1]) * max(size) <= 1.5
 
 
 def _resampled(
     view: View, masks: list[np.ndarray | None], photo: Photo, tools: _Tools
 ) -> tuple[View, list[np.ndarray | None]]:
-    """The view at most `max_side` large and without its lens, and its masks. Colours that come with alpha, and so have
-    no meaning where that is zero, are weighted by it."""
+    """Return the view, undistorted and at most `max_side` large, and its masks.
+
+    Colours that come with alpha have no meaning where it is zero, so alpha weights them.
+    """
     premultiply = view.alpha is not None
     layers = [stack(view, premultiply), *[mask[..., None] for mask in masks if mask is not None]]
     camera, known = view.camera, None
@@ -165,7 +177,7 @@ def _resampled(
 
 
 def reduced_view(view: View, scale: float) -> View:
-    """The view with its sides times `scale`, at most 1, and area filtering (see `averaged`)."""
+    """Return the view with its sides times `scale`, at most 1, by area filtering (see `averaged`)."""
     camera = view.camera
     camera = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     return averaged(view, camera, lambda pixels: reduce_area(pixels, camera.width, camera.height))

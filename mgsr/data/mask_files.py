@@ -1,4 +1,4 @@
-"""Which file is a photograph's mask, told by its name."""
+"""Find a photograph's mask by its file name."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from mgsr.data.photo_files import SceneFolder
 
 
 class MaskIndex:
-    """The masks of a scene's photographs: in a folder masks/ or mask/ of the scene's root, or of a folder that the
-    photographs lie in, or beside the photograph as RealityCapture has it.
+    """The masks of a scene's photographs, by file name.
 
-    In the folder: the photograph's name with an image's extension in place of, or after, its own, also with _mask or
-    .mask before that, or mask_ at the front (``0001.png``, ``0001.jpg.png``, ``0001_mask.png``, ``0001.mask.png``,
-    ``mask_0001.png``); beside it: ``0001.mask.png`` and ``0001.jpg.mask.png`` alone. The photograph's folders below the
-    folder of all count where masks/ has them too (``masks/left/0001.png``). Letters may be large or small.
+    Masks lie in a folder masks/ or mask/ of the scene's root or of a folder that the photographs lie in, or beside the
+    photograph as RealityCapture has it.
+
+    In such a folder a mask has the photograph's name, with an image extension in place of, or after, the photograph's
+    own. The name may have _mask or .mask before that, or mask_ at the front (``0001.png``, ``0001.jpg.png``,
+    ``0001_mask.png``, ``0001.mask.png``, ``mask_0001.png``). Beside the photograph, only ``0001.mask.png`` and
+    ``0001.jpg.mask.png`` count. Subfolders of the photographs' folder count where masks/ has them too
+    (``masks/left/0001.png``). Case does not matter.
     """
 
     def __init__(self, folder: SceneFolder) -> None:
@@ -27,7 +30,7 @@ class MaskIndex:
 
     @cached_property
     def masks(self) -> list[Path]:
-        """All images in the folders of masks of the scene itself."""
+        """Return all images in the scene's own mask folders."""
         homes = dict.fromkeys((self._folder.root, self._folder.top))
         return [path for home in homes for folder in self._mask_folders(home) for path in all_images(folder)]
 
@@ -49,12 +52,12 @@ class MaskIndex:
         return self._beside(image, (IGNORED_PREFIX + image.stem,))
 
     def _homes(self, image: Path) -> list[Path]:
-        """The folders that may hold a folder of masks for a photograph: the root, and those that it lies in."""
+        """Return the folders that may hold a mask folder for a photograph: the root, and those that it lies in."""
         root = [self._folder.root] if image.is_relative_to(self._folder.root) else []
         return [*root, *(path for path in image.parents if path.is_relative_to(self._folder.top) and path not in root)]
 
     def _mask_folders(self, home: Path) -> list[Path]:
-        """The folders of masks in a folder."""
+        """Return the mask folders in a folder, masks/ first; the result is cached."""
         if home not in self._inner:
             inner = [path for path in home.iterdir() if path.name.lower() in MASK_FOLDERS and path.is_dir()]
             self._inner[home] = sorted(inner, key=lambda path: (MASK_FOLDERS.index(path.name.lower()), path.name))
@@ -67,7 +70,7 @@ class MaskIndex:
         return self._first(image.parent, Path(), names)
 
     def _first(self, folder: Path, place: Path, names: Sequence[str]) -> Path | None:
-        """The first image at a place in a folder that has one of these names, without its extension."""
+        """Return the first image at `place` in a folder with one of these names, without extension, or None."""
         if folder not in self._listed:
             self._listed[folder] = _by_name(folder, all_images(folder))
         there = self._listed[folder]
@@ -75,8 +78,10 @@ class MaskIndex:
 
 
 def _by_name(folder: Path, images: Sequence[Path]) -> dict[str, Path]:
-    """Images by their folded paths in a folder, without extension; those that come first among the kinds of images
-    first."""
+    """Return images by their folded paths in a folder, without extension.
+
+    Where two share a path, the one whose extension comes first in IMAGE_SUFFIXES wins.
+    """
     known = [path for path in images if path.suffix.lower() in IMAGE_SUFFIXES]
     ordered = sorted(known, key=lambda path: IMAGE_SUFFIXES.index(path.suffix.lower()))
     return {folded(str(path.relative_to(folder).with_suffix(""))): path for path in reversed(ordered)}

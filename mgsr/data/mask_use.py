@@ -1,7 +1,7 @@
-"""What the masks beside photographs mean: silhouettes of the object, or what is to be ignored.
+"""What the masks beside photographs mean: silhouettes of the object, or regions to ignore.
 
-COLMAP, nerfstudio and others have masks that are white but for passers-by, a tripod or a strip of the image: black
-there is unknown, and not off the object.
+In COLMAP, nerfstudio and other programs, masks are black on passers-by, a tripod or a strip of the image, and white
+elsewhere. There, black means unknown, and not off the object.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ _CHOICE = (
 
 
 class MaskUse(StrEnum):
-    """object: white is the object, all else is not. ignore: black is not known, all else is used."""
+    """object: white is the object, all else is not. ignore: black is unknown, all else is used."""
 
     OBJECT = "object"
     IGNORE = "ignore"
 
 
 def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> MaskUse:
-    """Return what masks [H,W] uint8, each of the view of a camera, mean.
+    """Return what masks [H,W] uint8, one for each camera, mean.
 
-    Masks that leave the images' borders black show an object before its surroundings. Others do where the black parts
-    lie at one place in space, around the object; black parts that are somewhere else in each view are to be ignored.
-    Raises SceneError, with the two meanings, where neither is clear, and for silhouettes that are inverted.
+    Masks that leave the images' borders black show an object before its surroundings. Other masks show one where their
+    black parts lie at one place in space, around the object. Black parts that lie somewhere else in each view are to be
+    ignored. Raises SceneError, with the two meanings, where neither is clear, and for inverted silhouettes.
     """
     if leave_borders_free(masks):
         return MaskUse.OBJECT
@@ -93,14 +93,16 @@ def doubt(masks: Sequence[np.ndarray]) -> SceneError:
 
 
 def require_plausible_ball(radius: float, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:
-    """Raise the doubt about masks taken for silhouettes where the object's ball would be many times larger than what
-    the images show: masks that leave out the sky or the corners have no object."""
+    """Raise the doubt about masks where the object's ball would be many times larger than what the images show.
+
+    Masks that leave out the sky or the corners have no object.
+    """
     if radius > _LARGEST_BALL * unmasked_ball(cameras, None)[1]:
         raise doubt(masks)
 
 
 def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> float:
-    """How much the views agree about which places around what the cameras look at are black."""
+    """Return how much the views agree about which places are black, on a grid around what the cameras look at."""
     center, radius = unmasked_ball(cameras, None)
     axis = np.linspace(-1, 1, _SIDE)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -111,7 +113,7 @@ def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) 
 
 
 def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
-    """How much the views agree about which parts of the image are black."""
+    """Return how much the views agree about which parts of the image are black."""
     axis = (np.arange(_SIDE) + 0.5) / _SIDE
     rows = [mask[(axis * len(mask)).astype(int)][:, (axis * mask.shape[1]).astype(int)].ravel() for mask in masks]
     black = np.array(rows) < 128
@@ -119,13 +121,16 @@ def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
 
 
 def _black_corners(masks: Sequence[np.ndarray]) -> float:
-    """The median number of corners that a mask has black."""
+    """Return the median number of black corners of a mask."""
     return float(np.median([(mask[[0, 0, -1, -1], [0, -1, 0, -1]] < 128).sum() for mask in masks]))
 
 
 def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
-    """The share of the other views that have a place black where one does, less the share that is black of all that is
-    seen. seen, black [V,P] bool: black only where seen."""
+    """Return how much more often other views find a place black where one view does than views do on average.
+
+    seen, black: [V,P] bool; black only where seen. It is the share of other views that agree, less the share of all
+    seen places that are black.
+    """
     views, votes = seen.sum(axis=0), black.sum(axis=0)
     pairs = (votes * (views - 1)).sum()
     if pairs == 0:
@@ -134,7 +139,7 @@ def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
 
 
 def _seen(points: np.ndarray, mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Which of the points [P,3] a view sees, and which of them it has black, both [P] bool."""
+    """Return which points [P,3] a view sees, and which of them its mask has black, both [P] bool."""
     pixels, depth = camera.project(points)
     inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels < [camera.width, camera.height]).all(axis=1)
     columns, rows = np.where(inside[:, None], pixels, 0).astype(np.intp).T

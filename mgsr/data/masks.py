@@ -1,4 +1,4 @@
-"""Masks beside photographs, brought to the photograph's size and looked at for being inverted; and others given."""
+"""Bring masks to their photograph's size, detect inverted ones, and replace a scene's masks."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ FREE = 0.75
 
 
 def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.ndarray:
-    """The mask [height,width] uint8 of a mask of any size and the same shape: larger ones are reduced by area means,
-    smaller ones enlarged smoothly. Raises SceneError for other shapes."""
+    """Return a mask of any size and the same shape as [height,width] uint8.
+
+    Larger masks are reduced by area means; smaller ones are enlarged smoothly. Raises SceneError for other shapes.
+    """
     if mask.shape == (height, width):
         return mask
     across, down = width / mask.shape[1], height / mask.shape[0]
@@ -38,15 +40,17 @@ def fitted_mask(mask: np.ndarray, width: int, height: int, photo: Photo) -> np.n
 
 
 def with_masks(scene: Scene, masks: Sequence[np.ndarray] | None) -> Scene:
-    """The scene with other masks [H,W] uint8 of its training views, in their order; as it is for None."""
+    """Return the scene with other masks [H,W] uint8 for its training views, in their order; unchanged for None."""
     if masks is None:
         return scene
     return replace(scene, train=[replace(view, alpha=mask) for view, mask in zip(scene.train, masks, strict=True)])
 
 
 def leave_borders_free(masks: Sequence[np.ndarray]) -> bool:
-    """Whether masks [H,W] uint8 leave the images' borders to what lies behind, as an object's before a plain backdrop
-    do."""
+    """Return whether masks [H,W] uint8 leave the images' borders to the background.
+
+    Masks of an object before a plain backdrop do.
+    """
     return 1 - white_borders(masks) >= FREE
 
 
@@ -57,8 +61,10 @@ def white_borders(masks: Sequence[np.ndarray]) -> float:
 
 
 def inverted_masks(masks: Sequence[np.ndarray]) -> bool:
-    """Whether masks [H,W] uint8 are white around a black object: in nearly all views the border is white and what is
-    black lies apart from it, in the middle."""
+    """Return whether masks [H,W] uint8 are white around a black object.
+
+    They are where in nearly all views the border is white and the black part lies apart from it, in the middle.
+    """
     return sum(map(_looks_inverted, masks)) > 0.9 * len(masks)
 
 

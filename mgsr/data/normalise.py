@@ -25,13 +25,13 @@ MIN_POINTS = 50
 
 
 def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Sequence[Silhouette]) -> Similarity:
-    """The similarity whose unit ball holds the object, from training views in the user's frame.
+    """Return the similarity whose unit ball holds the object, from training views in the user's frame.
 
-    outlines: their silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks: the
-    smallest ball around the visual hull. Without: the ball around the point that the cameras look at that most of them
-    have in view, moved and drawn in to the points that crowd in it. Cameras that look into one direction have no such
-    point: there the ball holds nine tenths of the points, or what the cameras see in common.
-    Raises SceneError if all cameras stand at one place, or if the masks exclude each other.
+    outlines: the views' silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks, the
+    ball is the smallest around the visual hull. Without, it lies around the point that the cameras look at and that
+    most of them have in view, moved and shrunk to the points that crowd in it. Cameras that look into one direction
+    have no such point: there the ball holds nine tenths of the points, or what the cameras see in common. Raises
+    SceneError if all cameras stand at one place, or if the masks exclude each other.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
@@ -43,9 +43,9 @@ def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Se
 
 
 def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
-    """The point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
+    """Return the point [3] nearest to rays [V,3], by least squares, without the rays that miss it by far.
 
-    None if the rays are nearly parallel or the point lies behind most of them.
+    None if the rays are nearly parallel or the point lies behind a fifth of them or more.
     """
     keep = np.ones(len(origins), dtype=bool)
     for _ in range(4):
@@ -63,7 +63,7 @@ def focus(origins: np.ndarray, directions: np.ndarray) -> np.ndarray | None:
 
 
 def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, float]:
-    """Centre and radius of about the smallest ball around points [P,3] (Badoiu and Clarkson 2003)."""
+    """Return centre [3] and radius of about the smallest ball around points [P,3] (Badoiu and Clarkson 2003)."""
     try:
         corners = points[ConvexHull(points).vertices]
     except QhullError:  # fewer than four points, or all in a plane
@@ -97,8 +97,10 @@ def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple
 
 
 def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
-    """Centre [3] of a ball about as large as the object, from the boxes of the masks, which must not be empty; and its
-    radius by each of them [V]."""
+    """Return the centre [3] of a ball about as large as the object, and its radius by each view [V].
+
+    Both come from the bounding boxes of the masks, which must not be empty.
+    """
     origins = np.array([view.camera.center for view in views])
     boxes = [_box(view) for view in views]
     directions, spreads = (np.array(part) for part in zip(*boxes, strict=True))
@@ -109,7 +111,10 @@ def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(view: View) -> tuple[np.ndarray, float]:
-    """World direction to the middle of the mask, which isn't empty, and half the mask's diagonal over depth."""
+    """Return the world direction to the middle of the mask's bounding box, and half its diagonal over depth.
+
+    The mask must not be empty.
+    """
     assert view.alpha is not None, "called for masked scenes only"
     inside = view.alpha > 127 if view.known is None else (view.alpha > 127) & view.known
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
@@ -121,7 +126,7 @@ def _box(view: View) -> tuple[np.ndarray, float]:
 
 
 def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
-    """Return centre [3] and radius of the ball around what the cameras look at, and what the points [P,3] crowd in."""
+    """Return centre [3] and radius of the ball around what the cameras look at, fitted to the points [P,3] in it."""
     origins = np.array([camera.center for camera in cameras])
     directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
@@ -134,8 +139,10 @@ def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple
 
 
 def _view_direction(camera: Camera) -> np.ndarray:
-    """The unit direction [3] in the world to the middle of the image, which is not the camera's axis where the image
-    was cut out of a larger one."""
+    """Return the unit direction [3] in the world to the middle of the image.
+
+    It differs from the camera's axis where the image was cut out of a larger one.
+    """
     if 0 <= camera.K[0, 2] <= camera.width and 0 <= camera.K[1, 2] <= camera.height:
         return np.asarray(camera.cam_from_world[2, :3])
     middle = np.linalg.solve(camera.K, [camera.width / 2, camera.height / 2, 1.0])
@@ -143,8 +150,11 @@ def _view_direction(camera: Camera) -> np.ndarray:
 
 
 def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
-    """The ball moved to where the points in it crowd, and drawn in to them: people aim beside the object, but its
-    texture gets most of the points. It stays within its own radius of the focus."""
+    """Return the ball moved to where the points in it crowd, and shrunk to them.
+
+    People aim beside the object, but its texture gets most of the points. The centre stays within the ball's own radius
+    of the focus.
+    """
     center = focus_point
     for _ in range(10):
         within = positions[np.linalg.norm(positions - center, axis=1) < radius]
@@ -172,13 +182,19 @@ def _one_sided_ball(
 
 
 def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """A point before cameras that look into one direction: as far as they are apart, twice."""
+    """Return a point [3] ahead of cameras that look in one direction.
+
+    Its distance is four times their largest distance from their mean.
+    """
     spread = np.linalg.norm(origins - origins.mean(axis=0), axis=1).max()
     return origins.mean(axis=0) + directions.mean(axis=0) * 4 * spread
 
 
 def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
-    """Radius of the ball around `center` that the camera's image shows whole, at least a tenth of its distance."""
+    """Return the radius of the ball around `center` that the camera's image shows whole.
+
+    It is at least a tenth of the distance to `center`.
+    """
     local = camera.cam_from_world[:3, :3] @ center + camera.cam_from_world[:3, 3]
     K = camera.K
     edges = np.array(

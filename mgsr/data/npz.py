@@ -1,4 +1,4 @@
-"""Arrays from .npz files, which others wrote or which came to harm."""
+"""Read arrays from untrusted or damaged .npz files."""
 
 from __future__ import annotations
 
@@ -28,8 +28,11 @@ DAMAGE = (
 
 
 def read_arrays(path: Path, largest: int = 1 << 31) -> dict[str, np.ndarray]:
-    """The file's arrays of numbers, by name. Raises ValueError, whatever the damage; also for arrays that take more
-    than `largest` bytes, as those of a file that was made to fill the memory."""
+    """Read the file's arrays of numbers, by name.
+
+    Raises ValueError for any damage, for arrays of anything but numbers, and for arrays larger than `largest` bytes, as
+    in a file made to fill the memory.
+    """
     try:
         with zipfile.ZipFile(path) as members:
             for member in members.infolist():

@@ -1,4 +1,4 @@
-"""Matrices and intrinsics in text files, as research captures have them: numbers, a row a line."""
+"""Matrices and intrinsics in text files, as research captures have them: numbers, one row per line."""
 
 from __future__ import annotations
 
@@ -21,16 +21,20 @@ _MAP = re.compile(r"[-_.](depth|mask|masked|normal|albedo|alpha|seg|conf|confide
 
 
 def read_rows(path: Path, largest: int = LARGEST_CAMERA) -> list[list[float]]:
-    """Read the rows of numbers of a text file, without empty lines. Raises SceneError that names the line that holds
-    something else."""
+    """Read the rows of numbers of a text file, without empty lines.
+
+    Raises SceneError that names the line that holds something else.
+    """
     lines = enumerate(read_lines(path, largest), start=1)
     rows = [row_from(line, f"{path.name}, line {number}") for number, line in lines]
     return [row for row in rows if row]
 
 
 def row_from(line: str, source: str) -> list[float]:
-    """Return the numbers of a line, separated by blanks or commas, without a comment (#): NaN for what C prints for NaN
-    and infinity. Raises SceneError with `source`."""
+    """Return the numbers of a line, separated by blanks or commas, without a comment (#).
+
+    What C prints for NaN and infinity becomes NaN. Raises SceneError with `source`.
+    """
     try:
         return [text_number(word) for word in line.split("#")[0].replace(",", " ").split()]
     except ValueError as error:
@@ -38,8 +42,10 @@ def row_from(line: str, source: str) -> list[float]:
 
 
 def read_lines(path: Path, largest: int = LARGEST_CAMERA) -> list[str]:
-    """Read the lines of a text file. Raises SceneError for files that are missing, larger than `largest` bytes, or no
-    text."""
+    """Read the lines of a text file.
+
+    Raises SceneError for files that are missing, larger than `largest` bytes, or no text.
+    """
     require_content(path)
     try:
         if path.stat().st_size > largest:
@@ -88,17 +94,17 @@ def _one_focal(row: list[float]) -> np.ndarray:
 
 
 def _size(rows: list[list[float]]) -> tuple[int, int] | None:
-    """The last row of two whole numbers: height and width."""
+    """Return the size (width, height) from the last row of two whole numbers, height first; None without one."""
     sizes = [row for row in rows if len(row) == 2 and all(1 < side < 1e6 for side in row)]
     return (int(sizes[-1][1]), int(sizes[-1][0])) if sizes else None
 
 
 @np.errstate(over="ignore")  # what overflows is no factor
 def calibrated_size(K: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
-    """Return the size of the image that K [3,3] is for, where its file does not say it: that of the photograph, or this
-    times a power of two, where the principal point lies in the middle of such an image.
+    """Return the size of the image that K [3,3] is for, where its file does not say it.
 
-    Research captures come with reduced photographs and the intrinsics of the full ones, and the reverse.
+    It is the photograph's size, or this times a power of two where the principal point lies in the middle of such an
+    image. Research captures come with reduced photographs and the intrinsics of the full ones, and the reverse.
     """
     middle = 2 * K[:2, 2] / np.array(size)
     if not np.isfinite(middle).all() or (middle <= 0).any():
@@ -111,7 +117,7 @@ def calibrated_size(K: np.ndarray, size: tuple[int, int]) -> tuple[int, int]:
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """Return the photographs in a folder, but not below it, by name; without maps and masks. Empty if there is none."""
+    """Return the photographs directly in a folder, by name, without maps and masks; empty if there is none."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if _is_photograph(path))
@@ -123,14 +129,14 @@ def _is_photograph(path: Path) -> bool:
 
 
 def folders_in(folder: Path) -> list[Path]:
-    """Return the folders in a folder, by name, without hidden ones. Empty if there is none."""
+    """Return the folders in a folder, by name, without hidden ones; empty if there is none."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith((".", "__")))
 
 
 def texts_in(folder: Path, pattern: str = "*.txt") -> list[Path]:
-    """Return the text files in a folder, by name, without hidden ones. Empty if there is none."""
+    """Return the text files in a folder, by name, without hidden ones; empty if there is none."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.glob(pattern) if path.is_file() and not path.name.startswith("."))

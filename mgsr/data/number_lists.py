@@ -1,4 +1,4 @@
-"""Lists of numbers as files have them, text or JSON, and what formats of several programs make of them."""
+"""Read lists of numbers, from text or JSON, and the matrices and points that several formats make of them."""
 
 from __future__ import annotations
 
@@ -65,16 +65,18 @@ def rotation_of(quaternion: np.ndarray, source: str) -> np.ndarray:
 
 
 def from_center(rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
-    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's position [3] in the world; with infinite
-    numbers or NaN where the product overflows."""
+    """Return cam_from_world [4,4] of its rotation [3,3] and the camera's position [3] in the world.
+
+    It holds infinite numbers or NaN where the product overflows.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         return rigid(rotation, -rotation @ center)
 
 
 def point_cloud(positions: Any, colors: Any) -> PointCloud | None:
-    """Return the points of positions, P rows of 3 numbers or texts, with their colours, the same from 0 to 255.
+    """Return the points of `positions`, P rows of 3 numbers or texts, with their `colors`, the same from 0 to 255.
 
-    Rows that are no 3 finite numbers are left out, or grey where they are colours. None where no points are left.
+    Rows without 3 finite numbers are left out; colours without them become grey. None where no points are left.
     """
     places, shades = _rows(positions), _rows(colors)
     shades[~np.isfinite(shades).all(axis=1)] = _GREY
@@ -85,12 +87,12 @@ def point_cloud(positions: Any, colors: Any) -> PointCloud | None:
 
 
 def grey(count: int) -> np.ndarray:
-    """Return the colours [P,3] of points that have none."""
+    """Return grey colours [P,3] for points that have none."""
     return np.full((count, 3), _GREY)
 
 
 def _rows(rows: Any) -> np.ndarray:
-    """Rows of 3 numbers as float64 [P,3], NaN for those that are none."""
+    """Return rows of 3 numbers as float64 [P,3], with NaN for rows without them."""
     try:
         table = np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):

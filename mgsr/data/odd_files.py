@@ -39,11 +39,11 @@ def what_instead(path: Path) -> str | None:
 
 
 def require_content(path: Path) -> None:
-    """Raise SceneError where a file is something else than its name says."""
+    """Raise SceneError where a file's content is not what its name says."""
     if path.is_file() and (odd := what_instead(path)):
         raise SceneError(f"{path.name} {odd}")
 
 
 def is_video(path: Path) -> bool:
-    """Return whether a file is a video by its name."""
+    """Return whether a file's name is that of a video."""
     return path.suffix.lower() in VIDEO_SUFFIXES

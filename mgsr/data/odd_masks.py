@@ -1,4 +1,4 @@
-"""Views whose masks contradict the others': inverted ones, those of another view, or of what hides the object."""
+"""Views whose masks contradict the others': inverted, of another view, or of something that hides the object."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _SIDE = 32
 
 
 def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """[V] bool: the views but for the few whose masks leave out where nearly all others have the object; and a note on
-    those.
+    """Return which views to keep, [V] bool, and a note on the others.
 
-    views: in the user's frame; outlines: their silhouettes, of masks that are not empty, none without masks.
+    The views left out are the few whose masks are off where nearly all others have the object. views: in the user's
+    frame. outlines: their silhouettes, of masks that are not empty; none without masks.
     """
     agreeing = np.ones(len(views), dtype=bool)
     if len(outlines) < FEWEST:
@@ -52,7 +52,7 @@ def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tup
 
 
 def _left_out(views: Sequence[View], outlines: Sequence[Silhouette]) -> np.ndarray:
-    """[V,P] bool: which of the points of a grid around the object each view has outside its mask."""
+    """Return which points of a grid around the object each view has outside its mask, [V,P] bool."""
     center, radii = ball_of_masks(views)
     axis = np.linspace(-1, 1, _SIDE) * np.median(radii)
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) + center

@@ -1,7 +1,7 @@
-"""Photographs found by the names that a capture's files give them, wherever they lie below the scene's folder.
+"""Find photographs by the names that a capture's files give them, wherever they lie below the scene's folder.
 
 Programs write paths relative to folders of their own, absolute paths of other machines, names without folders or
-extension, and names of files that were converted, cut out or reduced since.
+extension, and names of files that were later converted, cropped or reduced.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ _REDUCED = re.compile(r"_(\d{1,2})$")
 
 @dataclass(frozen=True)
 class FoundPhotos:
-    """Where photographs lie: for each name its file, or the SceneError that says why there is none (MissingPhotoError
-    where it is missing). file: what names them, for messages. notes: what the person should know."""
+    """Where photographs lie.
+
+    paths: for each name its file, or the SceneError that says why there is none (MissingPhotoError where it is
+    missing). file: the file that names them, for messages. notes: what the person should know.
+    """
 
     file: str
     paths: list[Path | SceneError]
@@ -35,21 +38,24 @@ class FoundPhotos:
 
     @property
     def files(self) -> list[Path]:
-        """The files that were found."""
+        """Return the files that were found."""
         return [path for path in self.paths if isinstance(path, Path)]
 
 
 @dataclass(frozen=True)
 class SceneFolder:
-    """The folder of a scene. root: where the format's own files lie. top: the folder that the person gave, the root
-    itself or one above it: photographs that the root does not hold are looked for below it."""
+    """The folder of a scene.
+
+    root: where the format's own files lie. top: the folder that the person gave, which is the root or one above it.
+    Photographs that the root does not hold are looked for below it.
+    """
 
     root: Path
     top: Path
 
     @classmethod
     def at(cls, root: Path) -> SceneFolder:
-        """Return the folder of a scene that holds all of its files."""
+        """Return a scene folder that is both the root and the top."""
         return cls(root, root)
 
     def find_photos(
@@ -59,9 +65,9 @@ class SceneFolder:
 
         names: paths as the file has them; anything else is an error of that photograph. places: the folders, below the
         root, that the paths may be relative to. A photograph that none of them holds is looked for anywhere below the
-        root, and then below the top: the file that agrees with most of the path's last folders is taken, under the
-        same name if there is one, else the only one of that stem with another extension. labels: names are no paths,
-        so that photographs may lie in any folder without a note.
+        root, and then below the top. The file that agrees with most of the path's last folders is taken: under the same
+        name if there is one, else the only one of that stem with another extension. labels: names are no paths, so that
+        photographs may lie in any folder without a note.
         """
         return _Search(self, file, names, places, labels).result()
 
@@ -70,16 +76,21 @@ class SceneFolder:
         return os.path.relpath(path, self.root if path.is_relative_to(self.root) else self.top)
 
     def inside(self, path: str) -> Path | None:
-        """Return an absolute path, or one relative to the working folder, as one below the top; None for others: an
-        uploaded scene must not be able to make MGSR read the machine's other files."""
+        """Return an absolute path, or one relative to the working folder, as one below the top; None for others.
+
+        An uploaded scene must not be able to make MGSR read the machine's other files.
+        """
         absolute = PurePosixPath(os.path.abspath(path))
         tops = (os.path.abspath(self.top), os.path.realpath(self.top))
         return next((self.top / absolute.relative_to(top) for top in tops if absolute.is_relative_to(top)), None)
 
     def find_file(self, name: Any, what: str) -> Path | None:
-        """Find a file other than a photograph that a file of the scene names, `what` for messages: where it says,
-        below the root or the top, in any case, or else by the path's last folders, as after a move. None where it is
-        missing. Raises SceneError for what is no path."""
+        """Find a file, other than a photograph, that a file of the scene names.
+
+        what: what the file is, for messages. It is looked for where the name says, below the root or the top and in any
+        case, and then by the path's last folders, as after a move. Returns None where it is missing. Raises SceneError
+        for what is no path.
+        """
         text = _path_text(name)
         if isinstance(text, SceneError):
             raise SceneError(f"{what}: {str(text).replace('an image', 'a file')}")
@@ -119,8 +130,11 @@ def _index(folder: Path) -> dict[str, list[Path]]:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A file that may be the photograph. agreeing: how many of the path's last folders it agrees with; same_name:
-    whether its extension does too; plain: it lies in no folder of maps; reduction: 4 in images_4, else 1."""
+    """A file that may be the photograph.
+
+    agreeing: how many of the path's last folders it agrees with. same_name: whether its extension agrees too. plain:
+    whether it lies outside folders of maps. reduction: 4 in images_4, else 1.
+    """
 
     path: Path
     agreeing: int
@@ -130,12 +144,12 @@ class _Candidate:
 
     @property
     def rank(self) -> tuple[int, bool, bool, int]:
-        """The more, the better."""
+        """Return the sort key of candidates; larger is better."""
         return self.agreeing, self.same_name, self.plain, -self.reduction
 
     @property
     def base(self) -> Path:
-        """The folder that the path is relative to, if it is this file's."""
+        """Return the folder that the path is relative to if it means this file."""
         return self.path.parents[self.agreeing]
 
 
@@ -149,8 +163,11 @@ class _Taken:
         self._twins: dict[Path, bool] = {}
 
     def rules_out(self, offer: _Candidate) -> bool:
-        """Return whether a file can't be another photograph: it is taken, or lies among other images of taken ones, in
-        a folder that the photograph's name does not have."""
+        """Return whether a file can't be another photograph.
+
+        It is taken already, or it lies among other images of taken photographs, in a folder that the photograph's name
+        lacks.
+        """
         folder = offer.path.parent
         if folder not in self._twins:
             there = {folded(file.stem) for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES}
@@ -159,7 +176,7 @@ class _Taken:
 
 
 class _Search:
-    """One look-up of all names of a file, as the names tell about each other."""
+    """One look-up of all names of a file, as each name gives hints about the others."""
 
     def __init__(
         self, folder: SceneFolder, file: str, names: Sequence[Any], places: Sequence[str], labels: bool
@@ -182,7 +199,10 @@ class _Search:
         return FoundPhotos(self._file, paths, self._notes(stated, paths))
 
     def _one_each(self, chosen: Sequence[_Candidate | Path | SceneError]) -> list[_Candidate | Path | SceneError]:
-        """The choices, where a file serves the name alone that agrees with it best."""
+        """Return the choices with each file kept only for the one name that agrees with it best.
+
+        The other names that chose it get a MissingPhotoError.
+        """
         claims: dict[Path, list[_Candidate]] = {}
         for item in chosen:
             if isinstance(item, _Candidate):
@@ -197,7 +217,10 @@ class _Search:
         ]
 
     def _stated(self) -> list[Path | None]:
-        """The files that lie where the names say, in the place that has most of them, or else in another."""
+        """Return the files that lie where the names say, None for the others.
+
+        Among several places, the one that holds most of the files comes first.
+        """
         columns = [[self._at(place, name) for name in self._names] for place in self._places]
         columns.sort(key=lambda column: -sum(path is not None for path in column))
         return [next((path for path in row if path is not None), None) for row in zip(*columns, strict=True)]
@@ -213,9 +236,11 @@ class _Search:
         return there or in_any_case(self._folder.top, path.parent, names)
 
     def _offers(self, name: str, taken: _Taken) -> list[_Candidate]:
-        """The best files for a name, equally good, below the root or else the top. Files that others have as stated are
-        none of them, nor are those of folders that hold other images of such photographs: depth maps, or reduced or
-        older copies."""
+        """Return the best files for a name, equally good, below the root or else the top.
+
+        Files that other names state are excluded. So are those in folders that hold other images of such photographs:
+        depth maps, or reduced or older copies.
+        """
         parts = [folded(part) for part in PurePosixPath(name).parts if part not in ("..", "/")]
         files = self._folder.images_named(parts[-1]) or self._folder.images_named(PurePosixPath(parts[-1]).stem)
         offers = [self._candidate(path, parts) for path in files]
@@ -304,7 +329,7 @@ def _note_of_reduction(moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
 
 
 def _path_text(name: Any) -> str | SceneError:
-    """A name as a path with slashes, or what is wrong with it."""
+    """Return a name as a path with slashes, or the SceneError that says what is wrong with it."""
     if not isinstance(name, str) or not name.strip():
         return SceneError(f"expected the path of an image, got {str(name)[:80]!r}")
     text = re.sub(r"^file://", "", name.strip()).replace("\\", "/")

@@ -1,4 +1,4 @@
-"""Where a scene's decoded images lie: in memory, or past a limit in files that the system pages in and out."""
+"""Where a scene's decoded images lie: in memory, or beyond a limit in files that the system pages in and out."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FILE_BYTES = 1 << 30
 
 
 class PixelStore:
-    """Holds decoded images. The files have no names, and are gone with the last array of theirs. For many threads."""
+    """Holds decoded images. Its files have no names and vanish with their last array. Many threads may share it."""
 
     def __init__(self, memory: int = MEMORY_BYTES, file: int = _FILE_BYTES) -> None:
         self._memory, self._file = memory, file
@@ -24,7 +24,7 @@ class PixelStore:
         self._used = 0
 
     def hold(self, image: np.ndarray) -> np.ndarray:
-        """A uint8 array: itself while there is memory, else a copy in a file. It can be written to."""
+        """Return a uint8 array itself while there is memory, else a copy in a file; both are writable."""
         with self._lock:
             if image.nbytes <= self._memory:
                 self._memory -= image.nbytes

@@ -1,4 +1,4 @@
-"""Point clouds that captures bring along as PLY."""
+"""Read point clouds that captures bring along as PLY."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BRIGHTEST = 2.0
 
 
 def read_points(path: Path) -> PointCloud:
-    """Read the finite vertices of a PLY, and their colours, grey where it has none.
+    """Read the finite vertices of a PLY and their colours, grey where it has none.
 
     Colours are bytes, 16-bit numbers, or floats from 0 to 1, 255 or 65535, told apart by the largest. Raises SceneError
     naming the file.
@@ -44,7 +44,7 @@ def read_points(path: Path) -> PointCloud:
 
 
 def _colors(vertex: Any, count: int) -> np.ndarray:
-    """Colours [count,3] uint8."""
+    """Return the vertices' colours [count,3] uint8, grey where they have none."""
     there = {item.name for item in vertex.properties}
     names = next((names for names in (*_NAMES, _HARMONIC) if set(names) <= there), None)
     if names is None or count == 0:

@@ -1,4 +1,4 @@
-"""Checks of poses and intrinsics, and the change from OpenGL's axes."""
+"""Check poses and intrinsics, and convert poses from OpenGL's axes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FARTHEST_PRINCIPAL_POINT = 5.0
 
 
 def matrix_from(value: Any, rows: int, cols: int, what: str, source: str) -> np.ndarray:
-    """A nested list as a float64 matrix of that size. Raises SceneError with `source` and `what`."""
+    """Return a nested list as a float64 matrix [rows,cols]. Raises SceneError with `source` and `what`."""
     try:
         matrix = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -54,8 +54,10 @@ def pose_from(value: Any, what: str, source: str) -> np.ndarray:
 
 
 def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return rotation [3,3] without rounding, translation [3] and uniform scale of a pose [4,4]: points x become
-    scale rotation x + translation. The scale is 1 where it differs from it by rounding alone.
+    """Return rotation [3,3], translation [3] and uniform scale of a pose [4,4].
+
+    The pose maps x to scale rotation x + translation. The rotation is exact, without rounding. The scale is 1 where it
+    differs from 1 by rounding alone.
 
     Raises SceneError for a matrix with NaN, with shear, with unequal scales of its axes, or that mirrors space.
     """
@@ -85,8 +87,10 @@ def split_pose(matrix: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray,
 
 
 def check_pose(matrix: np.ndarray, source: str) -> np.ndarray:
-    """Return the rigid transform [4,4] of a cam_from_world pose, with rounding removed and a uniform scale divided out:
-    the scaled pose projects every point to the same pixel. Raises SceneError as `split_pose`."""
+    """Return the rigid transform [4,4] of a cam_from_world pose, without rounding and without its uniform scale.
+
+    The scaled pose projects every point to the same pixel. Raises SceneError as `split_pose`.
+    """
     rotation, translation, scale = split_pose(matrix, source)
     with np.errstate(over="ignore"):  # what overflows is refused
         translation = translation / scale
@@ -103,9 +107,11 @@ def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 
 
 def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.ndarray:
-    """Return the intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1. The principal point may lie
-    outside the image, as in a part that is cut out of a larger one. Raises SceneError if no pinhole camera has
-    them."""
+    """Return the intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1.
+
+    The principal point may lie outside the image, as in a part that is cut out of a larger one. Raises SceneError for
+    what no pinhole camera has.
+    """
     if not np.isfinite(K).all():
         raise SceneError(
             f"{source}: the intrinsics have NaN or infinite numbers; mend them, or export the cameras again"
@@ -145,24 +151,28 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
 
 
 def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
-    """K [3,3] from focal lengths and principal point, pixels."""
+    """Return K [3,3] of focal lengths and principal point, pixels."""
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=np.float64)
 
 
 def cuts_out(K: np.ndarray, size: tuple[int, int]) -> bool:
-    """Return whether the principal point lies outside an image of `size`: it was cut out of a larger one."""
+    """Return whether the principal point lies outside an image of `size`, as in one cut out of a larger image."""
     return not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1])
 
 
 def from_world_from_cam(world_from_cam: np.ndarray, source: str) -> np.ndarray:
-    """Return cam_from_world [4,4] of a camera-to-world pose [4,4], both with OpenCV's axes. A uniform scale is kept,
-    as its inverse. Raises SceneError as `split_pose`."""
+    """Return cam_from_world [4,4] of a camera-to-world pose [4,4], both with OpenCV's axes.
+
+    A uniform scale is kept, as its inverse. Raises SceneError as `split_pose`.
+    """
     return _inverse(*split_pose(world_from_cam, source))
 
 
 def from_opengl(world_from_cam: np.ndarray, source: str) -> np.ndarray:
-    """Return cam_from_world [4,4] with OpenCV's axes of a camera-to-world pose [4,4] with OpenGL's axes (y up, z
-    backward). A uniform scale is kept, as its inverse. Raises SceneError as `split_pose`."""
+    """Return cam_from_world [4,4], OpenCV axes, of a camera-to-world pose [4,4] with OpenGL axes (y up, z backward).
+
+    A uniform scale is kept, as its inverse. Raises SceneError as `split_pose`.
+    """
     rotation, center, scale = split_pose(world_from_cam, source)
     return _inverse(rotation * [1, -1, -1], center, scale)
 

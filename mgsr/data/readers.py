@@ -1,4 +1,4 @@
-"""A folder or archive of posed photographs as a Scene in its normalised frame."""
+"""Read a folder or archive of posed photographs as a Scene in its normalised frame."""
 
 from __future__ import annotations
 
@@ -35,13 +35,12 @@ _CAMERA_SUFFIXES = (".json", ".xml", ".csv", ".txt", ".bin", ".npz", ".npy", ".n
 def load_scene(
     path: Path, config: DataConfig, unpack_to: Path | None = None, progress: LoadProgress | None = None
 ) -> Scene:
-    """The scene at `path`, a folder or an archive (.zip, .tar, .tar.gz, .tar.zst), whatever its format, with every
-    image decoded.
+    """Load the scene at `path`, a folder or an archive of any supported format, and decode its images.
 
-    unpack_to: where an archive's files go; by default a folder that is removed when the process ends. progress: told
-    every few seconds how many photographs are decoded, of how many.
-    A name is unique within train and within test. `test` is empty where the files name no split and there are fewer
-    than `config.test_every` views.
+    path: archives are .zip, .tar, .tar.gz or .tar.zst. unpack_to: where an archive's files go; by default a folder that
+    is removed when the process ends. progress: told every few seconds how many photographs are decoded, of how many. A
+    name is unique within train and within test. `test` is empty where the files name no split and there are fewer than
+    `config.test_every` views.
 
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
@@ -82,9 +81,10 @@ def load_scene(
 
 
 def split(photos: Sequence[Photo], test_every: int) -> tuple[list[Photo], list[Photo]]:
-    """Training and test photographs, by name: as the files say, or else every n-th is a test, from the first on.
+    """Split the photographs, ordered by name, into training and test ones.
 
-    Fewer than n photographs are all needed for training.
+    The files' own split comes first. Without one, every n-th photograph is a test, from the first on; fewer than n
+    photographs are all needed for training.
     """
     ordered = sorted(photos, key=lambda photo: photo.image)
     if any(photo.split for photo in ordered):
@@ -120,8 +120,10 @@ def _as_folder(path: Path, unpack_to: Path | None) -> Path:
 
 
 def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple[list[Photo], tuple[str, ...]]:
-    """The photographs with the masks that lie beside them under their names, where the files name none; and a note if
-    there are masks of which none has a photograph's name."""
+    """Return the photographs with the masks that lie beside them under their names, where the files name none.
+
+    Also returns a note where masks can't be assigned: none has a photograph's name, or one fits several photographs.
+    """
     if masks is Masks.OFF:
         return photos, ()
     index = MaskIndex(folder)
@@ -142,7 +144,10 @@ def _with_masks(photos: list[Photo], folder: SceneFolder, masks: Masks) -> tuple
 
 
 def _load(train: list[Photo], test: list[Photo], config: DataConfig, progress: LoadProgress | None) -> SettledViews:
-    """Train and test have their names to themselves: NeRF-synthetic scenes call views of both r_0."""
+    """Load the training and test photographs and settle their masks.
+
+    Names are unique within train and within test only: NeRF-synthetic scenes call views of both r_0.
+    """
     names = [view_names([photo.image for photo in part]) for part in (train, test)]
     loaded = load_views(train + test, names[0] + names[1], config, progress)
     lost = [item for item in loaded if isinstance(item, SceneError)]

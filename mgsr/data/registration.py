@@ -1,4 +1,4 @@
-"""Photographs that a capture's cameras leave out: noticed, and refused where most of them are lost."""
+"""Note photographs that a capture's cameras leave out, and refuse the capture where most of them are lost."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from mgsr.errors import SceneError, in_short
 def check_share(
     kept: int, total: int, least: float, what: str, cure: str, missing: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """A note for the person if fewer than all photographs are used, else nothing.
+    """Return a note for the person if fewer than all photographs are used, else nothing.
 
     what: what the used ones have in common ("have a pose in cameras.xml"). missing: names of photographs that were
-    looked for and aren't there. Raises SceneError, with the cure and the first of those, where the share of the used
-    ones is under `least`.
+    looked for but not found. Raises SceneError, with the cure and the first of those, where the share of the used ones
+    is under `least`.
     """
     if kept == total:
         return ()

@@ -1,8 +1,8 @@
-"""Arrays from pickle files, without what makes pickles dangerous.
+"""Read arrays from pickle files safely.
 
 A pickle is a program for a small machine, which may import and call whatever it names and ask for any amount of memory.
-Here, only the instructions that arrays in tuples and lists need are let through, and each of numpy's constructors that
-they name is replaced by a class of this file that just keeps what it is given.
+This module allows only the instructions that arrays in tuples and lists need. It replaces each of numpy's constructors
+that the pickle names by a class of its own that only keeps its arguments.
 """
 
 from __future__ import annotations
@@ -133,7 +133,10 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _array(item: Any) -> np.ndarray:
-    """The array of an item: an array's state, a scalar, a number, or numbers in lists."""
+    """Return the array of an item: an array's state, a scalar, a number, or numbers in lists.
+
+    Raises ValueError for others.
+    """
     if isinstance(item, _Array):
         _, shape, dtype, by_columns, data = item.state
         return _from_bytes(dtype, shape, bool(by_columns), data)
@@ -149,7 +152,10 @@ def _array(item: Any) -> np.ndarray:
 
 
 def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
-    """Numbers in a list, or in lists in it; no deeper, as lists may hold themselves."""
+    """Return the numbers in a list, or in lists in it, as float64; no deeper, as lists may hold themselves.
+
+    Raises ValueError for what is no number.
+    """
     for item in rows:
         for value in item if isinstance(item, (list, tuple)) else [item]:
             if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -174,7 +180,7 @@ def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarr
 
 
 def _number_type(dtype: Any) -> np.dtype:
-    """The type that a pickled dtype names, which must be one of numbers."""
+    """Return the type that a pickled dtype names. Raises ValueError for all but types of numbers."""
     if not isinstance(dtype, _Dtype) or not dtype.arguments or not isinstance(dtype.arguments[0], str):
         raise ValueError("an array without a type")
     code = dtype.arguments[0]

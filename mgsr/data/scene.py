@@ -1,4 +1,4 @@
-"""What a reader hands to the rest of MGSR: views with images and cameras, in one normalised frame."""
+"""What a reader returns to the rest of MGSR: views with images and cameras, in one normalised frame."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ PHOTOGRAPHS = 64  # views that are enough to tell of a surface; more tell little
 
 @dataclass(frozen=True)
 class View:
-    """One photograph: name (unique, without extension), camera, image [H,W,3] uint8 sRGB (straight, not
-    premultiplied) and alpha [H,W] uint8 (255 is the object), or None without a mask; known [H,W] bool: the pixels that
-    the photograph shows, None where it shows all. What image and alpha hold at others means nothing (see `known.py`).
-    lit [H,W] uint8: the light that a flash on the camera throws on what each pixel shows, a share of the most, as
-    255 light^(1/2.4); None where no flash is known.
+    """One photograph with its camera.
+
+    name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
+    None without a mask. known [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
+    alpha mean nothing at other pixels (see `known.py`). lit [H,W] uint8: the light that a flash on the camera throws on
+    each pixel's surface, as 255 light^(1/2.4), light relative to its maximum; None where no flash is known.
     """
 
     name: str
@@ -40,16 +41,16 @@ class Similarity:
     offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     def to_user(self, points: np.ndarray) -> np.ndarray:
-        """Points [P,3] of the normalised frame, in the user's frame."""
+        """Return points [P,3] of the normalised frame in the user's frame."""
         return points * self.scale + self.offset
 
     def to_scene(self, points: np.ndarray) -> np.ndarray:
-        """Points [P,3] of the user's frame, in the normalised frame."""
+        """Return points [P,3] of the user's frame in the normalised frame."""
         return (points - self.offset) / self.scale
 
     @property
     def inverse(self) -> Similarity:
-        """scene = inverse.to_user(user)."""
+        """Return the inverse similarity: scene = inverse.to_user(user)."""
         return Similarity(1 / self.scale, -self.offset / self.scale)
 
     def camera_to_user(self, camera: Camera) -> Camera:
@@ -80,22 +81,27 @@ class PointCloud:
         return PointCloud(self.positions[kept], self.colors[kept])
 
     def joined(self, other: PointCloud) -> PointCloud:
-        """Return these points, and after them the other's."""
+        """Return these points followed by the other's."""
         positions = np.concatenate([self.positions, other.positions])
         return PointCloud(positions, np.concatenate([self.colors, other.colors]))
 
 
 @dataclass(frozen=True)
 class Exposures:
-    """How much more light photographs got than at the common exposure: a factor of each channel's linear light, of the
-    training views [V,3] and of the test views [T,3]."""
+    """How much more light photographs got than at the common exposure.
+
+    Each is a factor of each channel's linear light: of the training views [V,3] and of the test views [T,3].
+    """
 
     train: np.ndarray
     test: np.ndarray
 
     @property
     def largest_difference(self) -> float:
-        """How many times the light of the darkest exposure the brightest has, by the geometric mean of the channels."""
+        """Return the ratio of light between the brightest and the darkest exposure.
+
+        It is that of the geometric means of the channels.
+        """
         light = np.log(np.concatenate([self.train, self.test])).mean(axis=1)
         return float(np.exp(light.max() - light.min()))
 
@@ -104,11 +110,11 @@ class Exposures:
 class Scene:
     """A capture in its normalised frame: the object (or what the cameras look at) lies in the unit ball.
 
-    user_from_scene takes results back to the frame and scale of the input files.
-    format names the reader; root is the folder that was read (also for an archive: its unpacked folder). notes tell
-    the person what the files have and the reader left out; warning is one of them, that the surface will be a guess.
-    exposures: what was taken back from the photographs where theirs differed, None where they are as they were (see
-    `exposure.py`). ignoring: whether masks that say what to ignore make pixels unknown.
+    user_from_scene takes results back to the frame and scale of the input files. format names the reader. root is the
+    folder that was read; for an archive, its unpacked folder. notes tell the person what the reader left out. warning
+    is one of them: the surface will be a guess. exposures: what was divided out of the photographs where their
+    exposures differed; None where they are unchanged (see `exposure.py`). ignoring: whether masks that say what to
+    ignore make pixels unknown.
     """
 
     name: str
@@ -125,17 +131,19 @@ class Scene:
 
     @property
     def masked(self) -> bool:
-        """Whether every training view has a mask."""
+        """Return whether every training view has a mask."""
         return all(view.alpha is not None for view in self.train)
 
     @cached_property
     def plain_backdrop(self) -> Color | None:
-        """The colour, sRGB 0..1, of a plain backdrop in the training photographs, None without one; with masks none is
-        looked for."""
+        """Return the colour, sRGB 0..1, of a plain backdrop in the training photographs.
+
+        None without one, and for masked scenes, which need none.
+        """
         return None if self.masked else plain_backdrop(self.train)
 
 
 def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:
-    """Return so many of the views at most, spread over all."""
+    """Return at most so many of the views, spread over all."""
     chosen = np.unique(np.linspace(0, len(views) - 1, most).round().astype(int))
     return [views[index] for index in chosen]

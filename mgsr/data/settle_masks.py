@@ -1,4 +1,4 @@
-"""Views with silhouettes of the object, or without, and without what is to be ignored: what masks come to."""
+"""Decide what masks mean for the views: silhouettes of the object, none, or regions to ignore."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class SettledViews:
 
 
 def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
-    """Return the views as `masks` has it.
+    """Return the views with their masks applied as the setting `masks` says.
 
     Masks beside photographs are silhouettes or say what is to be ignored (`find_mask_use`, unless `masks` says it).
-    What is to be ignored is unknown in its view. Silhouettes are used if every training view has one, else none is.
-    Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are put on white. Views
+    Ignored pixels are unknown in their view. Silhouettes are used if every training view has one, else none is. Alpha
+    that is 255 in all views is no mask. Views that lose the alpha of their own colours are composited on white. Views
     whose silhouette is empty, or that are ignored whole, are left out.
 
-    Raises SceneError where masks are asked for and missing, for masks that are white around the object or of which it
-    is not clear what they mean, and where they show nothing in most training views.
+    Raises SceneError where masks are asked for and missing, for masks that are white around the object or whose meaning
+    is unclear, and where they show nothing in most training views.
     """
     if masks is Masks.OFF:
         return SettledViews([_bare(item.view, item) for item in train], [_bare(item.view, item) for item in test])
@@ -64,7 +64,10 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
 
 
 def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
-    """What the masks beside the photographs mean; None without any."""
+    """Return what the masks beside the photographs mean; None where there are none, or all are white.
+
+    Raises SceneError for masks=ignore without any mask.
+    """
     with_masks = [item for item in train if item.mask is not None]
     if masks is Masks.IGNORE and not with_masks and not any(item.ignored is not None for item in train):
         raise SceneError("masks=ignore: no photograph has a mask; put them into masks/ under the photographs' names")
@@ -84,7 +87,7 @@ def _alpha(view: View) -> np.ndarray:
 
 
 def _settled(item: LoadedView, ignoring: bool) -> View:
-    """The view with its silhouette as alpha and all that is known of it."""
+    """Return the view with its silhouette as alpha, and with ignored pixels marked as unknown."""
     view, mask = item.view, item.mask
     if item.ignored is not None:
         view = _without(view, item.ignored >= 128)
@@ -96,7 +99,10 @@ def _settled(item: LoadedView, ignoring: bool) -> View:
 
 
 def _without(view: View, ignored: np.ndarray) -> View:
-    """The view without pixels [H,W] bool and those beside them, which hold something of them."""
+    """Return the view with the pixels `ignored` [H,W] bool, and their neighbours, marked as unknown.
+
+    The neighbours hold some of the ignored pixels' light.
+    """
     if not ignored.any():
         return view
     known = ~ndimage.binary_dilation(ignored, np.ones((3, 3), bool))
@@ -104,7 +110,10 @@ def _without(view: View, ignored: np.ndarray) -> View:
 
 
 def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[LoadedView], tuple[str, ...]]:
-    """The views of which something is known, and a note on the others."""
+    """Return the views of which something is known, and a note on the others.
+
+    Raises SceneError where most are ignored.
+    """
     kept = [item for item in train if _shows(_settled(item, ignoring))]
     if len(kept) == len(train):
         return train, ()
@@ -128,8 +137,10 @@ def _note_of_ignored(train: Sequence[View]) -> tuple[str, ...]:
 
 
 def _tell_nothing(train: Sequence[View], masks: Masks) -> bool:
-    """Whether a training view has no silhouette, or none has anything off the object. Raises SceneError where `masks`
-    asks for silhouettes."""
+    """Return whether a training view has no silhouette, or every silhouette is white all over.
+
+    Raises SceneError where `masks` asks for silhouettes.
+    """
     bare = [view.name for view in train if view.alpha is None]
     solid = all(_solid(view) for view in train)
     if masks is Masks.OBJECT and (bare or solid):
@@ -139,15 +150,17 @@ def _tell_nothing(train: Sequence[View], masks: Masks) -> bool:
 
 
 def _bare(view: View, item: LoadedView) -> View:
-    """The view without a silhouette; colours that came with alpha are put on white."""
+    """Return the view without a silhouette; colours that came with alpha are composited on white."""
     if item.view.alpha is None or view.alpha is None:
         return replace(view, alpha=None)
     return replace(view, image=composite_on_white(view.image, view.alpha), alpha=None)
 
 
 def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
-    """What is said of silhouettes that some views have, or that tell nothing. beside: whether any lie beside the
-    photographs, and not in them."""
+    """Return a note on silhouettes that only some views have, or that are all white; empty without such.
+
+    beside: whether any lie beside the photographs, and not in them.
+    """
     bare = [view.name for view in train if view.alpha is None]
     if bare and len(bare) < len(train):
         having = f"{len(train) - len(bare)} of {len(train)} training views have a mask"
@@ -158,7 +171,7 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """The views in whose masks there is something, and a note on the others."""
+    """Return the views whose masks are not empty, and a note on the others. Raises SceneError where most are empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):
         return train, ()
@@ -177,13 +190,13 @@ def _empty(view: View) -> bool:
 
 
 def _brightest(view: View) -> int:
-    """The largest value of the mask where the photograph shows something."""
+    """Return the largest value of the mask over the known pixels."""
     alpha = _alpha(view)
     return int((alpha if view.known is None else alpha[view.known]).max(initial=0))
 
 
 def _solid(view: View) -> bool:
-    """Whether nothing that the photograph shows lies off the object, as far as the view says."""
+    """Return whether no known pixel lies off the object, as far as the view says."""
     if view.alpha is None:
         return True
     shown = view.alpha if view.known is None else view.alpha[view.known]

@@ -1,4 +1,4 @@
-"""Which photographs were taken by one camera with one lens, so that they can share what is found out about it."""
+"""Group photographs taken by one camera with one lens, so that they share its calibration."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ class Lens:
 
     @property
     def tags(self) -> CameraTags:
-        """What the photographs say about their camera."""
+        """Return what the photographs' EXIF says about their camera."""
         return self.shots[0].tags
 
     @property
     def size(self) -> tuple[int, int]:
-        """The photographs' width and height."""
+        """Return the photographs' width and height."""
         return self.shots[0].size
 
 
 def share_lenses(shots: Sequence[Shot]) -> list[Lens]:
     """Group photographs by camera, in the order in which the cameras first appear.
 
-    Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens; how
-    the camera was turned does not matter, as sizes are those of the stored pixels. Photographs without such EXIF
-    (frames of videos, pictures from messengers) share one where size and folder are equal: rigs have a folder for each
+    Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens. The
+    camera's orientation does not matter, as sizes are those of the stored pixels. Photographs without such EXIF (frames
+    of videos, pictures from messengers) share one where size and folder are equal, as rigs have a folder for each
     camera.
     """
     groups: dict[tuple[CameraTags, tuple[int, int], str], list[Shot]] = {}
@@ -68,7 +68,7 @@ def _label(lens: Lens) -> str:
 
 
 def _detailed(lens: Lens) -> str:
-    """The label with what tells cameras of one name from each other."""
+    """Return the lens's label with what distinguishes cameras of one name: the folder or the focal length."""
     folder = PurePosixPath(lens.shots[0].name).parent
     if not lens.tags.known and folder.name:
         return f"{folder}, {_label(lens)}"

@@ -1,4 +1,4 @@
-"""Photographs that are much less sharp than their neighbours: shaken, out of focus, or taken while the camera moved."""
+"""Find photographs that are much less sharp than their neighbours: shaken, out of focus, or taken in motion."""
 
 from __future__ import annotations
 
@@ -37,8 +37,10 @@ _NAMED = 3  # photographs that a note names
 def without_blurred(
     train: list[LoadedView], test: list[LoadedView], blurred: Blurred
 ) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
-    """Return the training and test views, without the much less sharp ones under `Blurred.DROP`, and a note on
-    those."""
+    """Return the training and test views, and a note on those that are much less sharp.
+
+    Under `Blurred.DROP` the views come without these.
+    """
     views = [item.view for item in (*train, *test)]
     less = less_sharp(views)
     if not less.any():
@@ -54,8 +56,10 @@ def without_blurred(
 
 
 def less_sharp(views: Sequence[View]) -> np.ndarray:
-    """Return which views are much less sharp than their neighbours, [V] bool; none of fewer than three, nor of
-    thumbnails."""
+    """Return which views are much less sharp than their neighbours, [V] bool.
+
+    With fewer than three views, or for thumbnails, none is.
+    """
     if len(views) < 3 or min(min(view.image.shape[:2]) for view in views) < _SMALLEST:
         return np.zeros(len(views), dtype=bool)
     sharpness = np.array(list(map_ahead(_sharpness, views, None)))
@@ -66,8 +70,11 @@ def less_sharp(views: Sequence[View]) -> np.ndarray:
 
 
 def _sharpness(view: View) -> float:
-    """The logarithm to base 2 of the squared gradients' mean over that of the photograph smoothed, in the direction in
-    which it is least: it does not change with contrast, little with content, and motion blurs one direction alone."""
+    """Return the logarithm to base 2 of a view's sharpness in its least sharp direction.
+
+    Sharpness is the mean squared gradient over that of the smoothed photograph. It does not depend on contrast and
+    depends little on content; motion blurs one direction alone.
+    """
     import cv2  # late: training needs no OpenCV
 
     image = view.image if view.alpha is None else composite_on_white(view.image, view.alpha)
@@ -80,15 +87,17 @@ def _sharpness(view: View) -> float:
 
 
 def _gradients(grey: np.ndarray) -> np.ndarray:
-    """The mean outer product [2,2] of the gradients of an image [H,W], with that of faint noise, so that it can be
-    inverted."""
+    """Return the mean outer product [2,2] of the gradients of an image [H,W].
+
+    That of faint noise is added, so that the matrix can be inverted.
+    """
     down, right = np.gradient(grey)
     cross = (right * down).mean()
     return np.array([[(right * right).mean(), cross], [cross, (down * down).mean()]]) + 0.02 * np.eye(2)
 
 
 def _neighbours(views: Sequence[View]) -> list[np.ndarray]:
-    """For each view the numbers of those that show about the same."""
+    """Return for each view the indices of the views that show about the same."""
     centers = np.array([view.camera.center for view in views])
     axes = np.array([view.camera.cam_from_world[2, :3] for view in views])
     spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0

@@ -22,8 +22,10 @@ FREE_BORDER = 0.02
 
 @dataclass(frozen=True)
 class Silhouette:
-    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera; known [h,w]
-    bool: the pixels that say where the object is and isn't, None if all do."""
+    """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera.
+
+    known [h,w] bool: the pixels that say where the object is and isn't; None if all do.
+    """
 
     camera: Camera
     distance: np.ndarray
@@ -31,7 +33,7 @@ class Silhouette:
 
     @cached_property
     def whole(self) -> bool:
-        """Whether the mask keeps away from the border of what is known, so that nothing of the object lies beyond."""
+        """Return whether the mask keeps clear of the known region's border, so that the object lies wholly inside."""
         inside = self.distance > 0
         shown = np.pad(np.ones_like(inside) if self.known is None else self.known, 1)
         to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
@@ -39,15 +41,18 @@ class Silhouette:
 
 
 def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
-    """The masks of the views that have one, reduced to images of at most `max_side`."""
+    """Return the masks of the views that have one, reduced to images of at most `max_side`."""
     masked = [(view, view.alpha) for view in views if view.alpha is not None]
     return list(map_ahead(lambda item: _silhouette(*item, max_side), masked, None))
 
 
 def signed_distance(alpha: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
-    """Pixels [h,w] float32 to the outline at alpha 0.5 of a mask [h,w] 0..1, positive inside; on the outline's own
-    pixels alpha, the share of the pixel that is covered, tells the fraction. What lies beyond the known pixels [h,w]
-    counts as what lies beyond the image: no outline is there, and unknown pixels go on as the nearest known one."""
+    """Return the signed distance [h,w] float32, pixels, to a mask's outline at alpha 0.5, positive inside.
+
+    alpha: [h,w] 0..1. On the outline's own pixels alpha, the share of the pixel that is covered, gives the fraction.
+    known: [h,w] bool or None. No outline lies where known pixels end, as none lies at an image's border; unknown pixels
+    continue the nearest known one.
+    """
     inside = alpha >= 0.5
     known_in, known_out = (inside, ~inside) if known is None else (inside & known, ~inside & known)
     if not known_in.any() or not known_out.any():

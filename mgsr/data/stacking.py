@@ -1,4 +1,4 @@
-"""A view's colours and alpha as one array, for what resamples both alike."""
+"""A view's colours and alpha as one array, so that both are resampled alike."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from mgsr.data.scene import View
 
 
 def stack(view: View, premultiply: bool) -> np.ndarray:
-    """Colours and alpha, if any, as [H,W,3 or 4] in 0..255: with `premultiply` float32, the colours weighted by alpha,
-    without which they have no meaning where it is zero; else, and without alpha, uint8 as they are."""
+    """Return colours and alpha, if any, as one array [H,W,3 or 4] in 0..255.
+
+    premultiply: weight the colours by alpha, as float32; colours have no meaning where alpha is zero. Otherwise, and
+    without alpha, the array is uint8 and unchanged.
+    """
     if view.alpha is None:
         return view.image
     alpha = view.alpha[..., None]
@@ -26,7 +29,7 @@ def stack(view: View, premultiply: bool) -> np.ndarray:
 
 
 def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) -> View:
-    """A view, in bytes, of what became of `stack`'s array: [h,w,3 or 4] in 0..255."""
+    """Return the uint8 view of a resampled array from `stack`, [h,w,3 or 4] in 0..255."""
     colors = pixels[..., :3]
     if pixels.shape[2] == 3:
         return View(name, camera, _bytes(colors))
@@ -37,8 +40,10 @@ def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) 
 
 
 def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray]) -> View:
-    """The view as a smaller `camera` has it: each pixel the area mean, [H,W,C] to [h,w,C] float, of those that it
-    covers. Colours count as alpha says, and unknown pixels not at all."""
+    """Return the view as a smaller `camera` has it, by area means.
+
+    mean: maps [H,W,C] to [h,w,C] float. Colours are weighted by alpha, and unknown pixels do not count.
+    """
     pixels, known = known_mean(stack(view, premultiply=True), view.known, mean)
     lit = None if view.lit is None else _bytes(mean(view.lit[..., None])[..., 0])
     return replace(unstack(view.name, camera, pixels, premultiplied=True), known=known, lit=lit)

@@ -25,7 +25,7 @@ _FOCAL_LENGTHS = ("fl_x", "fl_y", *_ANGLES)
 
 
 def read_content(path: Path) -> dict[str, Any]:
-    """The whole file. Raises SceneError where it has no list of frames."""
+    """Read the whole file. Raises SceneError where it has no list of frames."""
     content = read_json(path)
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
@@ -35,8 +35,10 @@ def read_content(path: Path) -> dict[str, Any]:
 
 
 def merged_frames(content: dict[str, Any], name: str) -> list[tuple[str, dict[str, Any]]]:
-    """Each frame's place in the file, for messages, and its values after the file's own where it doesn't overrule
-    them. An angle of view of its own overrules the file's focal lengths too."""
+    """Return each frame's place in the file, for messages, and its values merged over the file's own.
+
+    A frame's own angle of view also overrules the file's focal lengths.
+    """
     shared = {key: value for key, value in content.items() if key != "frames"}
     without = {key: value for key, value in shared.items() if key not in _FOCAL_LENGTHS}
     frames = enumerate(content["frames"])
@@ -48,7 +50,7 @@ def _has_angle(frame: dict[str, Any]) -> bool:
 
 
 def refuse_doubles(photos: Sequence[Photo]) -> None:
-    """Raise SceneError where two frames have the same photograph: it would count twice, or train and test."""
+    """Raise SceneError where two frames have the same photograph, which would count twice, or for train and test."""
     first: dict[Path, Photo] = {}
     for photo in photos:
         other = first.setdefault(photo.image, photo)
@@ -96,8 +98,10 @@ def _mask(folder: SceneFolder, frame: dict[str, Any], source: str) -> Path | Non
 
 
 def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
-    """The size of the image that was calibrated: the photograph's, times the reduction of the folder that it is found
-    in, where the file names another folder."""
+    """Return the size (width, height) of the calibrated image.
+
+    Without w and h it is the photograph's, times the reduction of its folder where the file names another folder.
+    """
     if "w" in frame and "h" in frame:
         return int(number(frame, "w", source)), int(number(frame, "h", source))
     width, height = image_size(image, source)
@@ -107,7 +111,10 @@ def _size(frame: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
 
 
 def _intrinsics(frame: dict[str, Any], size: tuple[int, int], source: str) -> np.ndarray:
-    """Focal lengths in pixels where given, else from the angle of view; the other axis has the same focal length."""
+    """Return K [3,3] from focal lengths in pixels, or else from the angle of view.
+
+    An axis without either takes the other's focal length. Raises SceneError where neither axis has one.
+    """
     fx = _focal(frame, "fl_x", "camera_angle_x", size[0], source)
     fy = _focal(frame, "fl_y", "camera_angle_y", size[1], source)
     if fx is None and fy is None:
@@ -129,7 +136,11 @@ def _focal(frame: dict[str, Any], pixels: str, angle: str, side: int, source: st
 
 
 def _lens(frame: dict[str, Any], source: str) -> Lens | None:
-    """OpenCV's fisheye has four radial terms; for other lenses nerfstudio takes k3 and k4 as factors of r^6 and r^8."""
+    """Return the frame's lens, or None if it changes nothing.
+
+    OpenCV's fisheye has four radial terms; for other lenses nerfstudio takes k3 and k4 as factors of r^6 and r^8.
+    Raises SceneError for camera models and terms that are not supported.
+    """
     model = str(frame.get("camera_model", "OPENCV")).upper()
     if model.lower() in PANORAMAS or frame.get("is_latlong"):
         raise SceneError(f"{source}: camera_model {model} is not supported: {PANORAMA_CURE}")

@@ -1,4 +1,4 @@
-"""Photographs resampled as a pinhole camera would have taken them."""
+"""Resample photographs as a pinhole camera would have taken them."""
 
 from __future__ import annotations
 
@@ -43,9 +43,12 @@ _SKETCH = 128
 
 @dataclass(frozen=True)
 class Undistortion:
-    """How to resample one photograph: for each pixel its place there, map_x and map_y [h,w] float32, counted from the
-    middle of the first pixel as OpenCV does; the pinhole's K, counted from the corner as everywhere in MGSR; and known
-    [h,w] bool: the pixels that the photograph shows, None for all. What is mapped to others means nothing."""
+    """How to resample one photograph.
+
+    map_x, map_y [h,w] float32: each pixel's place in the photograph, counted from the middle of the first pixel as
+    OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. known [h,w] bool: the pixels that the
+    photograph shows; None for all. The maps mean nothing at other pixels.
+    """
 
     map_x: np.ndarray
     map_y: np.ndarray
@@ -65,8 +68,10 @@ class _Photograph:
 
 @dataclass(frozen=True)
 class _Frame:
-    """Which part of the plane an image shows: its pixels begin at (left, top) in those of the photograph, and are
-    `step` of them apart."""
+    """The part of the image plane that an image shows.
+
+    Its pixels begin at (left, top), in the photograph's pixels, and are `step` of them apart.
+    """
 
     left: float
     top: float
@@ -76,11 +81,11 @@ class _Frame:
 
 
 def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-    """The pinhole image with the photograph's focal lengths of all that it shows up to HALF_ANGLE; where nearly all of
-    that fills a rectangle, the rectangle.
+    """Compute the pinhole image that keeps the photograph's focal lengths and all that it shows up to HALF_ANGLE.
 
-    Which pixels it shows is known exactly: those whose ray the lens puts inside the photograph, before its polynomial
-    folds back. Raises SceneError naming `source` if nothing is left.
+    Where nearly all of that fills a rectangle, the image is the rectangle. Which pixels it shows is known exactly:
+    those whose ray the lens puts inside the photograph, before its polynomial folds back. Raises SceneError naming
+    `source` if nothing is left.
     """
     photograph = _Photograph(lens, K, width, height)
     frame = _frame(photograph)
@@ -103,8 +108,10 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
 
 
 class Undistorter:
-    """Undistortions, each made once for all photographs of a camera, and what they know held by a store. For many
-    threads at once."""
+    """Undistortions, each made once for all photographs of a camera. A store holds their known masks.
+
+    Many threads may use it at once.
+    """
 
     def __init__(self, pixels: PixelStore) -> None:
         self._pixels = pixels
@@ -112,7 +119,7 @@ class Undistorter:
         self._made: dict[tuple[object, ...], Future[Undistortion]] = {}
 
     def __call__(self, lens: AnyLens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-        """As `undistortion`."""
+        """Return the result of `undistortion`, cached and shared between threads; errors are shared too."""
         key = (lens, K.tobytes(), width, height)
         with self._lock:
             mine = key not in self._made
@@ -127,14 +134,17 @@ class Undistorter:
         return result.result()
 
     def _held(self, how: Undistortion) -> Undistortion:
-        """Views keep `known` longer than the maps."""
+        """Return the undistortion with `known` held by the store, as views keep it longer than the maps."""
         if how.known is None:
             return how
         return replace(how, known=self._pixels.hold(how.known.view(np.uint8)).view(bool))
 
 
 def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
-    """The undistorted image [h,w,C] of a photograph [H,W,C], float32 or uint8 (rounded), by bicubic interpolation."""
+    """Return the undistorted image [h,w,C] of a photograph [H,W,C], by bicubic interpolation.
+
+    Both are float32, or uint8, where results are rounded.
+    """
     import cv2  # late: training needs no OpenCV
 
     # OpenCV interpolates floats in two thirds of the time of bytes.
@@ -152,7 +162,7 @@ def _bands(height: int) -> Iterator[slice]:
 
 
 def _frame(photograph: _Photograph) -> _Frame:
-    """The part of the plane that the photograph shows, in whole pixels, found on a sketch of it with large pixels."""
+    """Return the part of the image plane that the photograph shows, in whole pixels, found on a coarse sketch."""
     K = photograph.K
     lowest, highest = np.zeros(2), np.array([photograph.width, photograph.height])
     reach = np.maximum(K[:2, 2] - lowest, highest - K[:2, 2]) * _LARGEST
@@ -173,7 +183,7 @@ def _frame(photograph: _Photograph) -> _Frame:
 
 
 def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.ndarray, ...]:
-    """map_x, map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows."""
+    """Return map_x and map_y [rows,width] of an `Undistortion`, and which of these pixels the photograph shows."""
     K, width, height = photograph.K, photograph.width, photograph.height
     (fx, fy), (cx, cy) = K.diagonal()[:2].tolist(), K[:2, 2].tolist()
     # With a border of one pixel, to see folds. float32 places a pixel to a thousandth.
@@ -191,15 +201,18 @@ def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.nda
 
 
 def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
-    """Where the mapping keeps its orientation, without the border."""
+    """Return where the mapping keeps its orientation, without the border."""
     turn = (map_x[1:-1, 2:] - map_x[1:-1, :-2]) * (map_y[2:, 1:-1] - map_y[:-2, 1:-1])
     shear = (map_x[2:, 1:-1] - map_x[:-2, 1:-1]) * (map_y[1:-1, 2:] - map_y[1:-1, :-2])
     return turn > shear
 
 
 def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """What is shown in one piece with a place [2], pixels. Far from the centre polynomials fold back over themselves,
-    and farther out may do so again: there they show the photograph a second time, with the right orientation."""
+    """Return the connected part of `shown` [H,W] bool that contains a place [2], pixels.
+
+    Far from the centre polynomials fold back over themselves. Farther out they may fold again, and show the photograph
+    a second time with the right orientation.
+    """
     import cv2  # late: training needs no OpenCV
 
     _, pieces = cv2.connectedComponents(shown.view(np.uint8), connectivity=4)
@@ -208,7 +221,10 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 
 def _kept(known: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a rectangle without unknown pixels if it holds nearly all known ones, else of all known."""
+    """Return rows and columns of a rectangle without unknown pixels if it holds nearly all known ones.
+
+    Otherwise they bound all known pixels.
+    """
     rows, columns = largest_rectangle(known)
     inner = known[rows, columns]
     if inner.all() and inner.size >= WHOLE_ENOUGH * known.sum():

@@ -1,5 +1,4 @@
-"""Cameras of programs that MGSR does not read, told by the names of files, so that the message can say how to convert
-them.
+"""Detect cameras of programs that MGSR does not read by their files' names, and say how to convert them.
 
 A new program is one more row of the table.
 """
@@ -24,9 +23,12 @@ _EXPORT_NERFSTUDIO = "convert it with `ns-process-data {} --data CAPTURE --outpu
 
 @dataclass(frozen=True)
 class _Unread:
-    """One program. files: patterns of the files that it writes, relative to the capture's folder, which must all be
-    there; the first is named in the message. contains: what the first kilobytes of the first file have, where its name
-    alone does not tell. cure: what to do."""
+    """One program that MGSR does not read.
+
+    files: patterns of the files that it writes, relative to the capture's folder, which must all be there; the first is
+    named in the message. contains: what the first kilobytes of the first file have, where its name alone is not enough.
+    cure: what to do.
+    """
 
     program: str
     files: tuple[str, ...]
@@ -35,12 +37,12 @@ class _Unread:
 
     @cached_property
     def patterns(self) -> list[re.Pattern[str]]:
-        """The patterns, of which a * stays within a name."""
+        """Return the compiled patterns, in which a * stays within a name."""
         texts = (translate(pattern.lower()).replace(".*", "[^/]*") for pattern in self.files)
         return [re.compile(text) for text in texts]
 
     def found_in(self, folder: Path, names: list[str]) -> str | None:
-        """Return the name of the first file, if all are among the names (small letters) of a folder."""
+        """Return the name of the first file, if all are among the lower-case names of a folder; else None."""
         first, *others = ([name for name in names if pattern.match(name.lower())] for pattern in self.patterns)
         if not first or not all(others):
             return None
@@ -136,8 +138,11 @@ _TABLE = (
 
 
 def unread_cameras(root: Path) -> str | None:
-    """Return which program's cameras lie in a folder or in one of those in it, and how to convert them, as the end of a
-    sentence: "has cameras of PROGRAM (FILE), which MGSR does not read; CURE". None where no such file is there."""
+    """Return which program's cameras lie in a folder or its subfolders, and how to convert them.
+
+    The text is the end of a sentence: "has cameras of PROGRAM (FILE), which MGSR does not read; CURE". None where no
+    such file is there.
+    """
     for folder in [root, *_folders(root)]:
         names = _names(folder)
         for program in _TABLE:
@@ -148,7 +153,7 @@ def unread_cameras(root: Path) -> str | None:
 
 
 def _names(folder: Path) -> list[str]:
-    """The paths of the files and folders in a folder and in those in it, sorted."""
+    """Return the sorted relative paths of the files and folders in a folder and its subfolders."""
     names: list[str] = []
     for path in [folder, *_folders(folder)]:
         names += [inner.relative_to(folder).as_posix() for inner in _listed(path)[: _MOST_NAMES - len(names)]]
@@ -160,7 +165,7 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _listed(folder: Path) -> list[Path]:
-    """What lies in a folder, without hidden files; nothing if it can't be read."""
+    """Return a folder's content without hidden files, at most _MOST_NAMES; empty if it can't be read."""
     try:
         paths = sorted(folder.iterdir())
     except OSError:

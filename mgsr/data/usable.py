@@ -1,4 +1,4 @@
-"""Which of a capture's photographs can be used: those that are there, with a camera that a photograph can have."""
+"""Select the photographs of a capture that exist and whose camera is one that a photograph can have."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from mgsr.errors import MissingPhotoError, SceneError, in_short
 
 
 def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], tuple[str, ...]]:
-    """Return the photographs with checked intrinsics and rigid poses, and notes on those that are left out and on what
-    was changed.
+    """Return the photographs with checked intrinsics and rigid poses, and notes on what was left out or changed.
 
     Raises SceneError where fewer than the capture's `least_kept` of its photographs are left, with the reason of the
     first one.

@@ -1,4 +1,4 @@
-"""XML of a capture, which may be hostile: no document type, and none of the parts that are not needed."""
+"""Read a capture's XML, which may be hostile: document types are refused and unneeded parts skipped."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from mgsr.errors import SceneError, in_short
 def read_xml(path: Path, left_out: Collection[str] = ()) -> Element:
     """Return the root of an XML file, in any encoding that it declares.
 
-    left_out: tags of elements that stay empty, so that what is in them takes no memory. Raises SceneError for what is
-    no XML and for XML with a DOCTYPE, whose entities could fill the memory.
+    left_out: tags of elements that stay empty, so that their content takes no memory. Raises SceneError for what is no
+    XML and for XML with a DOCTYPE, whose entities could fill the memory.
     """
     require_content(path)
     try:
@@ -41,7 +41,7 @@ class _RootReachedError(Exception):
 
 
 def _refuse_document_type(path: Path) -> None:
-    """Raise SceneError where the file has a DOCTYPE, before an entity of it is read."""
+    """Raise SceneError where the file has a DOCTYPE, before any of its entities is read."""
 
     def refuse(*_: Any) -> None:
         raise SceneError(f"{path.name}: has a DOCTYPE, which no program writes into such a file; refused")

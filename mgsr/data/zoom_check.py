@@ -1,4 +1,4 @@
-"""Photographs of a COLMAP model that do not fit the lens that they share with others."""
+"""Detect photographs of a COLMAP model that do not fit the lens that they share with others."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ _FEWEST_PHOTOS = 2
 
 
 def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
-    """Return a note if several of the photographs that share a lens in a model (pycolmap.Reconstruction) would have
-    another focal length of their own, as zoomed or cropped ones have; the model's points are held still for it."""
+    """Return a note if several photographs that share a lens in a model would each need another focal length.
+
+    model: pycolmap.Reconstruction, whose points are held fixed. Zoomed or cropped photographs are of this kind.
+    """
     placed = [image for image in model.images.values() if image.has_pose]
     sharing = Counter(image.camera_id for image in placed)
     ratios = [_focal_ratio(colmap, model, image) for image in placed if sharing[image.camera_id] > 1]
@@ -32,7 +34,10 @@ def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
 
 
 def _focal_ratio(colmap: Any, model: Any, image: Any) -> float:
-    """The focal length that a photograph alone would have over that of its lens; 1 where that can't be told."""
+    """Return the focal length that a photograph alone would have, over that of its lens.
+
+    It is 1 where it can't be estimated.
+    """
     seen = [point for point in image.points2D if point.has_point3D()]
     if len(seen) < _FEWEST_POINTS:
         return 1.0

@@ -1,5 +1,7 @@
-"""Clone, split and prune (3DGS, section 5): small splats with a large screen-space gradient are doubled, large ones
-cut in two, faint and huge ones dropped."""
+"""Clone, split and prune (3DGS, section 5).
+
+Small splats with a large screen-space gradient are cloned, large ones split in two, faint and huge ones pruned.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +35,10 @@ def adapt(
     generator: torch.Generator,
     grow: bool = True,
 ) -> Adaptation:
-    """The next set of splats, from the stored parameters of either branch (`model.parameters()`).
+    """Return the next set of splats, from the stored parameters of either branch (`model.parameters()`).
 
-    extent: the scene's, in its unit. grow: off only prunes. Neither the parameters nor the state are changed. The
-    two halves of a split are drawn from the splat itself by the generator. Deviation from 3DGS: what would pass
+    extent: the scene's, in its unit. grow: off only prunes. Neither the parameters nor the state are changed. The two
+    halves of a split are drawn from the splat itself by the generator. Deviation from 3DGS: what would pass
     config.max_count is left out, smallest gradients first; no limit on screen size.
     """
     parameters = {name: tensor.detach() for name, tensor in parameters.items()}
@@ -59,7 +61,7 @@ def adapt(
 
 
 def visible_enough(parameters: Parameters, opacity: float) -> Tensor:
-    """Which splats [N] are at least this opaque, in either half where there are two."""
+    """Return which splats [N] have at least this opacity, in either half where there are two."""
     opacities = parameters["opacity_logits"].sigmoid()
     if "refl_opacity_logits" in parameters:
         opacities = torch.maximum(opacities, parameters["refl_opacity_logits"].sigmoid())
@@ -67,7 +69,10 @@ def visible_enough(parameters: Parameters, opacity: float) -> Tensor:
 
 
 def split_in_two(parameters: Parameters, shrink: float, generator: torch.Generator) -> Parameters:
-    """Each splat's two halves: centres drawn from its own distribution, scales divided by `shrink`."""
+    """Return each splat's two halves: centres drawn from its own distribution, scales divided by `shrink`.
+
+    The result has twice as many rows: all first halves, then all second ones.
+    """
     doubled = {name: torch.cat([tensor, tensor]) for name, tensor in parameters.items()}
     scales = doubled["log_scales"].exp()
     drawn = torch.randn(scales.shape, generator=generator).to(scales.device) * scales
@@ -80,7 +85,7 @@ def split_in_two(parameters: Parameters, shrink: float, generator: torch.Generat
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotations [N,3,3] of quaternions [N,4] wxyz, which need not be unit."""
+    """Return the rotations [N,3,3] of quaternions [N,4] wxyz, which need not be unit."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=1).unbind(1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], dim=1),
@@ -91,7 +96,11 @@ def rotation_matrices(quats: Tensor) -> Tensor:
 
 
 def _hottest(gradients: Tensor, keep: Tensor, config: DensifyConfig) -> Tensor:
-    """Which splats [N] to double: over the threshold, and the steepest ones where the count would pass its cap."""
+    """Return which splats [N] to clone or split: those whose gradient is over the threshold.
+
+    gradients [N]; keep [N] bool: the splats that stay. Where the count would pass its cap, only the steepest are
+    chosen.
+    """
     hot = keep & (gradients > config.gradient_threshold)
     room = max(0, config.max_count - int(keep.sum()))
     if int(hot.sum()) > room:

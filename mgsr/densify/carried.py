@@ -1,4 +1,4 @@
-"""How much of the pictures each splat carries: those that together carry next to nothing can go."""
+"""Each splat's contribution to images: those that together contribute next to nothing can go."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 
 
 def carried(model: SurfelModel | VolumeModel, cameras: Sequence[Camera]) -> Tensor:
-    """The sum over all pixels of all cameras of each splat's blending weight, [N]: opacity times the transmittance
-    before it; of a reflected half, times what the pixel adds of that.
+    """Return each splat's contribution [N]: its blending weights summed over all pixels of all cameras.
 
-    An image is linear in the splats' colours, so its derivatives to them are these weights.
+    A weight is the opacity times the transmittance before it; of a reflected half, times what the pixel adds of that.
+    An image is linear in the splats' colours, so its derivatives with respect to them are these weights.
     """
     model = model.detached()
     total = torch.zeros_like(model.opacity_logits)
@@ -30,14 +30,17 @@ def carried(model: SurfelModel | VolumeModel, cameras: Sequence[Camera]) -> Tens
 
 
 def faintest(carried: Tensor, share: float) -> Tensor:
-    """Which splats [N] bool together carry less than `share` of all, the least first; none where none carries any."""
+    """Return which splats [N] bool, taken least first, together contribute less than `share` of the sum.
+
+    carried [N]: the contributions. No splat is chosen where none contributes anything.
+    """
     least_first = carried.argsort(stable=True)
     within = carried[least_first].cumsum(0, dtype=torch.float64) < share * carried.sum(dtype=torch.float64)
     return torch.empty_like(within).scatter_(0, least_first, within)
 
 
 def _drawn(model: SurfelModel | VolumeModel, colors: Tensor, camera: Camera) -> Tensor:
-    """One channel of an image of these colours, in both halves where there are two, on black, [H,W]."""
+    """Render one channel [H,W] of an image of these colours [N,3], in both halves where there are two, on black."""
     geometry = (model.means, model.quats, model.scales(), model.opacities())
     black = colors.new_zeros(3)
     if isinstance(model, SurfelModel):

@@ -1,4 +1,4 @@
-"""Keeps the space around cameras free where no mask does.
+"""Empty space around cameras, which is kept free of splats where no mask does so.
 
 A splat close to a camera fills much of its photograph alone, and hangs as haze before the views of cameras nearby. The
 space between a camera and what it sees first is empty, so that no splat belongs there.
@@ -28,8 +28,10 @@ class Clearance:
 
     @classmethod
     def around(cls, cameras: Sequence[Camera], points: np.ndarray, share: float) -> Clearance:
-        """Return the balls around cameras whose radius is a share of the distance to the starting points [P,3] nearest
-        to the camera."""
+        """Return balls around cameras, with a radius of `share` times the distance to the nearest starting points.
+
+        points [P,3] in the scene's frame. The NEAREST-th nearest point gives the distance, as nearer ones may be wrong.
+        """
         centers = np.array([camera.center for camera in cameras])
         distances = cKDTree(points).query(centers, k=[min(NEAREST, len(points))])[0][:, 0]
         return cls(torch.from_numpy(centers).float(), torch.from_numpy(share * distances).float())

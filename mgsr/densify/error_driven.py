@@ -1,9 +1,8 @@
-"""Error-driven growth of the 3D branch: Gaussians are added where renderings differ visibly from the photographs, and
-those that carry least make room for as many more.
+"""Error-driven growth of the 3D branch: Gaussians are added where renderings differ visibly from the photographs.
 
-A new Gaussian has a pixel's size and the photograph's colour, and lies on the pixel's ray at the rendered depth, as in
-ConeGS (Baranowski et al. 2025). The number of differing pixels that other views confirm, not a fixed count, says how
-many are added.
+Those that contribute least make room for as many more. A new Gaussian has a pixel's size and the photograph's colour,
+and lies on the pixel's ray at the rendered depth, as in ConeGS (Baranowski et al. 2025). The number of differing pixels
+that other views confirm, not a fixed count, says how many are added.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ WINDOW = 3  # pixels along a side over which differences are averaged, so that s
 class RenderedView:
     """A training view beside its rendering.
 
-    lacking [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]: what the Gaussians' own
-    colours give, without reflected light and as under even light; depth [H,W]: camera z; alpha [H,W]. Where the
-    photograph is not known, lacking and alpha are 0.
+    lacking [H,W,3]: the residual, that is the photograph less the rendering, sRGB, on one background; base [H,W,3]:
+    what the Gaussians' own colours give, without reflected light and as under even light; depth [H,W]: camera z; alpha
+    [H,W]. Where the photograph is not known, lacking and alpha are 0.
     """
 
     camera: Camera
@@ -42,8 +41,11 @@ class RenderedView:
 
 @dataclass(frozen=True)
 class NewPoints:
-    """Where Gaussians are added: positions [M,3] in the scene's frame, sizes [M]: a pixel's side there, in the scene's
-    unit; colors [M,3], sRGB 0..1; lacking [M,3]: what the rendering lacks of the photograph there."""
+    """The points at which Gaussians are added.
+
+    positions [M,3] in the scene's frame; sizes [M]: a pixel's side there, in the scene's unit; colors [M,3], sRGB 0..1;
+    lacking [M,3]: the residual there, the photograph less the rendering.
+    """
 
     positions: Tensor
     sizes: Tensor
@@ -56,8 +58,10 @@ class NewPoints:
 
 
 def visible_error(view: RenderedView, tolerance: float) -> Tensor:
-    """Return how much each pixel differs, [H,W]: the mean over the channels of the locally averaged difference, and 0
-    where it is under the tolerance (sRGB 0..1) or no surface is rendered."""
+    """Return each pixel's visible error [H,W]: the locally averaged residual, in the mean over the channels.
+
+    It is 0 where it is under the tolerance (sRGB 0..1) or no surface is rendered.
+    """
     planes = view.lacking.permute(2, 0, 1)[None]
     smooth = torch.nn.functional.avg_pool2d(planes, WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
     error = smooth.abs().mean(dim=0)
@@ -65,10 +69,10 @@ def visible_error(view: RenderedView, tolerance: float) -> Tensor:
 
 
 def planned_changes(error: Sequence[Tensor], count: int, config: VolumeDensifyConfig) -> tuple[int, int]:
-    """Return how many of `count` Gaussians are to be replaced, and how many are to be added beyond them.
+    """Return how many of `count` Gaussians to replace, and how many to add beyond them.
 
-    error: of some views (see `visible_error`). Each number is at most the pixels that differ in a view, on average, and
-    at most a share of the count; all together stay under config.max_count.
+    error: of some views, [H,W] each (`visible_error`). Each number is at most the mean number of differing pixels in a
+    view, and at most a share of the count; all together stay under config.max_count.
     """
     pixels = sum(int((each > 0).sum()) for each in error) // max(1, len(error))
     replaced = min(int(config.replace * count), pixels)
@@ -79,8 +83,10 @@ def planned_changes(error: Sequence[Tensor], count: int, config: VolumeDensifyCo
 def new_points(
     views: Sequence[RenderedView], error: Sequence[Tensor], count: int, generator: torch.Generator
 ) -> NewPoints:
-    """Draw `count` different pixels of the views (fewer where fewer differ), each with a probability in proportion to
-    its error, and return where their surface is."""
+    """Draw `count` different pixels of the views by their error, and return the surface points that they show.
+
+    A pixel's probability is in proportion to its error [H,W]. Fewer are drawn where fewer differ.
+    """
     weight = torch.cat([each.reshape(-1) for each in error])
     count = min(count, int((weight > 0).sum()))
     # The largest keys log(weight) + Gumbel noise are a draw without replacement (Vieira 2014).
@@ -95,17 +101,18 @@ def new_points(
 
 
 def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoints:
-    """Return the points where the other views that see them lack the same rather than the opposite: of a highlight
-    that one view lacks, the others have too much, and of noise as often as not. Points that no other view sees are
-    left out, too."""
+    """Return the points whose residual agrees with that of the other views that see them.
+
+    Views disagree about a highlight, which one lacks and the others have too much of, and about noise half of the time.
+    Points that no other view sees are left out, too.
+    """
     agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))
     # A point's own view is among them, and agrees with itself.
     return points.rows(agreed > points.lacking.square().sum(dim=1))
 
 
 def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
-    """Return the products [M] of what the points' views lack and what this one lacks there, 0 where it does not see
-    them."""
+    """Return the products [M] of the points' own residuals and this view's there; 0 where it does not see them."""
     intrinsics, pose = _matrices(view)
     height, width = view.depth.shape
     local = points.positions @ pose[:3, :3].T + pose[:3, 3]
@@ -118,14 +125,13 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
 
 
 def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], count: int) -> Tensor:
-    """Return ascending indices [N - count] int64 of the Gaussians without those that carry least of the views'
-    light."""
+    """Return ascending indices [N - count] int64 of all Gaussians but the `count` that contribute least."""
     light = carried(model, [view.camera for view in views])
     return light.argsort(stable=True)[count:].sort().values
 
 
 def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
-    """Return positions, sizes, colours, and what is lacking, of pixels [P], row x W + column."""
+    """Return the positions, sizes, colours and residuals of pixels [P], given as row x W + column."""
     width = view.depth.shape[1]
     intrinsics, pose = _matrices(view)
     depth = view.depth.reshape(-1)[pixels]
@@ -138,6 +144,6 @@ def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
 
 
 def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:
-    """Return the camera's K and cam_from_world, where the images are."""
+    """Return the camera's K [3,3] and cam_from_world [4,4] on the images' device."""
     camera = view.camera
     return torch.from_numpy(camera.K).to(view.depth), torch.from_numpy(camera.cam_from_world).to(view.depth)

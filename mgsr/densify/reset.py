@@ -10,6 +10,9 @@ OPACITY_NAMES = ("opacity_logits", "refl_opacity_logits")
 
 
 def lowered_opacities(parameters: dict[str, Tensor], opacity: float) -> dict[str, Tensor]:
-    """The stored opacities of either branch, by name, lowered to at most `opacity`; `parameters` stay as they are."""
+    """Return the opacity logits of either branch, by name, lowered to at most that of `opacity`.
+
+    `parameters` stay as they are.
+    """
     limit = math.log(opacity / (1 - opacity))
     return {name: parameters[name].detach().clamp(max=limit) for name in OPACITY_NAMES if name in parameters}

@@ -1,4 +1,4 @@
-"""What densification remembers between its rounds; owned by the caller."""
+"""The gradient statistics that densification gathers between its rounds; owned by the caller."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class DensifyState:
 
     @staticmethod
     def empty(count: int, device: torch.device | None = None) -> DensifyState:
-        """Nothing gathered yet about `count` splats, which are on `device`."""
+        """Return a state in which nothing is gathered yet about `count` splats on `device`."""
         return DensifyState(torch.zeros(count, device=device), torch.zeros(count, device=device))
 
     def gather(
@@ -42,13 +42,13 @@ class DensifyState:
         gather_gradients(self.gradient_sum, self.seen, v_means2d, radii, scale, bad)
 
     def to(self, device: torch.device) -> DensifyState:
-        """The same on a device."""
+        """Return the same state on a device."""
         return DensifyState(self.gradient_sum.to(device), self.seen.to(device))
 
     def mean_gradients(self) -> Tensor:
-        """The mean over the images that saw each splat, [N]; 0 for one that none saw."""
+        """Return each splat's mean gradient length [N] over the images that saw it; 0 for one that none saw."""
         return self.gradient_sum / self.seen.clamp(min=1)
 
     def tensors(self) -> dict[str, Tensor]:
-        """For a checkpoint; `DensifyState(**tensors)` takes them back."""
+        """Return the tensors by name, for a checkpoint; `DensifyState(**tensors)` takes them back."""
         return {"gradient_sum": self.gradient_sum, "seen": self.seen}

@@ -1,9 +1,9 @@
 """Splats as PlayCanvas's compressed PLY, which SuperSplat and others read: 16 bytes a splat and one a coefficient.
 
-Source: PlayCanvas's documentation of the format. Chunks of 256 splats have ranges; a splat has its position, scale and
+Source: PlayCanvas's documentation of the format. Chunks of 256 splats have ranges. A splat has its position, scale and
 colour within them in 32 bits each (11, 10, 11 bits; colour and opacity 8 each), and its quaternion's three smaller
-parts in 10 bits. The light split's reflected half has no place in it. A comment names the origin of the positions where
-that is not the frame's (`ply_notes.py`).
+parts in 10 bits. The format has no place for the light split's reflected half. A comment names the origin of the
+positions where that is not the frame's (`ply_notes.py`).
 """
 
 from __future__ import annotations
@@ -32,8 +32,11 @@ _SCALE_LIMIT = 20.0
 
 
 def write_compressed_ply(path: Path, splats: Splats, origin: np.ndarray | None = None) -> None:
-    """Write splats as `write_splats` takes them, finite but for opacity logits, ordered along a curve through space so
-    that chunks are small. origin [3]: what the positions are about, None for the frame's own."""
+    """Write splats, as `write_splats` takes them, to a compressed PLY.
+
+    They must be finite but for opacity logits. They are ordered along a curve through space, so that chunks are small.
+    origin [3]: the origin of the positions, None for the frame's own.
+    """
     ordered = {name: array[_along_curve(splats["means"])] for name, array in splats.items()}
     values = {
         "position": ordered["means"].astype(np.float32),
@@ -57,8 +60,11 @@ def write_compressed_ply(path: Path, splats: Splats, origin: np.ndarray | None =
 
 
 def load_compressed_ply(path: Path) -> Splats:
-    """The splats of such a file, as volumes, about the origin that its header names (`ply_notes.read_origin`). Raises
-    SceneError naming the file for others."""
+    """Load the splats of such a file, as volumes, float32.
+
+    Positions are about the origin that the header names (`ply_notes.read_origin`). Raises SceneError naming the file
+    for others.
+    """
     try:
         data = PlyData.read(str(path))
         chunks, vertices = data["chunk"].data, data["vertex"].data
@@ -84,7 +90,7 @@ def load_compressed_ply(path: Path) -> Splats:
 
 
 def is_compressed_ply(path: Path) -> bool:
-    """Whether a PLY's header has the packed properties."""
+    """Return whether a PLY's header has the packed properties."""
     with path.open("rb") as file:
         return b"packed_position" in file.read(4096)
 
@@ -94,7 +100,7 @@ def _range_names() -> list[str]:
 
 
 def _along_curve(means: np.ndarray) -> np.ndarray:
-    """An order of points [N,3] in which neighbours stay together (Morton 1966), ten bits an axis."""
+    """Return an order of points [N,3] in which neighbours stay together (Morton 1966), ten bits an axis."""
     low, high = means.min(axis=0, initial=np.inf), means.max(axis=0, initial=-np.inf)
     cells = ((means - low) / np.maximum(high - low, 1e-30) * 1023).astype(np.int64)
     code = np.zeros(len(means), np.int64)
@@ -105,7 +111,7 @@ def _along_curve(means: np.ndarray) -> np.ndarray:
 
 
 def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndarray:
-    """Values [N,3] as shares 0..1 of their chunk's range, which is written to `chunks`."""
+    """Return values [N,3] as shares 0..1 of their chunk's range, and write the ranges to `chunks`."""
     starts = np.arange(0, len(values), _CHUNK)
     which = np.arange(len(values)) // _CHUNK
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
@@ -115,7 +121,10 @@ def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndar
 
 
 def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.ndarray) -> np.ndarray:
-    """Files from before colours had ranges have them in 0..1."""
+    """Return the values of shares 0..1 of their chunk's range.
+
+    Files from before colours had ranges have colours in 0..1; they are returned unchanged.
+    """
     if kind == "color" and "min_r" not in (chunks.dtype.names or ()):
         return shares
     low, high = (np.stack([chunks[f"{end}_{name}"] for name in _RANGES[kind]], axis=1) for end in ("min", "max"))
@@ -123,7 +132,7 @@ def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.nd
 
 
 def _pack(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
-    """Shares [N,len(bits)] of 0..1 in one number, the first in the highest bits."""
+    """Pack shares [N,len(bits)] of 0..1 into one number per row, the first in the highest bits."""
     packed = np.zeros(len(shares), np.uint32)
     for axis, count in enumerate(bits):
         top = 2**count - 1
@@ -140,7 +149,10 @@ def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _packed_rotations(quats: np.ndarray) -> np.ndarray:
-    """Two bits say which part of wxyz is largest; it is positive, and follows from the others."""
+    """Pack quaternions [N,4] wxyz, of any length, into 32 bits each.
+
+    Two bits say which part of wxyz is largest. That part is made positive, and follows from the other three.
+    """
     unit = quats.astype(np.float64) / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
     largest = np.abs(unit).argmax(axis=1)
     unit *= np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
@@ -162,7 +174,7 @@ def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:
 
 
 def _harmonics(rest: np.ndarray) -> np.ndarray:
-    """Coefficients [N,K,3] as bytes over -4..4, all of red, then green, then blue."""
+    """Return coefficients [N,K,3] as a table of bytes over -4..4, all of red, then green, then blue."""
     flat = rest.transpose(0, 2, 1).reshape(len(rest), 3 * rest.shape[1])
     table = np.zeros(len(rest), [(f"f_rest_{i}", "u1") for i in range(flat.shape[1])])
     for i in range(flat.shape[1]):

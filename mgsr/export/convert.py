@@ -1,4 +1,4 @@
-"""Meshes and splats from one kind of file to another."""
+"""Convert meshes and splats from one kind of file to another."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
 
 
 def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = None) -> str:
-    """Write `target`, whose name tells the kind, from `source`; a line about what it holds.
+    """Write `target`, whose name tells the kind, from `source`, and return a line about what it holds.
 
-    Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: what all lengths are multiplied with. up:
-    which axis of a mesh's frame points up, for .glb, which wants y; y unless given.
+    Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: factor of all lengths. up: which axis of a
+    mesh's frame points up, for .glb, which wants y; y unless given.
 
     Raises as `require_kinds`, ConfigError for a scale that is no number above 0, SceneError and MeshError for files
     that can't be read and for what `target` can't hold.
@@ -49,8 +49,11 @@ def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = 
 
 
 def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
-    """Raises ConfigError where `source` is no file, where it can't become what `target` is called, and for an up axis
-    that `target` can't take."""
+    """Raise ConfigError where `source` can't be converted to `target`.
+
+    That is where `source` is no file, where it can't become what `target` is called, or where `target` can't take an up
+    axis.
+    """
     if not source.is_file():
         raise ConfigError(f"{source}: no such file")
     kind, suffixes = ("splats", _SPLATS) if _holds_splats(source) else ("a mesh", _MESHES)
@@ -97,7 +100,7 @@ def _convert_splats(source: Path, target: Path, scale: float) -> str:
 
 
 def _pack_splats(source: Path, target: Path, splats: Splats, to_target: Similarity, origin: np.ndarray) -> None:
-    """Write splats of `source` in a packed format, taken to the target's positions, which are about `origin`."""
+    """Write splats of `source` in a packed format, with the target's positions, about `origin` [3]."""
     means = to_target.to_user(splats["means"].astype(np.float64)).astype(np.float32)
     log_scales = splats["log_scales"] + np.float32(math.log(to_target.scale))
     try:
@@ -112,7 +115,7 @@ def _read_origin(source: Path) -> np.ndarray:
 
 
 def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
-    """Places times `scale`, float64. Raises ConfigError where files' floats can't hold them."""
+    """Return places times `scale`, float64. Raises ConfigError where the file's floats can't hold them."""
     with np.errstate(over="ignore"):
         scaled = places.astype(np.float64) * scale
     largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)
@@ -133,7 +136,10 @@ def _holds_splats(path: Path) -> bool:
 
 
 def _load_splats(path: Path) -> Splats:
-    """Raises SceneError where values are NaN or infinite: one would spoil all others of a chunk or the scene."""
+    """Load the splats of a .ply, .compressed.ply or .spz file.
+
+    Raises SceneError where values are NaN or infinite: one would spoil all others of a chunk or the scene.
+    """
     if path.suffix.lower() == ".spz":
         splats = load_spz(path)
     else:

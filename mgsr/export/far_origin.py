@@ -1,8 +1,8 @@
 """Positions far from their frame's origin.
 
-A float32 number has about seven digits. Frames of maps (UTM) and of the whole earth (geocentric) need most of them to
-say where the scene lies, and few are left for its shape. Files that have float32 positions are therefore written about
-an origin near the scene, which they name: the places of the frame are the positions in the file plus that origin.
+A float32 number has about seven digits. In frames of maps (UTM) and of the whole earth (geocentric) most of them say
+where the scene lies, and few are left for its shape. Files with float32 positions are therefore written about an origin
+near the scene, which they name: the places of the frame are the positions in the file plus that origin.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ def no_origin() -> np.ndarray:
 
 
 def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return an origin [3] for positions in the box from `low` to `high`: zeros where float32 holds them well enough,
-    and else a short number within half the box's size of its middle, rounded to a power of ten."""
+    """Return an origin [3] for positions in the box from `low` to `high`.
+
+    It is zeros where float32 holds the positions well enough. Otherwise it is a short number within half the box's size
+    of its middle, rounded to a power of ten.
+    """
     size = float((high - low).max())
     # A single place has no shape that could be lost.
     if not (0 < size < math.inf and float_is_too_coarse(low, high)):
@@ -37,19 +40,24 @@ def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def origin_of_frame(user_from_scene: Similarity, unit: float = 1.0) -> np.ndarray:
-    """Return the origin [3] of the files of a scene, whose object lies in its frame's unit ball, in the user's lengths
-    times `unit`; zeros where float32 holds the user's positions well enough."""
+    """Return the origin [3] of the files of a scene, in the user's lengths times `unit`.
+
+    The scene's object lies in its frame's unit ball. Zeros where float32 holds the user's positions well enough.
+    """
     middle, radius = user_from_scene.offset * unit, user_from_scene.scale * unit
     return origin_near(middle - radius, middle + radius)
 
 
 def about_origin(user_from_scene: Similarity, unit: float, origin: np.ndarray) -> Similarity:
-    """Return the way from the scene's frame to positions about `origin` [3], in the user's lengths times `unit`."""
+    """Return the transform from the scene's frame to positions about `origin` [3].
+
+    Positions are in the user's lengths times `unit`.
+    """
     return Similarity(user_from_scene.scale * unit, user_from_scene.offset * unit - origin)
 
 
 def scaled_origin(origin: np.ndarray, scale: float) -> np.ndarray:
-    """Return an origin [3] times `scale`, as a number that its text keeps."""
+    """Return an origin [3] times `scale`, as numbers that survive being written as text."""
     return _short(origin * scale)
 
 
@@ -59,8 +67,10 @@ def origin_text(origin: np.ndarray) -> str:
 
 
 def read_origin_text(words: Sequence[str], source: str) -> np.ndarray:
-    """Return the origin [3] that a file's words name. Raises SceneError, naming the source, for other than three finite
-    numbers."""
+    """Return the origin [3] that a file's words name.
+
+    Raises SceneError, naming the source, for anything but three finite numbers.
+    """
     try:
         origin = np.array([float(word) for word in words])
     except ValueError:
@@ -73,7 +83,7 @@ def read_origin_text(words: Sequence[str], source: str) -> np.ndarray:
 
 
 def origin_notes(user_from_scene: Similarity, unit: float = 1.0) -> list[str]:
-    """Return what a person should know of the origin of a scene's files, see `origin_of_frame`: a line, or nothing."""
+    """Return a line for the person on the origin of a scene's files (see `origin_of_frame`), or nothing."""
     origin = origin_of_frame(user_from_scene, unit)
     if not origin.any():
         return []
@@ -85,5 +95,5 @@ def origin_notes(user_from_scene: Similarity, unit: float = 1.0) -> list[str]:
 
 
 def _short(values: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the values as their texts of 15 digits give them, without a negative zero."""
+    """Return the values rounded to their texts of 15 digits, without a negative zero."""
     return np.array([float(f"{value:.{_DIGITS}g}") + 0.0 for value in values])

@@ -1,11 +1,11 @@
 """`flash.npz`: a flash on the camera, and the surface that it lights, as a run found them before training.
 
 Arrays: `vertices` [V,3] and `faces` [F,3] of the surface, in the user's frame; `besides` [V], the light at each vertex
-that is not the lamp's; `like` [V], the vertex whose place, normal and light each takes, as photographs do not confirm
-its own; `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and
-the light that it sends to a surface that faces it at a distance of 1. Light is a share of the brightest in the
-photographs. The splats' transmitted colours are those under even light; in a pixel that gets the light l, the
-transmitted colour c, in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
+that is not the lamp's; `like` [V], the vertex whose place, normal and light each takes, where photographs do not
+confirm its own; `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the
+light that it sends to a surface that faces it at a distance of 1. Light is a share of the brightest in the photographs.
+The splats' transmitted colours are those under even light. In a pixel that gets the light l, the transmitted colour c,
+in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
 
 Where the origin of the user's frame lies far away, there is also `origin` [3] (see `far_origin.py`): the vertices'
 places in the frame are `vertices` plus `origin`.
@@ -25,7 +25,7 @@ from mgsr.shading.lighting import Lighting
 
 
 def write_flash(path: Path, lighting: Lighting, origin: np.ndarray | None = None) -> None:
-    """Write a flash, in the user's frame. origin [3]: what the file's vertices are about, None for the frame's own."""
+    """Write a flash, in the user's frame. origin [3]: the origin of the file's vertices, None for the frame's own."""
     about = no_origin() if origin is None else origin
     arrays: dict[str, Any] = {
         "vertices": (lighting.vertices - about).astype(np.float32),
@@ -41,7 +41,7 @@ def write_flash(path: Path, lighting: Lighting, origin: np.ndarray | None = None
 
 
 def load_flash(path: Path) -> Lighting:
-    """A flash, in the user's frame. Raises SceneError for a file that is none."""
+    """Load a flash, in the user's frame. Raises SceneError for a file that is none."""
     try:
         content = read_arrays(path)
         vertices, besides, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))

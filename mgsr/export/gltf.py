@@ -32,11 +32,13 @@ _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1,
 def glb(
     vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: Up, png: bytes | None = None
 ) -> bytes:
-    """The file of a mesh: vertices [V,3], faces [F,3], and attributes by glTF's names, arrays [V,n] of little-endian
-    float32. png: the surface's colours, sRGB, by TEXCOORD_0.
+    """Return the bytes of a binary glTF file with one mesh.
 
-    The material is matte and two-sided. Positions are about the mesh's middle; the node puts them back (and turns
-    the mesh y-up), so that frames with a far origin keep their precision.
+    vertices: [V,3]. faces: [F,3]. attributes: by glTF's names, arrays [V,n] of little-endian float32. png: the
+    surface's colours, sRGB, by TEXCOORD_0.
+
+    The material is matte and two-sided. Positions are about the mesh's middle. The node puts them back (and turns the
+    mesh y-up), so that frames with a far origin keep their precision.
     """
     middle = (vertices.max(0) + vertices.min(0)) / 2
     positions = (vertices - middle).astype("<f4")
@@ -61,7 +63,7 @@ def glb(
 
 
 class _Body:
-    """The binary half of a file, and what says where its parts lie."""
+    """The binary half of a file, with the JSON that says where its parts lie."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -69,14 +71,14 @@ class _Body:
         self.accessors: list[dict[str, Any]] = []
 
     def add_bytes(self, part: bytes) -> int:
-        """The number of the part's view."""
+        """Append the part's bytes, and return the index of their buffer view."""
         self.data += b"\0" * (-len(self.data) % 4)
         self.views.append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(part)})
         self.data += part
         return len(self.views) - 1
 
     def add_array(self, array: np.ndarray, target: int) -> int:
-        """The number of the array's accessor."""
+        """Append the array, and return the index of its accessor."""
         view = self.add_bytes(array.tobytes())
         self.views[view]["target"] = target
         columns = 1 if array.ndim == 1 else array.shape[1]
@@ -96,7 +98,7 @@ def _picture(view: int) -> dict[str, Any]:
 
 
 def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
-    """Column by column, as glTF has it."""
+    """Return the node's matrix as 16 numbers, column by column, as glTF has it."""
     matrix = np.eye(4)
     matrix[:3, :3] = _turn_upright(up)
     matrix[:3, 3] = matrix[:3, :3] @ middle
@@ -104,7 +106,7 @@ def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
 
 
 def _turn_upright(up: Up) -> np.ndarray:
-    """Return the shortest rotation [3,3] that takes `up` to y; the half turn round x where that points down.
+    """Return the shortest rotation [3,3] that takes `up` to y; the half turn about x where `up` points down.
 
     Source: Rodrigues' formula for the axis up x y, without the angle.
     """
@@ -118,7 +120,7 @@ def _turn_upright(up: Up) -> np.ndarray:
 
 
 def glb_file(document: dict[str, Any], body: bytes) -> bytes:
-    """The file of glTF's JSON and the buffer that it speaks of."""
+    """Return a .glb file's bytes from glTF's JSON and its binary buffer."""
     text = json.dumps(document, separators=(",", ":")).encode("ascii")
     text += b" " * (-len(text) % 4)
     body += b"\0" * (-len(body) % 4)

@@ -14,7 +14,7 @@ from mgsr.geometry.precision import box, float_is_too_coarse
 
 
 def check_mesh(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:
-    """Raises MeshError for a mesh without faces, and for arrays that don't fit together."""
+    """Raise MeshError for a mesh without faces, and for arrays that don't fit together."""
     if len(faces) == 0:
         raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
     for name, array in {"vertices": vertices, **attributes}.items():
@@ -32,11 +32,13 @@ def write_ply(
     colors: np.ndarray,
     unit: float = 1.0,
 ) -> None:
-    """Binary little-endian PLY: vertices [V,3], faces [F,3], unit normals [V,3], colours [V,3] sRGB 0..1 (as uchar).
+    """Write a mesh as binary little-endian PLY.
 
-    Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as it does in
-    frames whose origin lies far away. unit: what the lengths were multiplied with,
-    for the header. Raises MeshError for arrays that don't fit together.
+    vertices: [V,3]. faces: [F,3]. normals: unit, [V,3]. colors: [V,3] sRGB 0..1, stored as uchar. unit: the factor of
+    the lengths, for the header.
+
+    Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as it does in frames
+    whose origin lies far away. Raises MeshError for arrays that don't fit together.
     """
     check_mesh(vertices, faces, normals=normals, colors=colors)
     real = "double" if float_is_too_coarse(*box(vertices)) else "float"
@@ -71,9 +73,10 @@ def write_glb(
     colors: np.ndarray,
     up: Up = UpAxis.Y,
 ) -> None:
-    """Binary glTF 2.0 with vertex colours, which glTF wants linear: they are converted from sRGB, and stored as
-    float32: 8 linear bits would band in dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors
-    as of `write_ply`.
+    """Write a mesh with vertex colours as binary glTF 2.0.
+
+    glTF wants linear colours, so they are converted from sRGB. They are stored as float32: 8 linear bits would band in
+    dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors as of `write_ply`.
     """
     check_mesh(vertices, faces, normals=normals, colors=colors)
     linear = np.ones((len(vertices), 4), "<f4")
@@ -90,8 +93,11 @@ def write_textured_glb(
     picture: np.ndarray,
     up: Up = UpAxis.Y,
 ) -> None:
-    """Binary glTF 2.0 with a texture: uvs [V,2] in 0..1 from the upper left corner of picture [H,W,3] uint8, sRGB as
-    glTF wants it, stored without loss. See `glb`; the other arguments and errors as of `write_ply`."""
+    """Write a mesh with a texture as binary glTF 2.0.
+
+    uvs: [V,2] in 0..1 from the upper left corner of `picture` [H,W,3] uint8, sRGB as glTF wants it, stored without
+    loss. See `glb`; the other arguments and errors as of `write_ply`.
+    """
     import cv2  # late: training needs no OpenCV
 
     check_mesh(vertices, faces, normals=normals)
@@ -103,6 +109,6 @@ def write_textured_glb(
 
 
 def _unit(normals: np.ndarray) -> np.ndarray:
-    """glTF wants unit normals. Where faces are folded onto each other there is none, and any will do."""
+    """Return unit normals, little-endian float32; (0, 0, 1) where folded faces leave none."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.where(lengths > 1e-6, normals / np.maximum(lengths, 1e-6), [[0.0, 0.0, 1.0]]).astype("<f4")

@@ -1,4 +1,4 @@
-"""Meshes of other programs, as trimesh reads them: PLY, binary glTF and OBJ."""
+"""Read meshes of other programs with trimesh: PLY, binary glTF and OBJ."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _GREY = 0.5
 
 @dataclass(frozen=True)
 class Mesh:
-    """vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
+    """A mesh: vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -40,8 +40,10 @@ class _Material:
 
 
 def load_mesh(path: Path) -> Mesh:
-    """A mesh of any kind that trimesh reads, its parts in one; grey where it has no colours. glTF's vertex colours,
-    pictures and factors are multiplied, as it has it; of OBJ's, the first counts of vertex colours, picture and Kd.
+    """Load a mesh of any kind that trimesh reads, its parts in one; it is grey where it has no colours.
+
+    glTF's vertex colours, pictures and factors are multiplied, as the format says. Of OBJ's vertex colours, picture and
+    Kd, the first that exists counts.
 
     Raises MeshError naming the file, also for what glTF allows and trimesh does not read.
     """
@@ -79,7 +81,10 @@ def _read_parts(path: Path) -> list[Mesh]:
 
 
 def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -> Mesh:
-    """One part of a file, where its node's pose puts it. A mirror turns the faces' sides."""
+    """Return one part of a file, placed by its node's pose. A mirroring pose flips the faces.
+
+    Raises MeshError where vertices are NaN or infinite.
+    """
     bad = int((~np.isfinite(mesh.vertices).all(axis=1)).sum())
     if bad:
         raise MeshError(
@@ -95,7 +100,7 @@ def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -
 
 
 def _colors(mesh: Any) -> np.ndarray:
-    """sRGB 0..1 [V,3]; trimesh keeps OBJ's vertex colours beside its material."""
+    """Return vertex colours [V,3], sRGB 0..1; trimesh keeps OBJ's vertex colours beside its material."""
     material = getattr(mesh.visual, "material", None)
     if mesh.visual.kind == "vertex":
         return _fractions(mesh.visual.vertex_colors)
@@ -111,7 +116,10 @@ def _colors(mesh: Any) -> np.ndarray:
 
 
 def _gltf_colors(mesh: Any, path: Path, materials: list[_Material]) -> np.ndarray:
-    """sRGB 0..1 [V,3] of a part whose material's name is its number."""
+    """Return vertex colours [V,3], sRGB 0..1, of a part whose material's name is its number.
+
+    Raises MeshError where its picture can't be read.
+    """
     material = materials[int(mesh.visual.material.name)]
     picture = _picture_colors(mesh, mesh.visual.material.baseColorTexture)
     stored = mesh.visual.vertex_attributes.get("color")
@@ -137,14 +145,17 @@ def _picture_colors(mesh: Any, picture: Any) -> np.ndarray | None:
 
 
 def _fractions(stored: np.ndarray) -> np.ndarray:
-    """Colours [V,3] in 0..1 of whole numbers over their range, or of floats."""
+    """Return colours [V,3] in 0..1 of integers over their range, or of floats."""
     colors = np.asarray(stored)[:, :3]
     return colors / np.iinfo(colors.dtype).max if colors.dtype.kind == "u" else np.clip(colors, 0, 1)
 
 
 def _plain_glb(path: Path) -> tuple[bytes, list[_Material]]:
-    """The file with a material for each part, named by its number, and with nothing in it but the picture: beside one
-    trimesh keeps vertex colours as they are stored. Raises MeshError for what trimesh would read wrongly."""
+    """Return the file with a material for each part, named by its number, and the materials' factors.
+
+    The new materials hold only the picture: beside a picture, trimesh keeps vertex colours as they are stored. Raises
+    MeshError for what trimesh would read wrongly.
+    """
     document, body = _glb_chunks(path)
     unknown = set(document.get("extensionsRequired", ())) - _KNOWN_EXTENSIONS
     if unknown:

@@ -31,8 +31,11 @@ _PARTS = ("scene", "camera")
 
 @dataclass(frozen=True)
 class StoredLight:
-    """maps [2,3,S,S] (the scene's, then the camera's) and bounce [3], 0..1; surface: vertices [V,3] in the user's frame
-    and faces [F,3] of the mesh that mirrors, None where the 2D branch does."""
+    """The mirrored light of a scene.
+
+    maps [2,3,S,S] (the scene's, then the camera's) and bounce [3], 0..1. surface: vertices [V,3] in the user's frame
+    and faces [F,3] of the mesh that mirrors, None where the 2D branch does.
+    """
 
     maps: np.ndarray
     bounce: np.ndarray
@@ -40,7 +43,7 @@ class StoredLight:
 
 
 def write_mirrored_light(path: Path, light: StoredLight, origin: np.ndarray | None = None) -> None:
-    """Write the light. origin [3]: what the file's vertices are about, None for the frame's own."""
+    """Write the light. origin [3]: the origin of the file's vertices, None for the frame's own."""
     images = np.moveaxis(np.asarray(light.maps, np.float32), 1, -1)
     arrays: dict[str, Any] = dict(zip(_PARTS, images, strict=True))
     arrays["bounce"] = np.asarray(light.bounce, np.float32)
@@ -73,7 +76,7 @@ def load_mirrored_light(path: Path) -> StoredLight:
 
 
 def _surface(content: dict[str, np.ndarray]) -> Triangles | None:
-    """Return the mesh that mirrors. Raises ValueError for one that is damaged, KeyError for half a one."""
+    """Return the mesh that mirrors. Raises ValueError where it is damaged, KeyError where half of it is missing."""
     if "vertices" not in content and "faces" not in content:
         return None
     vertices, faces = content["vertices"].astype(float), content["faces"].astype(np.int64)

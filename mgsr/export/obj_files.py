@@ -11,9 +11,11 @@ from mgsr.geometry.precision import box, float_is_too_coarse
 
 
 def write_obj(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray) -> None:
-    """Text: vertices [V,3] with colours [V,3] sRGB 0..1 behind them (an extension that MeshLab, Blender and others
-    read), unit normals [V,3], faces [F,3]. Positions have twelve digits, or fifteen where float32 would be too coarse.
-    Colours are 8-bit levels, written a bit above them, as some readers cut off what is behind the point.
+    """Write a mesh as a Wavefront OBJ file.
+
+    vertices: [V,3]. faces: [F,3]. normals: unit, [V,3]. colors: [V,3] sRGB 0..1, written behind the vertices (an
+    extension that MeshLab, Blender and others read). Positions have twelve digits, or fifteen where float32 would be
+    too coarse. Colours are 8-bit levels, written a bit above them, as some readers cut off what is behind the point.
 
     Raises MeshError for a mesh without faces, and for arrays that don't fit together.
     """

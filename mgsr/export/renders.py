@@ -20,9 +20,12 @@ from mgsr.errors import MgsrError, SceneError
 
 @dataclass(frozen=True)
 class RenderedView:
-    """One view's images, float. color, transmitted and even [H,W,3]: sRGB 0..1, straight (`straight_color`); alpha
-    [H,W] 0..1; reflected [H,W,3] sRGB; weight [H,W] 0..1; depth [H,W] camera z in the user's unit, 0 where nothing
-    is; normal [H,W,3] world frame, of any length. What is None is not written."""
+    """One view's images, float; images that are None are not written.
+
+    color, transmitted and even [H,W,3]: sRGB 0..1, not premultiplied (`straight_color`). alpha [H,W] 0..1. reflected
+    [H,W,3] sRGB. weight [H,W] 0..1. depth [H,W]: camera z in the user's unit, 0 where nothing is. normal [H,W,3]: world
+    frame, of any length.
+    """
 
     color: np.ndarray
     alpha: np.ndarray
@@ -35,20 +38,23 @@ class RenderedView:
 
 
 def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """The colour [H,W,3] of what was rendered on black with alpha [H,W], 0..1; black where alpha rounds to nothing."""
+    """Return the colour [H,W,3] of an image rendered on black with alpha [H,W] 0..1, divided by alpha.
+
+    It is black where alpha rounds to nothing.
+    """
     visible = alpha[..., None] >= 0.5 / 255
     return np.where(visible, np.clip(on_black / np.maximum(alpha[..., None], 1e-6), 0, 1), 0)
 
 
 def on_background(on_black: np.ndarray, alpha: np.ndarray, background: Color) -> np.ndarray:
-    """What was rendered on black [H,W,3] with alpha [H,W], 0..1, on a colour instead."""
+    """Return an image [H,W,3] rendered on black with alpha [H,W] 0..1, composited on a colour."""
     return np.clip(on_black + (1 - alpha[..., None]) * np.array(background), 0, 1)
 
 
 def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
-    """Write a view's images as the module says; their paths.
+    """Write a view's images as the module says, and return their paths.
 
-    name: the view's, without extension; folders in it are made. Raises SceneError for one that leads outside.
+    name: the view's, without extension; folders in it are made. Raises SceneError for a name that leads outside.
     """
     images: dict[str, np.ndarray] = {"": _rgba(view.color, view.alpha)}
     notes: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Scenes for other programs: undistorted photographs, masks and cameras as COLMAP's text model and transforms.json."""
+"""Write scenes for other programs: undistorted photographs, masks, and cameras as COLMAP text and transforms.json."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _POINTS = "sparse_pc.ply"
 
 
 def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
-    """Write the scene in the user's frame, all lengths times `scale`, into a folder that is there.
+    """Write the scene in the user's frame, all lengths times `scale`, into an existing folder.
 
-    images/ holds the photographs as MGSR uses them (pinhole, reduced), named after their split where there is one;
-    masks/ the same names, white on the object; sparse/0 a COLMAP model of PINHOLE cameras with the scene's points;
-    transforms.json the same cameras with OpenGL's axes, as nerfstudio reads them, with the split; sparse_pc.ply the
-    points for it. Of photographs that don't show all of their pixels, because a lens was undone, a rectangle is written
-    that they do show. Where masks say what to ignore, they are written again, black on it.
+    images/ holds the photographs as MGSR uses them (pinhole, reduced), named after their split where there is one.
+    masks/ holds the same names, white on the object. sparse/0 is a COLMAP model of PINHOLE cameras with the scene's
+    points. transforms.json has the same cameras with OpenGL's axes, as nerfstudio reads them, with the split;
+    sparse_pc.ply holds the points for it. Undistorted photographs that don't show all of their pixels are cropped to a
+    rectangle that they do show. Where masks say what to ignore, new masks are black on it.
 
     Raises MgsrError where an image can't be written.
     """
@@ -55,7 +55,10 @@ def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
 
 
 def _file_names(scene: Scene) -> list[str]:
-    """A name for each photograph that no reader stumbles over: some end at the first space, or leave folders out."""
+    """Return a file name for each photograph that every reader accepts.
+
+    Some readers end a name at the first space, or leave folders out.
+    """
     parts = [("train_" if scene.test else "", view.name) for view in scene.train]
     parts += [("test_", view.name) for view in scene.test]
     names: list[str] = []
@@ -71,14 +74,14 @@ def _file_names(scene: Scene) -> list[str]:
 
 
 def _with_ignoring_mask(view: View) -> View:
-    """The view with a mask that is black on its unknown pixels, and off the object where it has a silhouette."""
+    """Return the view with a mask that is black on unknown pixels, and off the object where it has a silhouette."""
     known = np.ones(view.image.shape[:2], bool) if view.known is None else view.known
     mask = known * np.uint8(255)
     return replace(view, alpha=mask if view.alpha is None else np.minimum(view.alpha, mask))
 
 
 def _split(files: Sequence[str], train: int) -> dict[str, list[str]]:
-    """nerfstudio wants all three lists."""
+    """Return the split's lists of names; nerfstudio wants all three."""
     return {"train_filenames": list(files[:train])} | {
         f"{part}_filenames": list(files[train:]) for part in ("val", "test")
     }
@@ -107,7 +110,10 @@ def _write_image(path: Path, pixels: np.ndarray) -> None:
 def _write_colmap(
     folder: Path, names: Sequence[str], cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray
 ) -> None:
-    """COLMAP's documentation, "Output Format"; no photograph lists the points that it sees."""
+    """Write a COLMAP text model in which no photograph lists the points that it sees.
+
+    Source: COLMAP's documentation, "Output Format".
+    """
     camera_lines, image_lines = [], []
     for number, (name, camera) in enumerate(zip(names, cameras, strict=True), start=1):
         K = camera.K

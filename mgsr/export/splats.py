@@ -1,9 +1,9 @@
-"""Splats as PLY in the layout that splat viewers read, and back.
+"""Read and write splats as PLY in the layout that splat viewers read.
 
 Properties, all float: x y z; nx ny nz (a surfel's unit normal, which is its rotation's third column; 0 for the 3D
-branch); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other
-coefficients, all of red, then green, then blue, padded with zeros to degree 3 because some viewers expect that many;
-opacity (logit); scale_0..2 (log); rot_0..3 (wxyz).
+branch); f_dc_0..2, the constant colour coefficients; f_rest_0..44, the other coefficients, all of red, then green, then
+blue, padded with zeros to degree 3 because some viewers expect that many; opacity (logit); scale_0..2 (log); rot_0..3
+(wxyz).
 
 Surfels have their third scale at SURFEL_THICKNESS of the frame's unit ball. A 3D branch with the light split appends
 refl_opacity (logit), refl_weight (beta's logit) and refl_dc_0..2, refl_rest_0.. (ordered as above, unpadded); viewers
@@ -55,9 +55,9 @@ def write_splats(
 
     splats, float32 in the scene's frame: means [N,3], quats [N,4] wxyz, log_scales [N,3] or [N,2] (surfels),
     opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
-    weight_logits [N], refl_sh [N,K',3]. file_from_scene leads to the positions in the file; without it they stay.
-    The header tells the others: unit, what the user's lengths were multiplied with; low_pass, px^2, of the 3D branch
-    (see `VolumeModel`); origin [3], in the file's unit, what the file's positions are about, None for the frame's own.
+    weight_logits [N], refl_sh [N,K',3]. file_from_scene maps positions to those in the file; without it they stay. The
+    header states the rest: unit, the factor of the user's lengths; low_pass, px^2, of the 3D branch (see
+    `VolumeModel`); origin [3], in the file's unit, the origin of the file's positions, None for the frame's own.
 
     Raises SceneError for arrays that are missing, not known or of the wrong shape.
     """
@@ -73,8 +73,9 @@ def write_splats(
 
 
 def load_splats(path: Path) -> Splats:
-    """The arrays of `write_splats`, float32, with the file's own positions: they are about the origin that its header
-    names (`ply_notes.read_origin`).
+    """Load the arrays of `write_splats`, float32, with the file's own positions.
+
+    They are about the origin that its header names (`ply_notes.read_origin`).
 
     Files of other programs are read too: as volumes, with all the coefficients that they have, and with float64 means
     where they have such and float32 would be too coarse. Raises SceneError for a file that is no such PLY.
@@ -89,7 +90,7 @@ def load_splats(path: Path) -> Splats:
 
 
 def require_finite(splats: Splats, source: Path) -> None:
-    """Raises SceneError for NaN and infinite values, but for infinite opacity logits, which mean 0 and 1."""
+    """Raise SceneError for NaN and infinite values, but for infinite opacity logits, which mean 0 and 1."""
     for name, array in splats.items():
         allowed = ~np.isnan(array) if name.endswith("opacity_logits") else np.isfinite(array)
         bad = int((~allowed.reshape(len(array), -1)).any(axis=1).sum()) if len(array) else 0
@@ -101,7 +102,7 @@ def require_finite(splats: Splats, source: Path) -> None:
 
 
 def _notes(comments: list[str]) -> dict[str, str]:
-    """What `write_splats` said of the file: "mgsr KEY VALUE" lines."""
+    """Return what `write_splats` said of the file in its "mgsr KEY VALUE" comments."""
     words = [comment.split() for comment in comments]
     return {line[1]: line[2] for line in words if len(line) == 3 and line[0] == "mgsr"}
 
@@ -177,14 +178,17 @@ def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
 
 
 def _third_axes(quats: np.ndarray) -> np.ndarray:
-    """The third columns [N,3] of the rotations of quats [N,4] wxyz, of any length."""
+    """Return the third columns [N,3] of the rotations of quats [N,4] wxyz, of any length."""
     lengths = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     w, x, y, z = (quats / np.maximum(lengths, 1e-12)).T
     return np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=1)
 
 
 def _sh_columns(sh: np.ndarray, prefix: str, coefficients: int) -> dict[str, np.ndarray]:
-    """sh [N,K,3], padded with zeros to `coefficients`: the constant terms, then the rest channel by channel."""
+    """Return the columns of sh [N,K,3], padded with zeros to `coefficients`.
+
+    They are the constant terms, then the rest channel by channel.
+    """
     padded = np.zeros((len(sh), coefficients, 3), np.float32)
     padded[:, : sh.shape[1]] = sh
     columns = {f"{prefix}dc_{channel}": padded[:, 0, channel] for channel in range(3)}

@@ -1,18 +1,18 @@
-"""Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, and what it rounds is hardly seen.
+"""Splats as SPZ, Niantic's packed format: about a tenth of the PLY's size, with hardly visible rounding.
 
 Source: the README of Niantic's spz and its versions 2 and 3: gzip of a 16-byte header and one array after the other,
 all bytes: positions as 24-bit fixed point, opacities, colours, log scales in sixteenths, quaternions, and higher colour
 coefficients with 5 bits in the first degree and 4 in the others. Version 2 keeps x, y, z of the quaternion with w >= 0,
 version 3 the three smaller parts in ten bits each. The format has y up and z backwards where splat PLYs have y down and
-z forward, so that everything is turned half round x on the way, as Niantic's own converter does. The light split's
-reflected half has no place in it.
+z forward, so everything is turned by half a turn about x on the way, as Niantic's own converter does. The format has no
+place for the light split's reflected half.
 
-The format has no place for notes. Where positions are about another origin than the frame's, the comment of the gzip
+It has no place for notes either. Where positions are about another origin than the frame's, the comment of the gzip
 header (RFC 1952, section 2.3), which decoders skip, names it as PLYs do (`ply_notes.py`): "mgsr origin X Y Z", in the
 axes of splat PLYs.
 
-Version 2 is written, which more programs read. Its w, which follows from bytes, is up to 10 degrees off near 0, but an
-ellipsoid is the same with its axes named otherwise: those names are taken that make w largest (`_least_turned`).
+MGSR writes version 2, which more programs read. Its w, which follows from bytes, is up to 10 degrees off near 0. An
+ellipsoid stays the same if its axes are relabelled, so the labels that make w largest are used (`_least_turned`).
 """
 
 from __future__ import annotations
@@ -61,8 +61,9 @@ _MAX_SPLATS = 100_000_000
 
 
 def write_spz(path: Path, splats: Splats, origin: np.ndarray | None = None) -> None:
-    """Write splats as `write_splats` takes them, finite but for opacity logits, in the frame that they have. origin
-    [3]: what their positions are about, None for the frame's own.
+    """Write splats, as `write_splats` takes them and in the frame that they have, to an SPZ file.
+
+    They must be finite but for opacity logits. origin [3]: the origin of their positions, None for the frame's own.
 
     Raises SceneError for positions that its 24 bits can't hold, and where many sizes are out of its range.
     """
@@ -85,8 +86,10 @@ def write_spz(path: Path, splats: Splats, origin: np.ndarray | None = None) -> N
 
 
 def load_spz(path: Path) -> Splats:
-    """The splats of a file of version 2 or 3, as volumes, about the origin that it names (`read_spz_origin`). Raises
-    SceneError naming the file for others."""
+    """Load the splats of a file of version 2 or 3, as volumes, float32.
+
+    Positions are about the origin that it names (`read_spz_origin`). Raises SceneError naming the file for others.
+    """
     header, body = _unpacked(path)
     _, version, count, degree, fraction, _, _ = header
     coefficients = {value: key for key, value in _DEGREES.items()}[degree]
@@ -116,8 +119,10 @@ def load_spz(path: Path) -> Splats:
 
 
 def read_spz_origin(path: Path) -> np.ndarray:
-    """Return the origin [3] that the comment of an SPZ file's gzip header names, zeros where it names none. Raises
-    SceneError, naming the file, for other than three finite numbers."""
+    """Return the origin [3] that the comment of an SPZ file's gzip header names, zeros where it names none.
+
+    Raises SceneError, naming the file, for anything but three finite numbers.
+    """
     with path.open("rb") as file:
         comment = _gzip_comment(file.read(_LONGEST_GZIP_HEADER))
     for words in map(str.split, comment.splitlines()):
@@ -127,7 +132,7 @@ def read_spz_origin(path: Path) -> np.ndarray:
 
 
 def _with_comments(data: bytes, comments: list[str]) -> bytes:
-    """Return a gzip file, whose header has nothing added, with comments in it."""
+    """Return a gzip file, whose header has no optional fields, with comments added."""
     if not comments:
         return data
     text = "\n".join(comments).encode("latin-1")
@@ -135,7 +140,7 @@ def _with_comments(data: bytes, comments: list[str]) -> bytes:
 
 
 def _gzip_comment(data: bytes) -> str:
-    """Return the comment of a gzip header, empty where there is none or the header is cut off."""
+    """Return the comment of a gzip header; empty where there is none or the header is cut off."""
     if data[:2] != b"\x1f\x8b" or len(data) < _GZIP_HEADER or not data[3] & _COMMENT:
         return ""
     rest = data[_GZIP_HEADER:]
@@ -147,7 +152,7 @@ def _gzip_comment(data: bytes) -> str:
 
 
 def three_scales(log_scales: np.ndarray) -> np.ndarray:
-    """Log scales [N,3]; surfels, which have two, get their thickness."""
+    """Return log scales [N,3]; surfels, which have two, get their thickness."""
     if log_scales.shape[1] == 3:
         return log_scales
     return np.column_stack([log_scales, np.full(len(log_scales), math.log(SURFEL_THICKNESS))])
@@ -175,14 +180,17 @@ def _unpacked(path: Path) -> tuple[tuple[int, ...], bytes]:
 
 
 def _from_three_bytes(rotation: np.ndarray) -> np.ndarray:
-    """Quaternions [N,4] wxyz of their x, y, z in [N,3] bytes."""
+    """Return quaternions [N,4] wxyz, w >= 0, of their x, y, z in [N,3] bytes."""
     vector = rotation / 127.5 - 1
     return np.column_stack([np.sqrt(np.maximum(0, 1 - (vector**2).sum(axis=1))), vector])
 
 
 def _from_four_bytes(rotation: np.ndarray) -> np.ndarray:
-    """Quaternions [N,4] wxyz of [N,4] bytes: two bits say which part of xyzw is largest, then each other part, the
-    last one lowest, has a sign and nine bits up to the root of a half."""
+    """Return quaternions [N,4] wxyz of [N,4] bytes.
+
+    Two bits say which part of xyzw is largest. Each other part, the last one lowest, has a sign and nine bits up to the
+    root of a half.
+    """
     packed = np.ascontiguousarray(rotation).view("<u4")[:, 0].astype(np.int64)
     largest, quats = packed >> 30, np.zeros((len(packed), 4))
     for part in (3, 2, 1, 0):
@@ -196,7 +204,10 @@ def _from_four_bytes(rotation: np.ndarray) -> np.ndarray:
 
 
 def _check_sizes(log_scales: np.ndarray) -> None:
-    """One axis may be as thin as it likes; where two are out of the format's range, a splat's size is wrong."""
+    """Raise SceneError where many splats have a size that SPZ can't hold.
+
+    One axis may be arbitrarily thin. Where two axes are out of the format's range, the splat's size is wrong.
+    """
     low, high = _LOG_SCALES
     middle = np.sort(log_scales, axis=1)[:, -2]
     share = float(((middle < low) | (middle > high)).mean()) if len(middle) else 0.0
@@ -209,7 +220,7 @@ def _check_sizes(log_scales: np.ndarray) -> None:
 
 
 def _fraction_bits(means: np.ndarray) -> int:
-    """As many as the farthest splat leaves of 23."""
+    """Return as many fraction bits as the farthest splat leaves of 23. Raises SceneError where it needs more."""
     farthest = float(np.abs(means).max(initial=0))
     bits = math.floor(math.log2((2**23 - 1) / farthest)) if farthest > 1 else _MAX_FRACTION_BITS
     if bits < 0:
@@ -218,8 +229,11 @@ def _fraction_bits(means: np.ndarray) -> int:
 
 
 def _least_turned(quats: np.ndarray, log_scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same ellipsoids, unit quats [N,4] wxyz and log_scales [N,3], with axes named so that |w| is at least 0.85:
-    of the 24 turns that take axes to axes, the one before the quaternion that makes it largest."""
+    """Return the same ellipsoids with axes relabelled so that |w| of their quaternions is at least 0.85.
+
+    quats: unit, [N,4] wxyz. log_scales: [N,3]. Of the 24 rotations that permute the axes, it applies the one that makes
+    |w| largest.
+    """
     turns = Rotation.create_group("O")
     turned, scales = quats.copy(), log_scales.copy()
     w, x, y, z = turns.as_quat(scalar_first=True).T
@@ -234,14 +248,17 @@ def _least_turned(quats: np.ndarray, log_scales: np.ndarray) -> tuple[np.ndarray
 
 
 def _quantised_harmonics(rest: np.ndarray) -> np.ndarray:
-    """Coefficients [N,K,3] as bytes, rounded to the middles of steps of 8 (degree 1) and 16, as the format asks."""
+    """Return coefficients [N,K,3] as bytes, rounded to the middles of steps of 8 (degree 1) and 16.
+
+    The format asks for these steps.
+    """
     steps = np.where(np.arange(rest.shape[1]) < 3, 8, 16)[:, None]
     fine = np.rint(rest.astype(np.float64) * 128) + 128
     return _byte(np.floor((fine + steps / 2) / steps) * steps)
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """Unit quaternions with w >= 0."""
+    """Return unit quaternions with w >= 0."""
     lengths = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     unit = quats / np.maximum(lengths, 1e-12)
     return np.where(unit[:, :1] < 0, -unit, unit)

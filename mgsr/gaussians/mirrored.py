@@ -1,4 +1,4 @@
-"""Light that a shiny surface mirrors: parameters that all splats share."""
+"""Environment maps of the light that a shiny surface mirrors: parameters that all splats share."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from mgsr.ops.activations import shares
 
 @dataclass(frozen=True)
 class Light:
-    """texels [2,S,S,3]: the light of each direction, the scene's map and the camera's; bounce [1,3]: the share of it
-    that a second bounce leaves. All 0..1."""
+    """An environment map as it is rendered, all values 0..1.
+
+    texels [2,S,S,3]: the light from each direction, of the scene's map and of the camera's; bounce [1,3]: the share of
+    it that a second bounce leaves.
+    """
 
     texels: Tensor
     bounce: Tensor
@@ -23,8 +26,9 @@ class Light:
 
 @dataclass
 class MirroredLight:
-    """Two maps of the light that comes from each direction: one stands still in the scene (lamps, windows, the sky),
-    one moves with the camera (a flash, the photographer).
+    """Two environment maps of the light from each direction.
+
+    One stands still in the scene (lamps, windows, the sky), one moves with the camera (a flash, the photographer).
 
     logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by
     row; last, of the share of the light that a second bounce leaves. Each map unfolds the directions' octahedron into a
@@ -38,12 +42,12 @@ class MirroredLight:
 
     @classmethod
     def uniform(cls, side: int, start: float, reflector: Reflector | None = None) -> MirroredLight:
-        """Return maps of side x side texels, all of the light `start`, inside (0, 1)."""
+        """Return maps of side x side texels, all of the same light `start`, which must lie inside (0, 1)."""
         return cls(torch.full((2 * side * side + 1, 3), start).logit(), reflector)
 
     @classmethod
     def of(cls, maps: np.ndarray, bounce: np.ndarray, reflector: Reflector | None = None) -> MirroredLight:
-        """Return the light of what `maps` and `bounce` gave, [2,3,S,S] and [3]."""
+        """Return the light whose `maps` [2,3,S,S] and `bounce` [3] are given, clipped to the inside of (0, 1)."""
         rows = np.concatenate([np.moveaxis(maps, 1, -1).reshape(-1, 3), np.reshape(bounce, (1, 3))])
         return cls(torch.from_numpy(np.clip(rows, 1e-6, 1 - 1e-6).astype(np.float32)).logit(), reflector)
 
@@ -52,16 +56,16 @@ class MirroredLight:
 
     @property
     def side(self) -> int:
-        """Texels along a side of each map."""
+        """Return the number of texels along a side of each map."""
         return round(((len(self) - 1) / 2) ** 0.5)
 
     def light(self) -> Light:
-        """Return the light, for rendering."""
+        """Return the light as shares 0..1, for rendering."""
         light = shares(self.logits)
         return Light(light[:-1].view(2, self.side, self.side, 3), light[-1:])
 
     def maps(self) -> Tensor:
-        """Return the light [2,3,S,S]."""
+        """Return the light of both maps [2,3,S,S]."""
         return self.light().texels.permute(0, 3, 1, 2)
 
     def bounce(self) -> Tensor:
@@ -69,7 +73,7 @@ class MirroredLight:
         return self.light().bounce[0]
 
     def parameters(self) -> dict[str, Tensor]:
-        """Every stored tensor by name."""
+        """Return every stored tensor by name."""
         return {"logits": self.logits}
 
     def detached(self) -> MirroredLight:

@@ -1,4 +1,4 @@
-"""An order of splats in which neighbours in space are neighbours in memory."""
+"""Morton order: neighbours in space become neighbours in memory."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ BITS = 16  # of each axis
 
 
 def morton_order(means: Tensor) -> Tensor:
-    """Indices [N] int64 of the points means [N,3] along a Z-shaped curve through their bounding box (Morton 1966).
+    """Return the indices [N] int64 that sort the points means [N,3] along a Morton curve through their bounding box.
 
-    Points that share a cell keep their order; ones that are not finite come somewhere.
+    Points that share a cell keep their order; points that are not finite get an arbitrary place. Source: Morton 1966.
     """
     if not len(means):
         return torch.empty(0, dtype=torch.int64, device=means.device)
@@ -22,7 +22,7 @@ def morton_order(means: Tensor) -> Tensor:
 
 
 def _spread_bits(x: Tensor) -> Tensor:
-    """Two zero bits behind each of the lowest 21."""
+    """Insert two zero bits behind each of the lowest 21 bits of x [N] int64."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),
         (16, 0x1F0000FF0000FF),

@@ -1,8 +1,7 @@
-"""The finished mesh as the surface that mirrors: its normals in each pixel, and where it mirrors itself.
+"""The finished mesh as the mirroring surface: its normals in each pixel, and where it mirrors itself.
 
-A normal that is off by a degree moves what is mirrored by two, and the mesh's normals are several times as true as
-those of blended splats. Where the mirrored ray meets the mesh again, the light comes from where it is thrown to from
-there: one bounce is followed.
+A normal that is off by a degree moves what is mirrored by two, and the mesh's normals are several times as accurate as
+those of blended splats. Where the mirrored ray meets the mesh again, it is reflected once more: one bounce is followed.
 """
 
 from __future__ import annotations
@@ -26,10 +25,14 @@ BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
 
 @dataclass(frozen=True)
 class Mirroring:
-    """What a camera sees of a surface that mirrors. normals [H,W,3] float16, unit, scene's frame: the surface's, or
-    where the mirrored ray meets the surface again, the normal that would throw the sight to where the second bounce
-    does; beside the surface as at its nearest pixel, zero where there is none. near [N], bounced [P] int64: the pixels
-    at most BESIDE off the surface, and those of the second bounce, row x W + column."""
+    """The mirroring surface as a camera sees it.
+
+    normals [H,W,3] float16: unit, scene's frame. They are the surface's, or, where the mirrored ray meets the surface
+    again, the normal that would reflect the line of sight to where the second bounce leads. Beside the surface they are
+    those of its nearest pixel, and zero where there is none.
+    near [N], bounced [P] int64: the pixels at most BESIDE off the surface, and those of the second bounce; row x W +
+    column.
+    """
 
     normals: Tensor
     near: Tensor
@@ -37,7 +40,7 @@ class Mirroring:
 
     @property
     def size(self) -> int:
-        """Bytes that it takes."""
+        """Return the number of bytes that the tensors take."""
         return self.normals.nbytes + self.near.nbytes + self.bounced.nbytes
 
 
@@ -54,7 +57,10 @@ class Reflector:
         self._size = 0
 
     def seen_by(self, camera: Camera, device: torch.device) -> Mirroring:
-        """Return what a camera sees, on a device. Results are kept for the next call, up to KEPT bytes in all."""
+        """Return what a camera sees of the surface, on a device.
+
+        Results are kept for the next call, up to KEPT bytes in all.
+        """
         key = (camera.K.tobytes(), camera.cam_from_world.tobytes(), camera.width, camera.height, device)
         seen = self._kept.get(key)
         if seen is None:
@@ -82,8 +88,11 @@ class Reflector:
         return image[tuple(nearest)].astype(np.float16), np.flatnonzero(away <= BESIDE), pixels[bounced]
 
     def _second(self, points: np.ndarray, normals: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return which of the points [P,3], seen from unit directions [P,3], mirror the surface itself, by index [Q],
-        and the unit vectors [Q,3] halfway between the eye and where the second bounce leads."""
+        """Find the points whose mirrored ray meets the surface again, and follow it one bounce further.
+
+        points, normals, eye [P,3]: places, unit normals and unit directions to the eye. Returns the indices [Q] of
+        these points, and the unit vectors [Q,3] halfway between the eye and where the second bounce leads.
+        """
         first = _mirrored(eye, normals)
         hits = self._caster.cast_rays(points + self._gap * normals, first)
         bounced = np.flatnonzero(hits.mask)
@@ -91,14 +100,14 @@ class Reflector:
         return bounced, _unit(eye[bounced] + _mirrored(-first[bounced], there))
 
     def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
-        """Return places [P,3] and unit normals [P,3] of the rays that meet the surface."""
+        """Return the places [P,3] and unit normals [P,3] where rays meet the surface."""
         corners, shares = self.faces[hits.face[hits.mask]], hits.barycentric[hits.mask].astype(np.float64)
         place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in (self.vertices, self._normals))
         return place, _unit(normal)
 
 
 def _mirrored(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Return where unit directions [P,3] are thrown to by unit normals [P,3]."""
+    """Reflect the unit directions `towards` [P,3] about the unit normals [P,3]."""
     return np.asarray(2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards)
 
 

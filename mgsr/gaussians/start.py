@@ -1,4 +1,4 @@
-"""Both branches' parameters from starting points."""
+"""Initial parameters of both branches from starting points."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def start_surfels(
     config: SurfelConfig,
     generator: torch.Generator,
 ) -> SurfelModel:
-    """Surfels on points: flat along the normals, as wide as the points lie apart.
+    """Build surfels on points: flat along the normals, as wide as the points lie apart.
 
-    positions [P,3] in the scene's frame; normals [P,3] or None (then from the neighbours' plane); colors [P,3] uint8
-    or float 0..1, sRGB. More than config.max_start points are thinned by the generator.
+    positions [P,3] in the scene's frame; normals [P,3] or None (then from the neighbours' plane); colors [P,3] uint8 or
+    float 0..1, sRGB. More than config.max_start points are thinned by the generator.
 
     Raises TrainingError for fewer than four points or non-finite ones.
     """
@@ -54,8 +54,10 @@ def start_volumes(
     generator: torch.Generator,
     split: bool,
 ) -> VolumeModel:
-    """Round Gaussians on points, as wide as the points lie apart; split: with a reflected half of their own. Other
-    arguments and errors as in `start_surfels`."""
+    """Build round Gaussians on points, as wide as the points lie apart.
+
+    split: whether they have a reflected half of their own. Other arguments and errors are as in `start_surfels`.
+    """
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
     sizes = _tensor(spacing * config.start_scale)
@@ -86,8 +88,11 @@ def round_volumes(
 def new_volumes(
     model: VolumeModel, positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, config: VolumeConfig
 ) -> dict[str, Tensor]:
-    """Return the stored tensors of round Gaussians that can join a model's: with its degrees of colour, and a reflected
-    half where it has one. Other arguments as in `round_volumes`."""
+    """Return the stored tensors of round Gaussians that can join a model's.
+
+    They have the model's harmonics, and a reflected half where the model has one. Other arguments as in
+    `round_volumes`.
+    """
     tensors = round_volumes(positions, sizes, colors, opacity, model.sh_degree)
     if not model.split:
         return tensors
@@ -95,7 +100,7 @@ def new_volumes(
 
 
 def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:
-    """Return the tensors that give Gaussians without a reflected half one to start with."""
+    """Return the tensors of an initial reflected half for Gaussians without one, by name."""
     count, device = len(model), model.means.device
     reflected = torch.full((count, 3), config.start_reflected, device=device)
     return {
@@ -106,12 +111,12 @@ def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor
 
 
 def logit(probability: float) -> float:
-    """Return the number whose sigmoid is `probability`, which must lie inside (0, 1)."""
+    """Return the logit of `probability`, which must lie inside (0, 1)."""
     return math.log(probability / (1 - probability))
 
 
 def quats_from_normals(normals: np.ndarray) -> np.ndarray:
-    """Quaternions [P,4] wxyz of the shortest rotations that take z to the normals [P,3] (which need not be unit)."""
+    """Return the quaternions [P,4] wxyz of the shortest rotations that take z to the normals [P,3] of any length."""
     unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     x, y, z = unit.T
     quats = np.stack([1 + z, -y, x, np.zeros_like(x)], axis=1)
@@ -120,7 +125,10 @@ def quats_from_normals(normals: np.ndarray) -> np.ndarray:
 
 
 def plane_normals(positions: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
-    """Return unit normals [P,3], of either sign, of the planes through each point's neighbours (indices [P,k])."""
+    """Return the unit normals [P,3], of either sign, of the planes through each point's neighbours.
+
+    positions [P,3]; neighbours [P,k]: their indices.
+    """
     local = positions[neighbours] - positions[neighbours].mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(local.transpose(0, 2, 1) @ local)
     return vectors[:, :, 0]
@@ -133,7 +141,10 @@ def _thinned(
     limit: int,
     generator: torch.Generator,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """At most `limit` points, colours as floats 0..1."""
+    """Draw at most `limit` of the points, and convert their colours to floats 0..1.
+
+    Raises TrainingError for fewer than MIN_POINTS points or non-finite ones.
+    """
     if len(positions) < MIN_POINTS:
         raise TrainingError(f"starting points: expected at least {MIN_POINTS}, got {len(positions)}")
     if not np.isfinite(positions).all():
@@ -147,7 +158,11 @@ def _thinned(
 
 
 def _neighbourhood(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean distance [P] to the three nearest others, and the indices [P,k] of up to eight nearest and itself."""
+    """Return the mean distance [P] to the three nearest other points, and neighbour indices [P,k].
+
+    The neighbours are the point itself and up to eight nearest ones. Distances are clipped to 0.05 to 10 times their
+    median.
+    """
     near = min(9, len(positions))
     distances, neighbours = cKDTree(positions).query(positions, k=near)
     spacing = distances[:, 1:4].mean(axis=1)

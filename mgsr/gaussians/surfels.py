@@ -30,11 +30,11 @@ class SurfelModel:
         return self.means.shape[0]
 
     def parameters(self) -> dict[str, Tensor]:
-        """Every stored tensor by name; their first axis is the surfels."""
+        """Return every stored tensor by name; their first axis is the surfels."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def check(self) -> None:
-        """Raise TensorError, which names the tensor, unless all fit together."""
+        """Check that all tensors fit together; raise TensorError, which names the tensor, otherwise."""
         check_tensors(
             means=(self.means, "N 3"),
             quats=(self.quats, "N 4"),
@@ -45,25 +45,25 @@ class SurfelModel:
 
     @property
     def sh_degree(self) -> int:
-        """The degree that the stored coefficients reach."""
+        """Return the spherical-harmonic degree of the stored coefficients."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
     def scales(self) -> Tensor:
-        """Standard deviations along the tangents, [N,2], in the scene's unit."""
+        """Return the standard deviations along the tangents, [N,2], in the scene's unit."""
         return activate(self.log_scales)[0]
 
     def opacities(self) -> Tensor:
-        """[N], in (0, 1)."""
+        """Return the opacities [N], in (0, 1)."""
         return shares(self.opacity_logits)
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
-        """Colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        """Return the colours [N,3] seen from camera_center [3], with harmonics up to `degree`, or all of them."""
         return harmonics_to_rgb(self.sh, self.means, camera_center, self.sh_degree if degree is None else degree)
 
     def detached(self) -> SurfelModel:
-        """A copy that carries no gradients."""
+        """Return a copy that carries no gradients."""
         return SurfelModel(**{name: tensor.detach().clone() for name, tensor in self.parameters().items()})
 
     def to(self, device: torch.device) -> SurfelModel:
-        """The same on a device (no copy where it already is)."""
+        """Return the same model on a device (no copy where it already is)."""
         return SurfelModel(**{name: tensor.to(device) for name, tensor in self.parameters().items()})

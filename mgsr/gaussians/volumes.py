@@ -20,7 +20,7 @@ class VolumeModel:
     transmitted colour. With the light split also refl_opacity_logits [N], weight_logits [N] (beta: how much of the
     reflected colour is added) and refl_sh [N,K',3]; without it these three are None.
 
-    low_pass: px^2, what images add to each footprint's variance, as they did when the splats were trained.
+    low_pass: px^2, added to the variance of each footprint in an image, in training as in rendering.
     """
 
     means: Tensor
@@ -37,7 +37,7 @@ class VolumeModel:
         return self.means.shape[0]
 
     def check(self) -> None:
-        """Raise TensorError, which names the tensor, unless all fit together."""
+        """Check that all tensors fit together; raise TensorError, which names the tensor, otherwise."""
         check_tensors(
             means=(self.means, "N 3"),
             quats=(self.quats, "N 4"),
@@ -51,56 +51,62 @@ class VolumeModel:
 
     @property
     def split(self) -> bool:
-        """Whether there is a reflected half."""
+        """Return whether there is a reflected half."""
         return self.refl_sh is not None
 
     def parameters(self) -> dict[str, Tensor]:
-        """Every stored tensor by name; their first axis is the Gaussians."""
+        """Return every stored tensor by name; their first axis is the Gaussians."""
         stored = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: tensor for name, tensor in stored.items() if isinstance(tensor, Tensor)}
 
     @property
     def sh_degree(self) -> int:
-        """The degree that the transmitted colour's coefficients reach."""
+        """Return the spherical-harmonic degree of the transmitted colour."""
         return round(self.sh.shape[1] ** 0.5) - 1
 
     @property
     def refl_sh_degree(self) -> int:
-        """The degree that the reflected colour's coefficients reach; 0 without a reflected half."""
+        """Return the spherical-harmonic degree of the reflected colour; 0 without a reflected half."""
         return 0 if self.refl_sh is None else round(self.refl_sh.shape[1] ** 0.5) - 1
 
     def scales(self) -> Tensor:
-        """Standard deviations along the axes, [N,3], in the scene's unit."""
+        """Return the standard deviations along the axes, [N,3], in the scene's unit."""
         return activate(self.log_scales)[0]
 
     def opacities(self) -> Tensor:
-        """Of the transmitted half, [N], in (0, 1)."""
+        """Return the opacities of the transmitted half, [N], in (0, 1)."""
         return shares(self.opacity_logits)
 
     def colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
-        """Transmitted colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        """Return the transmitted colours [N,3] seen from camera_center [3].
+
+        degree: of the harmonics that are used; None: all that are stored.
+        """
         return harmonics_to_rgb(self.sh, self.means, camera_center, self.sh_degree if degree is None else degree)
 
     def refl_opacities(self) -> Tensor:
-        """Of the reflected half, [N], in (0, 1)."""
+        """Return the opacities of the reflected half, [N], in (0, 1)."""
         return shares(_stored(self.refl_opacity_logits))
 
     def weights(self) -> Tensor:
-        """Beta, [N], in (0, 1)."""
+        """Return the reflection weights beta, [N], in (0, 1)."""
         return shares(_stored(self.weight_logits))
 
     def refl_colors(self, camera_center: Tensor, degree: int | None = None) -> Tensor:
-        """Reflected colours [N,3] seen from camera_center [3]; SH up to `degree`, or all that is stored."""
+        """Return the reflected colours [N,3] seen from camera_center [3].
+
+        degree: of the harmonics that are used; None: all that are stored.
+        """
         degree = self.refl_sh_degree if degree is None else degree
         return harmonics_to_rgb(_stored(self.refl_sh), self.means, camera_center, degree)
 
     def detached(self) -> VolumeModel:
-        """A copy that carries no gradients."""
+        """Return a copy that carries no gradients."""
         tensors = {name: tensor.detach().clone() for name, tensor in self.parameters().items()}
         return VolumeModel(**tensors, low_pass=self.low_pass)
 
     def to(self, device: torch.device) -> VolumeModel:
-        """The same on a device (no copy where it already is)."""
+        """Return the same model on a device (no copy where it already is)."""
         tensors = {name: tensor.to(device) for name, tensor in self.parameters().items()}
         return VolumeModel(**tensors, low_pass=self.low_pass)
 

@@ -1,4 +1,4 @@
-"""A mesh with fewer faces."""
+"""Mesh simplification by quadric edge collapse."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ MAX_FACES = 150_000  # of a mesh that is coarse enough to work on
 
 
 def decimate(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> Triangles:
-    """The mesh reduced to about `face_count` faces by quadric edge collapse; unchanged if it has no more."""
+    """Reduce a mesh to about `face_count` faces by quadric edge collapse.
+
+    Returns vertices [V',3] and faces [F',3]; the mesh itself, unchanged, where it has no more faces than that.
+    """
     if len(faces) <= face_count:
         return vertices, faces
     points, triangles = fast_simplification.simplify(
@@ -21,6 +24,9 @@ def decimate(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> Triang
 
 
 def coarser(vertices: np.ndarray, faces: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh with edges of about this length or longer, and MAX_FACES at most."""
+    """Simplify a mesh to edges of length `edge` or longer, and to MAX_FACES faces at most.
+
+    vertices [V,3]; faces [F,3]; edge: in the vertices' unit. The mesh keeps at least 1000 faces, where it has as many.
+    """
     area = np.linalg.norm(face_crosses(vertices, faces), axis=1).sum() / 2
     return decimate(vertices, faces, min(MAX_FACES, max(1000, round(area / (0.433 * edge**2)))))

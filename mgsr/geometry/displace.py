@@ -1,4 +1,4 @@
-"""Vertices moved to where data wants them, and smoothly in between."""
+"""Smooth displacements of mesh vertices towards target positions or target normals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 
 def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
-    """The mesh's Laplacian [V,V]: the mean of a vertex's neighbours less the vertex; a row of zeros without any."""
+    """Return the uniform Laplacian [V,V] of a mesh with faces [F,3].
+
+    A row takes the mean of a vertex's neighbours less the vertex itself. The row of a vertex without neighbours is 0.
+    """
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     sides = np.concatenate([sides, sides[:, ::-1]])
     ones = np.ones(len(sides), np.float64)
@@ -19,27 +22,30 @@ def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
 
 
 def edges(faces: np.ndarray) -> np.ndarray:
-    """The sides [E,2] of the faces [F,3], each once, the lower index first."""
+    """Return the edges [E,2] of the faces [F,3], each once, the lower vertex index first."""
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1)
     width = 1 + (int(sides.max()) if len(sides) else 0)
     return np.stack(np.divmod(np.unique(sides[:, 0] * width + sides[:, 1]), width), axis=1)
 
 
 def edge_length(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """The mean length of the faces' sides."""
+    """Return the mean length of the sides of all faces, in the vertices' unit.
+
+    vertices [V,3]; faces [F,3]. A side that two faces share counts twice.
+    """
     corners = vertices[faces]
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).mean())
 
 
 def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int) -> np.ndarray:
-    """Unit normals [V,3], `rounds` times averaged over the neighbours."""
+    """Average unit normals [V,3] over the neighbouring vertices, `rounds` times, and return unit normals [V,3]."""
     for _ in range(rounds):
         normals = _unit(normals + laplacian @ normals)
     return normals
 
 
 def spread(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
-    """Values [V,...] averaged over the surface around, like a Gaussian of `reach` edges (by diffusion)."""
+    """Smooth values [V,...] over the surface by diffusion, like a Gaussian with a deviation of `reach` edges."""
     for _ in range(round(4 * reach**2)):  # a step spreads by half an edge along each of the two axes
         values = values + 0.5 * (laplacian @ values)
     return values
@@ -52,11 +58,11 @@ def smooth_displacements(
     reach: float,
     carry: sparse.csr_matrix | None = None,
 ) -> np.ndarray:
-    """The displacements x [V] that minimise sum weights (x - wanted)^2 + reach^4 |laplacian x|^2.
+    """Return the displacements x [V] that minimise sum weights (x - wanted)^2 + reach^4 |laplacian x|^2.
 
-    wanted, weights [V]: where each vertex should go and how much that matters, which must be more than nothing.
-    reach: over about how many edges a displacement of weight 1 spreads.
-    carry [P,V]: wanted and weights are then of P points, whose displacements are carry @ x (`interpolation`).
+    wanted, weights [V]: the target displacement of each vertex, and its weight, which must be positive.
+    reach: the number of edges over which a displacement of weight 1 spreads.
+    carry [P,V]: if given, wanted and weights belong to P points, whose displacements are carry @ x (`interpolation`).
     """
     carry = sparse.identity(len(wanted), format="csr") if carry is None else carry
     matrix = carry.T @ sparse.diags(weights) @ carry + reach**4 * (laplacian.T @ laplacian)
@@ -73,14 +79,16 @@ def bend_to_normals(
     hold: np.ndarray,
     offsets: np.ndarray,
 ) -> np.ndarray:
-    """The displacements [V] along the vertex normals [V,3] after which the edges [E,2] have turned as far as these
-    normals are to turn to be the wanted ones [V,3].
+    """Return the displacements [V] along the vertex normals that turn the edges [E,2] towards the target normals.
 
-    They minimise sum hold (x - offsets)^2 + strength * sum over edges (component of the edge along its mean wanted
-    normal, less what it had along its mean normal)^2; an edge counts as much as the less sure [V], 0..1, of its ends.
-    An edge need not lie across its mean normal, as where a flat face meets a round one: asked for, that alone would
-    bend a surface whose normals are right. hold, offsets [V]: what the positions themselves want, and how much, which
-    must be more than nothing.
+    The result x minimises sum hold (x - offsets)^2 + strength * sum over edges (component of the moved edge along its
+    mean target normal, less the component that it had along its mean present normal)^2. So edges turn by as much as the
+    normals are to turn. An edge need not lie across its mean normal, as where a flat face meets a round one; to demand
+    that would bend a surface whose normals are right.
+
+    vertices [V,3]; normals, wanted [V,3]: the present and the target unit normals.
+    sure [V] in 0..1: the confidence in each target normal; an edge takes the lower one of its two ends.
+    offsets, hold [V]: the displacements that the positions ask for, and their weights, which must be positive.
     """
     trust = sure[edges].min(axis=1)
     first, second = edges[trust > 0].T

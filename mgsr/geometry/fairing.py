@@ -1,4 +1,4 @@
-"""A mesh's noise smoothed away, its creases kept."""
+"""Bilateral filtering of face normals: mesh denoising that keeps creases."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ CHUNK = 65_536  # facets whose surroundings are held in memory at a time
 
 
 def smooth_noise(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
-    """The vertices [V,3] moved so that each facet's normal comes near the mean of those around it.
+    """Return the vertices [V,3] moved so that each face normal comes near the mean of those around it.
 
-    angle: degrees; normals that differ by this weigh 0.6 in that mean, by three times as much next to nothing, so that
-    creases stay. A facet's surroundings are those that share a vertex with it. Vertices that would fold a facet stay.
+    vertices [V,3]; faces [F,3]; angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that
+    differ by three times as much hardly count, so that creases stay. The faces around a face are those that share a
+    vertex with it. Vertices whose move would fold a face stay in place.
 
-    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin,
-    Martin and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
+    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin, Martin
+    and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
     """
     if len(faces) == 0:
         return vertices
@@ -46,7 +47,7 @@ def smooth_noise(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.nd
 
 
 def _areas_and_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twice the areas [F], and the unit normals [F,3]; 0 for a facet without area."""
+    """Return twice the face areas [F] and the unit face normals [F,3]; the normal of a face without area is 0."""
     crosses = face_crosses(vertices, faces)
     areas = np.linalg.norm(crosses, axis=1)
     return areas, crosses / np.maximum(areas, 1e-20)[:, None]
@@ -55,7 +56,11 @@ def _areas_and_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
 def _surroundings(
     touches: sparse.csr_matrix, middles: np.ndarray, areas: np.ndarray, reach: float
 ) -> list[sparse.csr_matrix]:
-    """The facets around each, itself among them: parts [CHUNK,F] whose numbers are weights by area and nearness."""
+    """Return the weights of the faces around each face, itself among them, by area and nearness.
+
+    touches [F,V]: 1 where a face has a vertex; middles [F,3]; areas [F]; reach: the Gaussian's deviation. The result is
+    a list of sparse matrices, each with CHUNK rows (the last with fewer) and F columns.
+    """
     parts = []
     for start in range(0, len(middles), CHUNK):
         around = touches[start : start + CHUNK] @ touches.T
@@ -68,7 +73,10 @@ def _surroundings(
 
 
 def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """A part's normals [C,3] as the means over its surroundings, which weigh by their likeness too; angle: radians."""
+    """Return the bilateral mean normals [C,3] of one chunk of C faces.
+
+    around [C,F]: weights by area and nearness; own [C,3]: the chunk's normals; normals [F,3]; angle: radians.
+    """
     sizes = np.diff(around.indptr)
     unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
     weights = around.data * np.exp(-unlike / angle**2)
@@ -77,7 +85,10 @@ def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarra
 
 
 def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray) -> np.ndarray:
-    """The vertices [V,3], stepwise moved to the planes through their facets' middles across the normals [F,3]."""
+    """Move the vertices [V,3] in steps so that the faces come to lie across the normals [F,3].
+
+    Each step moves a vertex towards the planes through its faces' middles. touches [F,V]: 1 where a face has a vertex.
+    """
     counts = np.maximum(touches.getnnz(axis=0), 1)
     mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the facets around a vertex
     projections = (mean @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
@@ -90,9 +101,11 @@ def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarra
 def _unfold(
     moved: np.ndarray, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, given: np.ndarray
 ) -> np.ndarray:
-    """The moved vertices, but back in their places where a facet came to stand across its normal; slivers do.
+    """Put moved vertices back where a face has folded: where its normal is far from the filtered one.
 
-    given: cosines [F] between the facets as they were and their normals [F,3]; what was no better then stays moved.
+    moved, vertices [V,3]: after and before the move; `moved` is changed in place and returned. normals [F,3]: the
+    filtered ones. given [F]: the cosines between the face normals before the move and `normals`; a face that was no
+    better then stays moved.
     """
     while True:
         likeness = (_areas_and_normals(moved, faces)[1] * normals).sum(1)

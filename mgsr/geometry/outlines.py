@@ -1,7 +1,7 @@
-"""The mesh registered to the photographs' outlines: where it ends in an image, it ends where the mask ends.
+"""Registration of a mesh to the masks' silhouette contours.
 
-A splat fades out, so the outline of a rendered surface is only known to a good part of a pixel, and training leaves
-it a little inside. A mask's alpha is the covered share of each pixel and tells its outline to about a twentieth.
+A splat fades out, so the contour of a rendered surface is only known to a good part of a pixel, and training leaves it
+a little inside. A mask's alpha is the covered share of each pixel and tells its contour to about a twentieth.
 """
 
 from __future__ import annotations
@@ -39,8 +39,10 @@ class Outline:
 
 
 def find_outline(silhouette: Silhouette) -> Outline:
-    """The outline of a mask; its parts at the border of the image, or of what is known of it, where the object is cut
-    off, are left out."""
+    """Find the silhouette contour of a mask to a fraction of a pixel.
+
+    Parts at the border of the image, or of its known pixels, where the object is cut off, are left out.
+    """
     distance = silhouette.distance
     slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
     near = np.abs(distance) < 0.5
@@ -60,9 +62,9 @@ def find_outline(silhouette: Silhouette) -> Outline:
 def fit_outlines(
     vertices: np.ndarray, faces: np.ndarray, outlines: Sequence[Outline], smoothing: float, rounds: int = 2
 ) -> np.ndarray:
-    """The vertices [V,3] moved along their normals so that the mesh's outlines fall on the masks'.
+    """Return the vertices [V,3] moved along their normals so that the mesh's contours fall on the masks'.
 
-    smoothing: over about how many pixels of the masks a correction spreads.
+    smoothing: the number of mask pixels over which a correction spreads.
     """
     pixel = pixel_size([outline.camera for outline in outlines], vertices.mean(axis=0))
     coarse, triangles = coarser(vertices, faces, COARSE * pixel)
@@ -81,8 +83,11 @@ def fit_outlines(
 def outline_gaps(
     vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, outlines: Sequence[Outline]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far [V] the vertices should move along their normals [V,3] for the mesh's outlines to fall on the masks', and
-    how many points of outlines [V] say so; 0 where none does."""
+    """Return the displacements [V] along the normals that bring the mesh's contours onto the masks'.
+
+    vertices, normals [V,3]; faces [F,3]. Also returns the number [V] of contour points that tell each vertex's
+    displacement, counted in barycentric shares. Both are 0 where none does. Displacements are in the scene's unit.
+    """
     caster = RayCaster(vertices, faces)
     sums, touched = np.zeros(len(vertices)), np.zeros(len(vertices))
     for rims in map_ahead(lambda outline: _rims(caster, outline), outlines, None):
@@ -98,9 +103,11 @@ def outline_gaps(
 
 @dataclass(frozen=True)
 class _Rims:
-    """Where the mesh ends beside [Q] outline points: the face, the point's barycentric shares [Q,3] on it, the world
-    direction out of the mask [Q,3] and the distance [Q] from there to the outline, positive outwards, in the scene's
-    unit."""
+    """The mesh's silhouette beside Q points of a mask's contour.
+
+    faces [Q]: the face that ends there; shares [Q,3]: the barycentric coordinates on it; outwards [Q,3]: the world
+    direction out of the mask; gaps [Q]: the distance from there to the contour, positive outwards, in the scene's unit.
+    """
 
     faces: np.ndarray
     shares: np.ndarray
@@ -109,7 +116,7 @@ class _Rims:
 
 
 def _rims(caster: RayCaster, outline: Outline) -> _Rims:
-    """The last point of the mesh on the way out across the outline, where it lies within reach."""
+    """Find the mesh's last point on the way out across each contour point, where it lies within SEARCH pixels."""
     camera, steps = outline.camera, np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
     mask = caster.cast_pixels(camera, _beside(outline, steps)).mask
     last = len(steps) - 1 - mask[:, ::-1].argmax(axis=1)
@@ -128,5 +135,8 @@ def _rims(caster: RayCaster, outline: Outline) -> _Rims:
 
 
 def _beside(outline: Outline, steps: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """Pixels [Q,S,2] at these steps [S] or [Q,S] out of the mask from its outline's points, or `which` of them."""
+    """Return pixel coordinates [Q,S,2], `steps` [S] or [Q,S] pixels outwards of the contour's points.
+
+    which: the contour points to use, by index; all by default.
+    """
     return outline.points[which, None] + steps[..., None] * outline.outwards[which, None]

@@ -1,4 +1,4 @@
-"""What float32 keeps of positions.
+"""Checks whether float32 holds positions precisely enough.
 
 A float32 number has about seven digits. Far from their frame's origin, most of them say where positions lie, and few
 are left for the shape that they make.
@@ -26,7 +26,9 @@ def box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def middle_for_float(points: np.ndarray) -> np.ndarray | None:
-    """Return the middle [3], float64, of the box around the points [P,3], about which float32 holds them well enough;
-    None where it does so as they are."""
+    """Return the middle [3], float64, of the points' bounding box where float32 needs it as the origin, else None.
+
+    points [P,3]. About this middle, float32 holds the points well enough.
+    """
     low, high = (np.asarray(corner, np.float64) for corner in box(points))
     return (low + high) / 2 if float_is_too_coarse(low, high) else None

@@ -1,4 +1,4 @@
-"""What cameras see of a triangle mesh, by ray casting (Open3D's Embree)."""
+"""Ray casting of triangle meshes, as cameras see them (Open3D's Embree)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ NO_FACE = np.iinfo(np.uint32).max
 
 @dataclass(frozen=True)
 class RayHits:
-    """First hits of one camera's pixel centres: depth [H,W] float32 camera z, 0 where nothing is hit; normal [H,W,3]
-    of the hit facet, world frame, unit, towards the camera, 0 where nothing is hit; face [H,W] uint32, NO_FACE where
-    nothing is hit."""
+    """The first hits of the rays through one camera's pixel centres.
+
+    depth [H,W] float32: camera z, 0 where nothing is hit; normal [H,W,3]: of the face that is hit, world frame, unit,
+    towards the camera, 0 where nothing is hit; face [H,W] uint32: NO_FACE where nothing is hit.
+    """
 
     depth: np.ndarray
     normal: np.ndarray
@@ -28,14 +30,17 @@ class RayHits:
 
     @property
     def mask(self) -> np.ndarray:
-        """[H,W] bool, where something is hit."""
+        """Return where something is hit, [H,W] bool."""
         return self.face != NO_FACE
 
 
 @dataclass(frozen=True)
 class PixelHits:
-    """First hits of one camera's rays [...]: depth float32 camera z, 0 where nothing is hit; face uint32, NO_FACE
-    where nothing is hit; barycentric [...,3] float32, the shares of the face's corners."""
+    """The first hits of rays [...], one or several for a pixel.
+
+    depth [...] float32: camera z, 0 where nothing is hit; face [...] uint32: NO_FACE where nothing is hit; barycentric
+    [...,3] float32: the shares of the face's corners.
+    """
 
     depth: np.ndarray
     face: np.ndarray
@@ -43,7 +48,7 @@ class PixelHits:
 
     @property
     def mask(self) -> np.ndarray:
-        """[...] bool, where something is hit."""
+        """Return where something is hit, [...] bool."""
         return self.face != NO_FACE
 
 
@@ -82,22 +87,28 @@ class RayCaster:
         return self.cast_rays(camera.center, directions)
 
     def cast_rays(self, origins: np.ndarray, directions: np.ndarray) -> PixelHits:
-        """Return what rays from origins [...,3], or [3] for all, meet along directions [...,3]; depth is in their
-        lengths."""
+        """Return the first hits of rays from origins [...,3], or [3] for all, along directions [...,3].
+
+        depth is in units of the directions' lengths.
+        """
         hits = self._scene.cast_rays(_rays(self._single(origins), directions))
         depth, face, uv = (hits[key].numpy() for key in ("t_hit", "primitive_ids", "primitive_uvs"))
         return PixelHits(np.where(face != NO_FACE, depth, 0), face, _shares(uv))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the places of the mesh nearest to the points [P,3]: face [P] uint32, and barycentric [P,3] float32,
-        the shares of its corners."""
+        """Return the points of the mesh nearest to the points [P,3].
+
+        They are given as a face [P] uint32 and barycentric coordinates [P,3] float32, the shares of its corners.
+        """
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
     def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
-        """Which of the points [P,3] lie inside the camera's image, at its known pixels, with nothing between; [P] bool.
+        """Return which of the points [P,3] a camera sees, [P] bool.
 
-        Each ray ends `gap` before its point, so that the surface which the point lies on does not hide it.
+        Such points lie inside its image, at known pixels, with nothing between.
+        known [H,W] bool: the known pixels; None: all. Each ray ends `gap` before its point, so that the surface which
+        the point lies on does not hide it.
         """
         inside, pixels, _ = camera.project_inside(points)
         if known is not None:
@@ -107,26 +118,26 @@ class RayCaster:
         return seen
 
     def reached(self, place: np.ndarray, points: np.ndarray, gap: float) -> np.ndarray:
-        """Which of the points [P,3] have nothing between them and a place [3], but for the last `gap`; [P] bool."""
+        """Return which of the points [P,3] are visible from a place [3], the last `gap` of the way apart; [P] bool."""
         offsets = points - place
         lengths = np.linalg.norm(offsets, axis=1)
         first = self._scene.cast_rays(_rays(self._single(place), offsets / lengths[:, None]))["t_hit"].numpy()
         return np.asarray(first >= lengths - gap)
 
     def _single(self, positions: np.ndarray) -> np.ndarray:
-        """Positions [...,3] of the vertices' frame as float32, in the frame in which rays are cast."""
+        """Convert positions [...,3] of the vertices' frame to float32, in the frame in which rays are cast."""
         return np.ascontiguousarray(positions if self._middle is None else positions - self._middle, np.float32)
 
 
 def _rays(origins: np.ndarray, directions: np.ndarray) -> Any:
-    """Open3D's tensor [...,6] of rays from origins [...,3], or [3] for all, along directions [...,3]."""
+    """Return Open3D's tensor [...,6] of rays from origins [...,3], or [3] for all, along directions [...,3]."""
     rays = np.empty((*directions.shape[:-1], 6), np.float32)
     rays[..., :3], rays[..., 3:] = origins, directions
     return load_open3d().core.Tensor(rays)
 
 
 def _shares(uv: np.ndarray) -> np.ndarray:
-    """Return the shares [...,3] of a face's corners, from Embree's [...,2] of the second and third."""
+    """Return the barycentric coordinates [...,3] of a face's corners from Embree's [...,2] of the second and third."""
     shares = np.empty((*uv.shape[:-1], 3), np.float32)
     shares[..., 1:] = uv
     shares[..., 0] = 1 - uv[..., 0] - uv[..., 1]
@@ -134,14 +145,20 @@ def _shares(uv: np.ndarray) -> np.ndarray:
 
 
 def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [P,V] that carries values of a mesh's vertices to the points [P,3] beside it."""
+    """Return the matrix [P,V] that interpolates values of a mesh's vertices at the points [P,3] beside it.
+
+    Each point takes the barycentric mean at the nearest point of the mesh, vertices [V,3] and faces [F,3].
+    """
     face, shares = RayCaster(vertices, faces).nearest(points)
     places = (np.repeat(np.arange(len(points)), 3), faces[face].ravel())
     return sparse.coo_matrix((shares.ravel().astype(np.float64), places), (len(points), len(vertices))).tocsr()
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
-    """World directions [H,W,3] float32 of the pixel centres' rays, camera z 1: center + depth * ray is the point."""
+    """Return the world directions [H,W,3] float32 of the rays through the pixel centres, with camera z 1.
+
+    So center + depth * ray is the point at a depth.
+    """
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)

@@ -1,4 +1,4 @@
-"""What can be asked of a triangle mesh, given as vertices [V,3] and faces [F,3]."""
+"""Normals, topology and selection of faces of triangle meshes, given as vertices [V,3] and faces [F,3]."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Topology:
 
 
 def face_crosses(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Facet normals [F,3], as long as twice the facet's area."""
+    """Return the face normals [F,3], as long as twice the face's area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.cross(b - a, c - a)
 
@@ -37,7 +37,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors [V,3] each that are square to the unit normals [V,3] and to each other; 0 where those are."""
+    """Return two unit vectors, [V,3] each, perpendicular to the unit normals [V,3] and to each other.
+
+    Both are 0 where a normal is 0.
+    """
     axis = np.where(np.abs(normals[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
     across = np.cross(axis, normals)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
@@ -45,7 +48,10 @@ def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def face_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.ndarray]:
-    """How many connected pieces the faces form, and each face's piece [F]; faces are joined by shared vertices."""
+    """Count the connected components of the faces [F,3], and label each face with its own [F].
+
+    Faces that share a vertex are connected.
+    """
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(edges), bool), edges.T), (vertex_count, vertex_count))
     _, labels = connected_components(graph, directed=False)
@@ -54,8 +60,10 @@ def face_components(faces: np.ndarray, vertex_count: int) -> tuple[int, np.ndarr
 
 
 def boundary_loops(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edges [E,2] that belong to one face only, in that face's direction, and the loop of each [E]; loops that touch
-    in a vertex count as one."""
+    """Return the boundary edges [E,2], in the direction of their one face, and the loop [E] of each.
+
+    Loops that touch in a vertex count as one.
+    """
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     _, index, counts = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
     rim = edges[index[counts == 1]]
@@ -67,7 +75,7 @@ def boundary_loops(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def topology(vertices: np.ndarray, faces: np.ndarray) -> Topology:
-    """Count the mesh's pieces and holes (`boundary_loops`)."""
+    """Count a mesh's connected components, boundary edges and holes (`boundary_loops`)."""
     rim, loops = boundary_loops(faces)
     pieces = face_components(faces, len(vertices))[0] if len(faces) else 0
     return Topology(len(vertices), len(faces), pieces, len(rim), len(np.unique(loops)))
@@ -88,7 +96,10 @@ def drop_degenerate(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
 
 
 def drop_small_pieces(vertices: np.ndarray, faces: np.ndarray, min_area: float) -> Triangles:
-    """Return the mesh without the connected pieces under `min_area` of the whole area; the largest always stays."""
+    """Return the mesh without connected components of less than the share `min_area` of the whole area.
+
+    The largest one always stays.
+    """
     count, pieces = face_components(faces, len(vertices))
     areas = np.bincount(pieces, np.linalg.norm(face_crosses(vertices, faces), axis=1), count)
     return keep_faces(vertices, faces, (areas >= min(min_area * areas.sum(), areas.max()))[pieces])

@@ -1,4 +1,4 @@
-"""A mesh's shallow waves taken off: what training leaves between the places that photographs tell of."""
+"""Smoothing of a mesh's low-frequency waves, which training leaves where photographs tell little."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ KEPT = 2.0  # units; waves of more than 2 pi times this keep their places, short
 
 
 def smooth_waves(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: float) -> np.ndarray:
-    """The vertices [V,3] moved so that each one's normal comes near the one that those around it lead to.
+    """Return the vertices [V,3] moved so that each normal comes near a local linear fit of those around it.
 
-    unit: a length, such as a pixel's on the surface; waves of a few of it are smoothed. angle: degrees; normals that
-    differ by this weigh 0.6, by three times as much next to nothing, so that creases stay.
+    unit: a length, such as a pixel's on the surface; waves of a few units are smoothed. angle: degrees; normals that
+    differ by this weigh 0.6, and those that differ by three times as much hardly count, so that creases stay.
 
-    `smooth_noise` evens facets to the mean of their neighbours. Over more than neighbours a mean would flatten what is
-    round; so a normal is here the one of a linear fit to those around, weighed as in a bilateral filter (Tomasi and
-    Manduchi 1998): local regression, as Cleveland (1979) has it. Positions then follow, but for the large shape.
+    `smooth_noise` moves face normals to the mean of their neighbours. Over more neighbours a mean would flatten what is
+    round, so each normal is fitted here: local regression (Cleveland 1979) with a bilateral filter's weights (Tomasi
+    and Manduchi 1998). The positions then follow, but for the large shape.
     """
     before, triangles = coarser(vertices, faces, EDGE * unit)
     if len(triangles) == 0:
@@ -42,7 +42,10 @@ def smooth_waves(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: fl
 
 
 def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """The unit normals [V,3] that linear fits to those around lead to. places [V,3]: in deviations of the weights."""
+    """Fit unit normals [V,3] linearly to those around each vertex, in ROUNDS rounds.
+
+    places [V,3]: positions in units of the weights' deviation; faces [F,3]; normals [V,3]; angle: radians.
+    """
     parts = _surroundings(places, _areas(places, faces))
     for _ in range(ROUNDS):
         table = _moments(places, normals)
@@ -57,7 +60,11 @@ def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, 
 
 
 def _surroundings(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_matrix]:
-    """The vertices around each, itself among them: parts [CHUNK,V] whose numbers are weights by area and nearness."""
+    """Return the weights of the vertices around each vertex, itself among them, by area and nearness.
+
+    places [V,3]: in units of the weights' deviation; areas [V]. The result is a list of sparse matrices, each with
+    CHUNK rows (the last with fewer) and V columns.
+    """
     count = len(places)
     pairs = cKDTree(places).query_pairs(FAR, output_type="ndarray").astype(np.int32)
     ones = np.ones(len(pairs), np.int8)
@@ -73,26 +80,34 @@ def _surroundings(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_matr
 
 
 def _areas(places: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A vertex' share of its faces' areas, [V]."""
+    """Return each vertex's share of its faces' areas, [V]."""
     areas = np.linalg.norm(face_crosses(places, faces), axis=1) / 6
     return np.bincount(faces.ravel(), np.repeat(areas, 3), len(places))
 
 
 def _moments(places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """What is summed up around a vertex: 1, the place, the normal, and the products of the place with both, [V,25]."""
+    """Return the moments [V,25] that are summed around a vertex.
+
+    They are 1, the place, the normal, and the outer products of the place with both.
+    """
     squares, products = ((places[:, :, None] * each[:, None, :]).reshape(len(places), 9) for each in (places, normals))
     return np.concatenate([np.ones((len(places), 1)), places, normals, squares, products], axis=1)
 
 
 def _alike(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> sparse.csr_matrix:
-    """A part's weights by the likeness of the normals [V,3] to its own [C,3] too; angle: radians."""
+    """Multiply a chunk's weights [C,V] by the likeness of the normals [V,3] to its own [C,3].
+
+    angle: radians; normals that differ by this weigh 0.6.
+    """
     unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, np.diff(around.indptr), axis=0), normals[around.indices])
     return sparse.csr_matrix((around.data * np.exp(-unlike / angle**2), around.indices, around.indptr), around.shape)
 
 
 def _fit(around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np.ndarray) -> np.ndarray:
-    """The unit normals [C,3] of fits that are linear along a part's tangent planes, at its places `here` [C,3]; around:
-    weights [C,V]; table: `_moments`; own: the normals [C,3] so far."""
+    """Return the unit normals [C,3], at places `here` [C,3], of fits that are linear along the tangent planes.
+
+    around [C,V]: weights; table [V,25]: `_moments`; own [C,3]: the normals before the fit.
+    """
     sums = around @ table
     total = np.maximum(sums[:, :1], 1e-20)
     middle, mean = sums[:, 1:4] / total, sums[:, 4:7] / total

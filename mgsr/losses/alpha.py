@@ -1,4 +1,4 @@
-"""How well the rendered silhouette agrees with the mask."""
+"""The silhouette loss: how well the rendered alpha agrees with the mask."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from mgsr.ops.terms import Term
 
 
 def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
-    """Mean difference of the rendered alpha [H,W] from the photograph's [H,W], both 0..1; gradient to alpha. where
-    [H,W]: weights of the pixels, all 1 by default (the mean stays over all pixels)."""
+    """Return the silhouette loss of the rendered alpha [H,W] against the photograph's mask [H,W], both 0..1.
+
+    kind: the mean absolute difference or the cross entropy. where [H,W]: weights of the pixels, all 1 by default (the
+    mean stays over all pixels). Gradients flow to alpha.
+    """
     return silhouette_term(alpha, mask, where, entropy=kind is AlphaLoss.BCE)

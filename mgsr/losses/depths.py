@@ -1,4 +1,4 @@
-"""How well the two branches' depths agree."""
+"""The depth loss: how well the two branches' depths agree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEAST_DISTANCE = 0.1  # scene units
 def depth_agreement(
     volume_depth: Tensor, surfel_depth: Tensor, covered: tuple[Tensor, Tensor], unit: float | Tensor
 ) -> Term:
-    """L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
+    """Return L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
 
     Depths [H,W] camera z; covered: two of [H,W], 0 or 1. Gradients flow to both depths.
     """
@@ -22,7 +22,10 @@ def depth_agreement(
 
 
 def depth_unit(kind: DepthUnit, volume_depth: Tensor, distance: float) -> float | Tensor:
-    """What `depth_agreement` divides by: the camera's distance from the scene's centre, or, as in the paper, the
-    maximum of the depth (one for both, so that depths which agree still agree after it). A distance under 0.1 counts
-    as that: a camera in the middle of the scene, whose radius is 1, would else weigh without bound."""
+    """Return the unit that `depth_agreement` divides by: the camera's distance from the scene's centre.
+
+    As in the paper, it may be the largest depth instead (one for both, so that depths which agree still agree after
+    it). A distance under 0.1 counts as that: a camera in the middle of the scene, whose radius is 1, would else weigh
+    without bound.
+    """
     return max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else volume_depth.detach().max().clamp(min=1e-6)

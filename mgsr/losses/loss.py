@@ -1,4 +1,4 @@
-"""What a step makes smaller."""
+"""The loss of a training step: a sum of named terms."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from torch import Tensor
 
 
 class Loss:
-    """The sum of terms. found [T]: the values of those that `evaluate` found, named in their order; others: terms []
-    that torch differentiates, by name. The sum itself is found only when it is asked for."""
+    """A sum of terms.
+
+    found [T]: the values of those that `evaluate` found, named in their order; others: terms [] that torch
+    differentiates, by name. The sum itself is found only when it is asked for.
+    """
 
     def __init__(self, found: Tensor, names: Sequence[str], others: dict[str, Tensor]) -> None:
         self._found = found
@@ -19,22 +22,22 @@ class Loss:
         self._others = others
 
     def plus(self, name: str, term: Tensor) -> Loss:
-        """Return the same with one more term []."""
+        """Return the loss with one more term []."""
         return Loss(self._found, self._names, self._others | {name: term})
 
     def backward(self) -> None:
-        """Leave the sum's gradients in the leaves that it depends on."""
+        """Accumulate the sum's gradients in the leaves that it depends on."""
         roots = [self._found, *self._others.values()]
         torch.autograd.backward(roots, [_ones(root.shape, root.device) for root in roots])
 
     @property
     def value(self) -> Tensor:
-        """The sum [], whose gradients flow."""
+        """Return the sum [], through which gradients flow."""
         return sum(self._others.values(), self._found.sum())
 
     @property
     def values(self) -> Tensor:
-        """All terms' values [T], without gradients."""
+        """Return all terms' values [T], without gradients."""
         found = self._found.detach()
         return (
             torch.cat([found, *(term.detach().reshape(1) for term in self._others.values())]) if self._others else found
@@ -42,7 +45,7 @@ class Loss:
 
     @property
     def terms(self) -> dict[str, Tensor]:
-        """The terms [] by name, without gradients."""
+        """Return the terms [] by name, without gradients."""
         return dict(zip([*self._names, *self._others], self.values.unbind(), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""What holds the shared light, and how glossy splats are, where photographs say little of them."""
+"""Regularisers of the environment maps, and of how glossy splats are, where photographs say little of them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from mgsr.ops.pixels import squares_term, steps_term
 
 
 def light_terms(maps: Tensor, volumes: VolumeModel, config: TrainConfig) -> Terms:
-    """Return the smoothness of the light's maps [2,S,S,3], the mean square of differences between neighbours; and a
-    pull of each splat's reflection weight to where it began, so that a place where no photograph saw a highlight stays
-    as glossy as the rest."""
+    """Return the regularisers of the environment maps [2,S,S,3] and of the splats' reflection weights, by name.
+
+    The maps' smoothness is the mean square of differences between neighbours. Each splat's reflection weight is pulled
+    to where it began, so that a place where no photograph saw a highlight stays as glossy as the rest.
+    """
     settings = config.mirror
     terms: Terms = {"light.smooth": settings.smoothness * steps_term(maps)}
     if volumes.weight_logits is not None:

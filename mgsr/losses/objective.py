@@ -27,14 +27,14 @@ Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentia
 
 
 def total(terms: Mapping[str, Term | Tensor]) -> Loss:
-    """Return the sum of the terms."""
+    """Add up the terms."""
     names = [name for name, term in terms.items() if isinstance(term, Term)]
     others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
     return Loss(evaluate([term for term in terms.values() if isinstance(term, Term)]), names, others)
 
 
 def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, regularised: bool = True) -> Terms:
-    """L_2D of the warm-up: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
+    """Return the terms of L_2D: the photograph, the silhouette and, if `regularised`, the surface's smoothness."""
     terms: Terms = {"surfels.photo": _photo(outputs.color, target.color, target, config, target.off_edge)}
     terms |= _silhouette("surfels", outputs.alpha, target, config.surfels.alpha_weight, config, target.off_edge)
     if regularised:
@@ -43,8 +43,10 @@ def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, re
 
 
 def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig, covered: Tensor | None = None) -> Terms:
-    """L_3D: the photograph, the silhouette, and the transmitted colour's smoothness. covered: what `target.covered`
-    says of the alpha, where that is known already."""
+    """Return the terms of L_3D: the photograph, the silhouette, and the transmitted colour's smoothness.
+
+    covered [H,W]: what `target.covered` says of the alpha, where that is known already.
+    """
     settings = config.volumes
     terms: Terms = {"volumes.photo": _photo(outputs.color, target.color, target, config, clip=True)}
     terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
@@ -67,7 +69,7 @@ def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig, co
 
 
 def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
-    """L_total of the mutual phase, times the branches' weights.
+    """Return the terms of L_total in the mutual phase, times the branches' weights.
 
     The 2D branch's target is the photograph and the 3D branch's transmitted image, which also guides its smoothness;
     the two depths pull at each other. Taught one way, the transmitted image and the surface's depth stay as they are.
@@ -93,8 +95,11 @@ def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target,
 
 
 def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered: Tensor, config: TrainConfig) -> Terms:
-    """Return what shapes the surface where it is covered [H,W]: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth),
-    the smoothness guided by an image [H,W,3], and 2DGS's distortion where it has a weight."""
+    """Return the surface's regularisers: lambda_3 (L_n + lambda_4 TV(N)) + lambda_5 TV(depth), and 2DGS's distortion.
+
+    guide [H,W,3]: the image that guides the smoothness; covered [H,W]: where the surface counts, 0 or 1. The distortion
+    is left out where it has no weight.
+    """
     settings, depth = config.surfels, surface_depth(outputs, config)
     terms: Terms = {}
     if settings.normal_weight:
@@ -111,7 +116,7 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
 
 
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
-    """Return the depth [H,W] that counts as the surface."""
+    """Return the depth [H,W] that counts as the surface: the expected or the median one, as the settings say."""
     return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 

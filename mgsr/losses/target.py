@@ -1,4 +1,4 @@
-"""What a rendering is compared with."""
+"""The target of a rendering: the photograph that it is compared with."""
 
 from __future__ import annotations
 
@@ -30,8 +30,11 @@ class Target:
     unknown: Tensor | None = None
 
     def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-        """A rendering [H,W,...] and what it should be, for a loss: at unknown pixels both are the rendering, and no
-        gradient flows. So such pixels cost nothing, and windows that reach over them see no difference there."""
+        """Return a rendering [H,W,...] and its target with the same values at unknown pixels, for a loss.
+
+        At unknown pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
+        reach over them see no difference there.
+        """
         if self.unknown is None:
             return rendered, wanted
         still = rendered.detach().flatten(0, 1).index_select(0, self.unknown)
@@ -39,17 +42,19 @@ class Target:
         return next(alike), next(alike)
 
     def known(self, weights: Tensor) -> Tensor:
-        """Weights [H,W] of pixels without those of unknown ones."""
+        """Return the weights [H,W] with 0 at unknown pixels."""
         if self.unknown is None:
             return weights
         return weights.flatten().index_fill(0, self.unknown, 0).view_as(weights)
 
     @property
     def distance(self) -> float:
-        """The camera's distance from the scene's centre, in the scene's unit."""
+        """Return the camera's distance from the scene's centre, in the scene's unit."""
         return float(np.linalg.norm(self.camera.center))
 
     def covered(self, alpha: Tensor) -> Tensor:
-        """Pixels [H,W] float32 0 or 1 that have a surface: known, over half covered by the rendering's alpha [H,W] and,
-        with masks, by the photograph's. Depth and normals mean something only there."""
+        """Return the pixels that have a surface, [H,W] float32, 0 or 1; depth and normals mean something only there.
+
+        They are known, over half covered by the rendering's alpha [H,W] and, with masks, by the photograph's.
+        """
         return self.known(covered(alpha, self.alpha))

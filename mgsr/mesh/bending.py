@@ -1,4 +1,4 @@
-"""A mesh bent to the surface that views show, with its own faces.
+"""A mesh bent to the surface that views show, with its own faces kept.
 
 Unlike an extraction from points, it keeps both sides of a sheet that is thinner than the extraction's cells.
 """

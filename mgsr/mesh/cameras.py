@@ -1,4 +1,4 @@
-"""From where, and how large, the surface is rendered for its extraction."""
+"""The cameras, and image sizes, from which the surface is rendered for its extraction."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from mgsr.data.camera import Camera
 
 
 def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list[Camera]:
-    """The training cameras, and `extra_views` more between neighbours, each at `view_scale` times its image's size or
-    as much less as keeps all of them together under `max_pixels`."""
+    """Return the training cameras and config.extra_views more between neighbours, at the size for surface extraction.
+
+    Each is scaled by config.view_scale, or less where all images together would exceed config.max_pixels.
+    """
     cameras = [*train_cameras, *between(train_cameras, config.extra_views)]
     pixels = sum(camera.width * camera.height for camera in cameras)
     scale = min(config.view_scale, (config.max_pixels / max(pixels, 1)) ** 0.5)
@@ -24,16 +26,17 @@ def surface_cameras(train_cameras: Sequence[Camera], config: MeshConfig) -> list
 
 
 def between(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """`count` cameras, each halfway between two neighbours; the most distant neighbours come first.
+    """Return `count` cameras, each halfway between two neighbours; the most distant neighbours come first.
 
-    Halfway: at the mean distance from the scene's centre, turned halfway, with the first one's intrinsics.
+    Halfway: at the mean distance from the scene's centre, turned halfway, with the first one's intrinsics. Fewer are
+    returned where fewer pairs of neighbours exist.
     """
     pairs = _neighbours(cameras)
     return [_halfway(cameras[first], cameras[second]) for first, second in pairs[:count]]
 
 
 def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Each camera with its three nearest, every pair once, the most distant first."""
+    """Pair each camera with its three nearest, every pair once, the most distant first, by index."""
     centers = np.array([camera.center for camera in cameras]).reshape(-1, 3)
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=-1)
     pairs = {

@@ -1,4 +1,4 @@
-"""What is done to a raw surface: pull it into the silhouettes, drop what no camera sees, and orient it."""
+"""Clean-up of a raw surface: pull it into the silhouettes, drop what no camera sees, and orient it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from mgsr.mesh.views import SurfaceView
 
 
 def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: float, reach: float) -> Triangles:
-    """Move vertices that lie outside a silhouette inwards along their normals; cut off the faces that would have to
-    move more than `reach`. margin: pixels outside a silhouette that are forgiven."""
+    """Move vertices outside a silhouette inwards along their normals, and cut off faces that lie too far outside.
+
+    A face is cut off where a vertex would have to move by more than `reach`, in the scene's unit. margin: pixels
+    outside a silhouette that are forgiven.
+    """
     excess = hull.excess(vertices, margin)
     outside = np.flatnonzero((excess > 0) & (excess <= reach))
     inwards, moved = -vertex_normals(vertices, faces)[outside], vertices.copy()
@@ -25,10 +28,10 @@ def pull_into_hull(vertices: np.ndarray, faces: np.ndarray, hull: Hull, margin: 
 
 
 def seen_sides(vertices: np.ndarray, faces: np.ndarray, views: Sequence[SurfaceView], gap: float) -> np.ndarray:
-    """By ray casting, for each vertex [V]: 1 if a view sees it from its front, -1 from its back, 0 if none sees it.
+    """Return the side from which a view sees each vertex, [V]: 1 the front, -1 the back, 0 none.
 
-    The first view that sees a vertex, at a pixel that its mask does not leave out, decides. What lies within `gap`
-    before a vertex does not hide it.
+    By ray casting. The first view that sees a vertex, at a pixel that its mask does not leave out, decides. What lies
+    within `gap` before a vertex does not hide it.
     """
     caster, normals = RayCaster(vertices, faces), vertex_normals(vertices, faces)
     sides, open_ = np.zeros(len(vertices), np.int8), np.arange(len(vertices))
@@ -41,7 +44,7 @@ def seen_sides(vertices: np.ndarray, faces: np.ndarray, views: Sequence[SurfaceV
 
 
 def _spread(views: Sequence[SurfaceView]) -> list[SurfaceView]:
-    """Return the views, each from as far as can be from those before it: the first few see most of the surface."""
+    """Order the views so that each is as far as can be from those before it: the first few see most of the surface."""
     centers = np.array([view.camera.center for view in views])
     order, nearest = [0], np.linalg.norm(centers - centers[0], axis=1)
     nearest[0] = -1

@@ -1,4 +1,4 @@
-"""Colours of a surface from the views that see it."""
+"""Vertex colours of a surface, from the views that see it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ def vertex_colors(
     tolerance: float,
     threads: int | None = None,
 ) -> np.ndarray:
-    """Colours [V,3] float32 0..1 as of `seen_colors`. A vertex that no view shows takes its nearest neighbour's."""
+    """Return vertex colours [V,3] float32 0..1 (`seen_colors`).
+
+    A vertex that no view shows takes the colour of its nearest neighbour that one shows.
+    """
     colors, seen = seen_colors(vertices, normals, views, min_alpha, tolerance, threads)
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
@@ -39,11 +42,11 @@ def seen_colors(
     tolerance: float,
     threads: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Colours [P,3] float32 0..1 of points [P,3] of a surface, normals [P,3] unit, and which of them any view shows,
-    [P] bool: the mean over the views that show a point, where head-on views count more and colours far from the others'
-    mean count less.
+    """Blend the colours of surface points from the views that show them.
 
-    A view shows a point that faces it and lies within `tolerance` pixel footprints of its depth.
+    points, normals [P,3]: the latter unit. Returns colours [P,3] float32 0..1, and which points any view shows, [P]
+    bool. A colour is a weighted mean: head-on views count more, and colours far from the others' mean count less. A
+    view shows a point that faces it and lies within `tolerance` pixel footprints of its depth.
     """
     looks = list(map_ahead(lambda view: _look(points, normals, view, min_alpha, tolerance), views, threads))
     mean, total = _blend(looks, len(points), None)
@@ -54,7 +57,7 @@ def seen_colors(
 
 @dataclass(frozen=True)
 class _Look:
-    """What one view says: of the vertices index [Q] their colors [Q,3] and weights [Q]."""
+    """What one view shows: the indices [Q] of the points, their colors [Q,3] and weights [Q]."""
 
     index: np.ndarray
     colors: np.ndarray
@@ -72,7 +75,10 @@ def _look(vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alph
 
 
 def _blend(looks: Sequence[_Look], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean colours [V,3] and the sum of the weights [V]; around [V,3] is where colours should lie."""
+    """Return weighted mean colours [V,3] and the sums of the weights [V]; `around` [V,3] is where colours should lie.
+
+    Colours far from `around` lose weight; None: all keep theirs.
+    """
     sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     for look in looks:
         weights = look.weights

@@ -1,5 +1,8 @@
-"""Points held against all views: those that float in space which others see through, or lie outside a silhouette, are
-found, and the rest move to the surface that the views agree on."""
+"""Multi-view consistency of points, and the visual hull.
+
+Points that other views see through, or that lie outside a silhouette, are found, and the rest move to the surface that
+the views agree on.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +23,11 @@ REACH = 2.0  # noise of the depth must find its mean, but not a neighbouring sur
 
 @dataclass(frozen=True)
 class Agreement:
-    """What all views say of points: moved OrientedPoints [P] on the surface that the confirming views see; agreed [P]
-    bool: not more views contradict the point than confirm it."""
+    """The result of comparing points with all views.
+
+    moved: OrientedPoints [P] on the surface that the confirming views see; agreed [P] bool: not more views contradict
+    the point than confirm it.
+    """
 
     moved: OrientedPoints
     agreed: np.ndarray
@@ -34,7 +40,7 @@ def compare_views(
     tolerance: float,
     threads: int | None = None,
 ) -> Agreement:
-    """Hold points against every view.
+    """Compare points with every view, and move them to the surface on which the confirming views agree.
 
     A view contradicts a point when it sees something more than `tolerance` pixel footprints behind it (more where the
     surface is slanted), or nothing, at the point's pixel and all around it. It confirms a point that faces it and lies
@@ -69,9 +75,12 @@ def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
 
 @dataclass(frozen=True)
 class _Look:
-    """What one view says: the indices of the points that it contradicts and [Q] of those that it confirms, and of the
-    latter the weight of its word [Q], how far along their normals its surface lies [Q], and that surface's normals
-    [Q,3]."""
+    """What one view says of the points.
+
+    contradicted: the indices of those that it contradicts; confirmed [Q]: of those that it confirms; weights [Q]: of
+    its word about the latter; offsets [Q]: how far along their normals its surface lies; normals [Q,3]: of that
+    surface.
+    """
 
     contradicted: np.ndarray
     confirmed: np.ndarray
@@ -104,7 +113,10 @@ def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toleranc
 
 
 def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
-    """[H,W,5]: weight, weight * depth, weight * normal; the weight falls to zero at the least cosine."""
+    """Return a view's weights, weighted depths and weighted normals in one image [H,W,5].
+
+    A pixel's weight falls to zero at the rules' least cosine.
+    """
     pixels = surface_pixels(view, rules)
     weights = np.where(pixels.believed, pixels.cosines - rules.min_cos, 0)[..., None]
     values = np.concatenate([np.ones_like(weights), view.depth[..., None], pixels.normals], axis=-1)
@@ -113,15 +125,18 @@ def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
 
 
 class Hull:
-    """The space that all silhouettes allow."""
+    """The visual hull: the space that all silhouettes allow."""
 
     def __init__(self, silhouettes: Sequence[Silhouette]) -> None:
         self._cameras = [silhouette.camera for silhouette in silhouettes]
         self._outside = [_outside(silhouette) for silhouette in silhouettes]
 
     def excess(self, points: np.ndarray, margin: float) -> np.ndarray:
-        """How far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette that has
-        them in its image, at known pixels, in the scene's unit; 0 for those that do already."""
+        """Return how far [P] the points [P,3] must at least move to come within `margin` pixels of every silhouette.
+
+        Only silhouettes count that have the point in their image, at a known pixel. The distance is in the scene's
+        unit; 0 for points that are within already.
+        """
         worst = np.zeros(len(points), np.float32)
         for camera, outside in zip(self._cameras, self._outside, strict=True):
             index, pixels, depths = project(camera, points)
@@ -131,6 +146,6 @@ class Hull:
 
 
 def _outside(silhouette: Silhouette) -> np.ndarray:
-    """Pixels [h,w] to the silhouette; 0 in it and where nothing is known."""
+    """Return each pixel's distance to the silhouette, in pixels [h,w]; 0 inside it and where nothing is known."""
     distance = np.maximum(-silhouette.distance, 0)
     return distance if silhouette.known is None else np.where(silhouette.known, distance, 0)

@@ -1,4 +1,4 @@
-"""From rendered views to a clean coloured mesh."""
+"""Mesh extraction: from rendered views to a clean coloured mesh."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def extract_mesh(
     """Extract the surface that the views show, in their frame.
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
-    its outlines fall on theirs.
+    its contours fall on theirs.
     photographs: the training views; where a flash on the camera explains their shading, it refines the mesh; where
-    there are silhouettes, so does their parallax. Under a flash, what they differ about is left open; without one, the
-    surface's shallow waves are smoothed.
+    there are silhouettes, so does their parallax. Under a flash, patches with a large photometric residual are removed;
+    without one, the surface's shallow waves are smoothed.
     threads: cores to use; None is all of them. go_on: whether there is time for another round of refinement.
     start: the surface that training began on, which replaces the views' where the photographs clearly speak for it; it
     is bent to the views' where theirs is torn.
@@ -72,7 +72,7 @@ def extract_mesh(
 
 
 def _tolerance(config: MeshConfig) -> float:
-    """Return the footprints by which views may differ about a place."""
+    """Return the pixel footprints by which views may differ about a place."""
     return config.consistency or TOLERANCE
 
 
@@ -99,7 +99,7 @@ def _by_poisson(
 
 
 def _extent(views: Sequence[SurfaceView], config: MeshConfig) -> float:
-    """Return the longest side of the box that holds the surface, but for the outermost few."""
+    """Return the longest side of the box that holds the surface, without the outermost 0.1% at each end."""
     looks = [back_project(view)[::4, ::4][view.usable(config.min_alpha)[::4, ::4]] for view in views]
     points = np.concatenate(looks)
     if config.radius is not None:
@@ -128,7 +128,7 @@ def _finish(
     threads: int | None,
     go_on: Callable[[], bool],
 ) -> SurfaceMesh:
-    """Clean, orient, decimate and colour a raw surface; `size` is the views' footprint."""
+    """Clean, orient, refine, decimate and colour a raw surface; `size` is the views' footprint."""
     if hull is not None and len(faces):
         vertices, faces = cleanup.pull_into_hull(
             vertices, faces, hull, config.hull_margin or 0, config.hull_reach * size

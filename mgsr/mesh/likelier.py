@@ -1,8 +1,7 @@
-"""The trained surface held against the one that training began on: the worse of the two is not delivered.
+"""The choice between the trained surface and the one that training began on.
 
 A surface that is right lets the photographs agree about what lies on it, or, where it mirrors what surrounds it, lets
-one map of the surroundings explain them. Training has no such check of its own: dents that imitate reflections cost it
-nothing.
+one environment map explain them. Training has no such check of its own: dents that imitate reflections cost it nothing.
 """
 
 from __future__ import annotations

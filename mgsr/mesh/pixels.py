@@ -1,4 +1,4 @@
-"""Which pixels of a rendered view are believed, and where in space they lie."""
+"""The rendered pixels that are believed, and their places in space."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from mgsr.mesh.views import SurfaceView
 
 @dataclass(frozen=True)
 class PixelRules:
-    """A pixel is believed with an alpha of at least min_alpha, seen under a cosine of at least min_cos, no farther
-    than max_jump footprints off any neighbour's tangent plane, and within `radius` of the scene's centre."""
+    """The rules by which a pixel is believed.
+
+    Its alpha is at least min_alpha, it is seen under a cosine of at least min_cos, it lies no farther than max_jump
+    footprints off any neighbour's tangent plane, and within `radius` of the scene's centre.
+    """
 
     min_alpha: float
     min_cos: float
@@ -24,8 +27,11 @@ class PixelRules:
 
 @dataclass(frozen=True)
 class SurfacePixels:
-    """A view in space: positions [H,W,3] and unit normals [H,W,3] in the scene's frame, cosines [H,W] between normal
-    and ray, believed [H,W] bool; the first three mean nothing where it is False."""
+    """A view in space.
+
+    positions [H,W,3] and unit normals [H,W,3] in the scene's frame, cosines [H,W] between normal and ray, believed
+    [H,W] bool; the first three mean nothing where it is False.
+    """
 
     positions: np.ndarray
     normals: np.ndarray
@@ -34,7 +40,7 @@ class SurfacePixels:
 
 
 def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
-    """Back-project a view and judge its pixels."""
+    """Back-project a view's pixels, and judge by the rules which of them to believe."""
     rays = pixel_rays(view.camera)
     normals = view.normal / np.maximum(_lengths(view.normal), 1e-9)[..., None]
     cosines = -np.einsum("hwc,hwc->hw", normals, rays) / _lengths(rays)
@@ -49,18 +55,24 @@ def surface_pixels(view: SurfaceView, rules: PixelRules) -> SurfacePixels:
 
 
 def back_project(view: SurfaceView, rays: np.ndarray | None = None) -> np.ndarray:
-    """The points [H,W,3] that the depth puts before each pixel; rays as of `pixel_rays`, if they are known already."""
+    """Return the points [H,W,3] at each pixel's depth, in the scene's frame.
+
+    rays: as of `pixel_rays`, if they are known already.
+    """
     rays = pixel_rays(view.camera) if rays is None else rays
     return view.camera.center.astype(np.float32) + rays * view.depth[..., None]
 
 
 def footprint(view: SurfaceView) -> np.ndarray:
-    """The size [H,W] of a pixel at the surface it shows, in the scene's unit."""
+    """Return the size [H,W] of a pixel on the surface it shows, in the scene's unit."""
     return view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
 
 
 def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | None:
-    """The size that half the surface pixels stay under; None where no view shows any surface."""
+    """Return the median pixel footprint on the surface; None where no view shows any surface.
+
+    It is the median over the views of each view's median, in the scene's unit.
+    """
     medians = [np.median(footprint(view)[usable]) for view in views if (usable := view.usable(min_alpha)).any()]
     return float(np.median(medians)) if medians else None
 
@@ -79,8 +91,10 @@ _NEIGHBOURS = [
 
 
 def _on_edge(usable: np.ndarray, positions: np.ndarray, normals: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Pixels [H,W] with a neighbour that is empty or lies more than `limit` [H,W] off their tangent plane: splats of
-    both sides of an edge are blended there."""
+    """Return the pixels [H,W] bool at an edge, where splats of both sides are blended.
+
+    Such a pixel has a neighbour that is empty or lies more than `limit` [H,W] off its tangent plane.
+    """
     edge = np.zeros(usable.shape, bool)
     for here, there in _NEIGHBOURS:
         off = np.abs(np.einsum("hwc,hwc->hw", positions[there] - positions[here], normals[here]))

@@ -14,7 +14,7 @@ from mgsr.parallel import map_ahead
 
 @dataclass(frozen=True)
 class OrientedPoints:
-    """positions [P,3] and unit outward normals [P,3], float32, in the scene's frame."""
+    """A point cloud: positions [P,3] and unit outward normals [P,3], float32, in the scene's frame."""
 
     positions: np.ndarray
     normals: np.ndarray
@@ -23,39 +23,42 @@ class OrientedPoints:
         return len(self.positions)
 
     def where(self, keep: np.ndarray) -> OrientedPoints:
-        """The points where keep [P] is True."""
+        """Return the points where keep [P] is True."""
         return OrientedPoints(self.positions[keep], self.normals[keep])
 
 
 @dataclass(frozen=True)
 class CellSums:
-    """Weighted sums of points in cubic cells: keys [R] int64, ascending, and sums [R,7] of weight * position, weight *
-    normal, weight. A cell's six main directions of normals have a key each: which of them are the two sides of a thin
-    wall, and must not be averaged, shows only when all is gathered."""
+    """Weighted sums of points in cubic cells.
+
+    keys [R] int64, ascending; sums [R,7]: of weight * position, weight * normal, weight. A cell's six main directions
+    of normals have a key each: which of them are the two sides of a thin wall, and must not be averaged, shows only
+    when all is gathered.
+    """
 
     keys: np.ndarray
     sums: np.ndarray
 
     @staticmethod
     def of(points: OrientedPoints, weights: np.ndarray, cell: float) -> CellSums:
-        """The sums of points with weights [P] in cells of the given size."""
+        """Sum points with weights [P] in cells of the given size."""
         columns = np.concatenate([points.positions, points.normals, np.ones_like(points.positions[:, :1])], axis=1)
         return CellSums(*_sum_by_key(_cell_keys(points, cell), columns * weights[:, None]))
 
     @staticmethod
     def merged(parts: Sequence[CellSums]) -> CellSums:
-        """The sums of all parts' points."""
+        """Merge the sums of several parts."""
         keys, sums = [part.keys for part in parts], [part.sums for part in parts]
         return CellSums(*_sum_by_key(np.concatenate(keys), np.concatenate(sums)))
 
     def mean(self) -> OrientedPoints:
-        """The weighted means of each cell: one point, and a second where normals point against the first's."""
+        """Return each cell's weighted mean, and a second point where normals oppose the heaviest direction's."""
         _, sums = _sum_by_key(self.keys // 6 * 2 + self._opposed(), self.sums)
         lengths = np.linalg.norm(sums[:, 3:6], axis=1, keepdims=True)
         return OrientedPoints(sums[:, :3] / sums[:, 6:], sums[:, 3:6] / np.maximum(lengths, 1e-12))
 
     def _opposed(self) -> np.ndarray:
-        """Which of the gathered directions point against the heaviest one of their cell."""
+        """Return which sums' normals are opposed to the heaviest direction's of their cell, [R] bool."""
         cells = self.keys // 6
         order = np.lexsort([-self.sums[:, 6], cells])
         first, inverse = np.unique(cells, return_inverse=True)
@@ -73,7 +76,7 @@ def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
 
 
 def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distinct keys, ascending, and the sums of their rows."""
+    """Return the distinct keys, ascending, and the sums of their rows."""
     if len(keys) == 0:
         return keys, rows
     order = np.argsort(keys, kind="stable")
@@ -85,7 +88,7 @@ def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndar
 def gather_points(
     views: Sequence[SurfaceView], cell: float, rules: PixelRules, threads: int | None = None
 ) -> OrientedPoints:
-    """All views' believable points, averaged in cells of the given size; what is seen head-on counts more."""
+    """Average all views' believed points in cells of the given size; what is seen head-on counts more."""
 
     def sums_of(view: SurfaceView) -> CellSums:
         pixels = surface_pixels(view, rules)

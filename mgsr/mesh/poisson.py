@@ -1,4 +1,4 @@
-"""Screened Poisson reconstruction: a surface whose normals are the points' normals."""
+"""Screened Poisson reconstruction of a surface from oriented points."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ MARGIN = 1.1  # the octree's cube against the points' box
 
 
 def cell_size(extent: float, depth: int) -> float:
-    """The finest octree cell for points within a box whose longest side is `extent`."""
+    """Return the size of the finest octree cell for points within a box whose longest side is `extent`."""
     return MARGIN * extent / 2**depth
 
 
 def poisson_surface(points: OrientedPoints, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V,3] and faces [F,3] of the closed surface; counter-clockwise from outside.
+    """Reconstruct the closed surface: vertices [V,3] and faces [F,3], counter-clockwise from outside.
 
     It runs on one thread: on several its sums come in another order each time, and so do its vertices.
 
@@ -37,6 +37,6 @@ def poisson_surface(points: OrientedPoints, depth: int) -> tuple[np.ndarray, np.
 def trim_unsupported(
     vertices: np.ndarray, faces: np.ndarray, points: OrientedPoints, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh without the faces that Poisson put where no point is within `reach`."""
+    """Return the mesh without the faces that Poisson put where no point is within `reach`."""
     near = np.isfinite(cKDTree(points.positions).query(vertices, distance_upper_bound=reach, workers=-1)[0])
     return keep_faces(vertices, faces, near[faces].all(1))

@@ -1,4 +1,4 @@
-"""A mesh held against the photographs: bent to their shading, moved by their parallax, and opened where they differ."""
+"""Refinement of a mesh by the photographs: shading, parallax, and removal of patches that they contradict."""
 
 from __future__ import annotations
 
@@ -31,8 +31,11 @@ SMALLEST = 10.0  # pixels that a patch covers which is taken out
 
 @dataclass(frozen=True)
 class Held:
-    """vertices [V,3] and faces [F,3] of the mesh; light: what lit the photographs, as far as they tell; parallax:
-    whether that moved it; opened: the share of its area about which photographs differ too much, and which is gone."""
+    """A mesh refined by the photographs, vertices [V,3] and faces [F,3].
+
+    light: what lit the photographs, as far as they tell; parallax: whether photometric refinement moved the mesh;
+    opened: the share of its area that was removed, as the photographs contradict it.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -50,8 +53,11 @@ def hold_against_photographs(
     threads: int | None,
     go_on: Callable[[], bool],
 ) -> Held:
-    """The mesh as `config` lets the photographs change it. outlines: the masks', none without; go_on: asked before each
-    further step."""
+    """Refine a mesh by the photographs, as far as `config` allows.
+
+    vertices [V,3]; faces [F,3]; outlines: the masks' contours, none without masks; go_on: asked before each further
+    step.
+    """
     if not photographs or config.shading_ratio is None:
         return Held(vertices, faces)
     refined, reach, parallax = Refined(vertices, Light.UNKNOWN), config.parallax_reach, False
@@ -73,7 +79,11 @@ def hold_against_photographs(
 
 
 def _opened(held: Held, photographs: Sequence[View], shading: Shading, most: float | None, threads: int | None) -> Held:
-    """Without the patches about which the photographs differ: everywhere by half of `most`, and somewhere by it."""
+    """Return the mesh without the patches that the photographs contradict.
+
+    In such a patch the photometric residual is everywhere above half of `most`, and somewhere above it. It covers more
+    than SMALLEST pixels.
+    """
     if most is None:
         return held
     vertices, faces = held.vertices, held.faces

@@ -11,8 +11,11 @@ from mgsr.shading.refine import Light
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """vertices [V,3] float64, once for each chart of the picture that they lie on; faces [F,3] int64; normals [V,3]
-    float32 unit; uvs [V,2] float32, 0..1 from the picture's upper left corner; picture [S,S,3] uint8 sRGB."""
+    """A mesh with a texture.
+
+    vertices [V,3] float64, once for each chart of the texture that they lie on; faces [F,3] int64; normals [V,3]
+    float32 unit; uvs [V,2] float32, 0..1 from the texture's upper left corner; picture [S,S,3] uint8 sRGB: the texture.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -23,11 +26,14 @@ class TexturedMesh:
 
 @dataclass(frozen=True)
 class SurfaceMesh:
-    """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
-    outward, colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's
-    shading refined it. parallax: whether theirs moved it; opened: the share of its area that was taken out, as they
-    differed about it; textured: the same surface with a picture, where one was asked for; start_kept: whether
-    it is the surface that training began on, as the photographs speak for it."""
+    """An extracted mesh with vertex colours.
+
+    vertices [V,3] float64; faces [F,3] int64, counter-clockwise from outside; normals [V,3] float32, unit and outward;
+    colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's shading refined the
+    mesh. parallax: whether photometric refinement moved it; opened: the share of its area that was removed, as the
+    photographs contradict it; textured: the same surface with a texture, where one was asked for; start_kept: whether
+    it is the surface that training began on, as the photographs speak for it.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray

@@ -1,4 +1,4 @@
-"""A picture for the mesh in place of vertex colours: the surface unfolded by xatlas, and painted from the views."""
+"""Texturing of the mesh in place of vertex colours: the surface is unfolded by xatlas and painted from the views."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ _EDGE = 10.0
 
 
 def require_unfolding() -> None:
-    """Raises MeshError where xatlas, which an extra brings, is not installed: a run is told so before it trains."""
+    """Check that xatlas, which an extra brings, is installed, so that a run fails before it trains.
+
+    Raises MeshError where it is not.
+    """
     if find_spec("xatlas") is None:
         raise MeshError("output.texture: unfolding the surface needs the package xatlas: pip install 'mgsr[worker]'")
 
@@ -42,11 +45,11 @@ def texture_mesh(
     config: MeshConfig,
     threads: int | None = None,
 ) -> TexturedMesh:
-    """The mesh, reduced to `max_faces`, with a picture of side x side texels.
+    """Reduce the mesh to `max_faces`, and paint a texture of side x side texels for it.
 
-    Each texel takes the mean of the views that see its place as `seen_colors` tells, with one difference: what hides
-    it is found by ray casting the mesh itself, and pixels on the edge of something nearer are left out. What no view
-    sees takes the colours of the mesh's vertices. mesh and views share a frame.
+    Each texel takes the mean of the views that see its place as `seen_colors` tells, with one difference: what hides it
+    is found by ray casting the mesh itself, and pixels on the edge of something nearer are left out. What no view sees
+    takes the colours of the mesh's vertices. mesh and views share a frame.
 
     Raises MeshError where xatlas is not installed.
     """
@@ -63,8 +66,11 @@ def texture_mesh(
 
 
 def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Charts of the surface laid side by side: for each new vertex the one that it was [W], faces [F,3] of new
-    vertices, and the new vertices' places [W,2] in 0..1."""
+    """Unfold the surface into charts laid side by side.
+
+    Returns the original vertex of each new one [W], faces [F,3] of new vertices, and the new vertices' texture
+    coordinates [W,2] in 0..1.
+    """
     import xatlas  # late: only textures need it
 
     middle = (vertices.max(0) + vertices.min(0)) / 2
@@ -78,7 +84,7 @@ def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndar
 
 
 def _held_to(caster: RayCaster, view: SurfaceView) -> SurfaceView:
-    """The view with the mesh's own depth, and without the pixels at its edges, whose colours are two things'."""
+    """Return the view with the mesh's own depth, and without pixels at its edges, which mix two surfaces' colours."""
     hits = caster.cast(view.camera)
     inside = _inside(hits, view)
     return replace(view, depth=hits.depth, mask=inside if view.mask is None else inside & view.mask)
@@ -97,7 +103,10 @@ def _paint(
     config: MeshConfig,
     threads: int | None,
 ) -> np.ndarray:
-    """The picture [S,S,3] uint8: every texel whose middle lies on a chart, and around them the nearest one's colour."""
+    """Paint the texture [S,S,3] uint8.
+
+    Texels whose middles lie on a chart are painted from the views; the rest take the nearest one's colour.
+    """
     side = len(unfolded.picture)
     tolerance = config.consistency or TOLERANCE
     texels, faces, shares = _charted(unfolded, side)
@@ -118,21 +127,23 @@ def _paint(
 
 
 class _VertexColors:
-    """The mesh's own colours, at the places of it that are nearest to others."""
+    """The mesh's own colours at any point beside it."""
 
     def __init__(self, mesh: SurfaceMesh) -> None:
         self._mesh = mesh
         self._caster = RayCaster(mesh.vertices, mesh.faces)
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """Colours [P,3] at the points [P,3]."""
+        """Return the colours [P,3] of the mesh's places nearest to the points [P,3]."""
         faces, shares = self._caster.nearest(points)
         return _blend(self._mesh.colors, self._mesh.faces[faces], shares)
 
 
 def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The texels [T], counted row by row, whose middles lie on a chart; the face [T] there and its corners' shares
-    [T,3]. Found by looking down at the unfolded surface, a texel to a unit of length."""
+    """Find the texels [T], counted row by row, whose middles lie on a chart, by ray casting the unfolded surface.
+
+    Also returns the face [T] there and the barycentric coordinates [T,3] on it.
+    """
     flat = np.zeros((len(unfolded.uvs), 3), np.float32)
     flat[:, :2] = unfolded.uvs * side
     caster = RayCaster(flat, unfolded.faces)
@@ -148,12 +159,15 @@ def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray,
 
 
 def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Values [V,...] at the shares [P,3] of the corners [P,3]."""
+    """Interpolate values [V,...] at vertices `corners` [P,3] by their shares [P,3]."""
     return np.einsum("pkc,pk->pc", values[corners], shares)
 
 
 def _spread(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
-    """The picture with every texel but the given ones in the nearest given one's colour."""
+    """Fill every texel but the given ones with the nearest given one's colour.
+
+    picture [S,S,3]; texels [T]: counted row by row.
+    """
     if len(texels) == 0:
         return picture
     empty = np.ones(picture.shape[:2], np.uint8)

@@ -1,4 +1,4 @@
-"""Fusion of depth maps into a truncated signed distance on a sparse grid, and its zero surface (the paper's way)."""
+"""TSDF fusion: depth maps fused into a truncated signed distance on a sparse grid, as the MGSR paper does."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ BLOCK = 16  # voxels along a block's edge
 def tsdf_surface(
     views: Sequence[SurfaceView], voxel: float, truncation: float, min_weight: float, rules: PixelRules
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V,3] and faces [F,3], counter-clockwise from outside; both empty where no surface was seen.
+    """Fuse the views' depths, and return the zero surface's vertices [V,3] and faces [F,3].
 
-    voxel: the grid's spacing in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must
-    have been seen.
+    Faces are counter-clockwise from outside. Both arrays are empty where no surface was seen. voxel: the grid's spacing
+    in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must have been seen.
     """
     grid = _empty_grid(voxel)
     for view in views:

@@ -1,4 +1,4 @@
-"""What surface extraction takes in: rendered views of the surface, and the photographs' silhouettes."""
+"""The input of surface extraction: rendered views of the surface, and how their images are read."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class SurfaceView:
                 )
 
     def usable(self, min_alpha: float) -> np.ndarray:
-        """[H,W] bool: pixels that show a surface."""
+        """Return the pixels that show a surface, [H,W] bool."""
         valid = (self.alpha >= min_alpha) & (self.depth > 0) & np.isfinite(self.depth)
         return valid if self.mask is None else valid & self.mask
 
 
 def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Bilinear values of image [H,W,...] at pixel coordinates [P,2] (centres at +0.5), held at the border."""
+    """Interpolate image [H,W,...] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
     height, width = image.shape[:2]
     x = np.clip(pixels[:, 0] - 0.5, 0, width - 1)
     y = np.clip(pixels[:, 1] - 0.5, 0, height - 1)
@@ -57,8 +57,10 @@ def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The points [P,3] that lie in front of a camera and inside its image: their indices [Q], pixel coordinates [Q,2]
-    and camera depths [Q], float32."""
+    """Project points [P,3] into a camera's image, and return those that lie in front of it and inside.
+
+    Returns their indices [Q], pixel coordinates [Q,2] and camera depths [Q], float32.
+    """
     pose = camera.cam_from_world.astype(np.float32)
     x, y, depths = pose[:3, :3] @ points.T.astype(np.float32, copy=False) + pose[:3, 3:]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -70,6 +72,6 @@ def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def nearest(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Values of image [H,W,...] in the pixels that hold the coordinates [P,2], which must lie inside it."""
+    """Return the values of image [H,W,...] at the pixels that hold the coordinates [P,2], which must lie inside it."""
     columns, rows = pixels.astype(np.int64).T
     return image[rows, columns]

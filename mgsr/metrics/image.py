@@ -1,4 +1,7 @@
-"""How close a rendered image comes to a photograph. Images are [H,W,3] float, sRGB 0..1."""
+"""Image metrics: how close a rendered image comes to a photograph.
+
+Images are [H,W,3] float, sRGB 0..1.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from mgsr.data.backdrop import WHITE, Color
 
 
 def composited(rgba: np.ndarray, background: Color = WHITE) -> np.ndarray:
-    """Straight-alpha RGBA [H,W,4] (or RGB, as it is) on a colour, in sRGB, [H,W,3] float64."""
+    """Composite straight-alpha RGBA [H,W,4] on a colour, in sRGB, and return [H,W,3] float64; RGB stays as it is."""
     image = rgba.astype(np.float64)
     if image.shape[-1] == 3:
         return image
@@ -18,27 +21,32 @@ def composited(rgba: np.ndarray, background: Color = WHITE) -> np.ndarray:
 
 
 def decibels(error: float) -> float:
-    """The PSNR of a mean squared error, at most 100 dB."""
+    """Return the PSNR of a mean squared error, at most 100 dB."""
     return float(-10 * np.log10(max(error, 1e-10)))
 
 
 def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """dB, over all pixels or those where mask [H,W] is True."""
+    """Return the PSNR, dB, over all pixels or those where mask [H,W] is True."""
     squares = (truth.astype(np.float64) - image) ** 2
     return decibels(float((squares if mask is None else squares[mask]).mean()))
 
 
 def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> float:
-    """dB over the mask's pixels after the gain per channel that fits the image best to the truth."""
+    """Return the PSNR, dB, over the mask's pixels after the gain per channel that fits the image best to the truth.
+
+    The images are [H,W,3]; mask [H,W] bool.
+    """
     wanted, given = truth[mask].astype(np.float64), image[mask].astype(np.float64)
     gain = (wanted * given).sum(0) / np.maximum((given**2).sum(0), 1e-9)
     return decibels(float(((wanted - np.clip(given * gain, 0, 1)) ** 2).mean()))
 
 
 def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) -> float:
-    """Structural similarity with an 11 x 11 Gaussian window, sigma 1.5, constants 0.01 and 0.03, the mean over the
-    channels and the pixels whose window lies inside, on known pixels [H,W] alone; NaN if there is none. Source: Wang et
-    al. 2004."""
+    """Return the mean structural similarity of two images [H,W,3] over the channels and the pixels.
+
+    The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. Only pixels count whose window
+    lies inside the image, on known pixels [H,W] alone; NaN if there is none. Source: Wang et al. 2004.
+    """
 
     def blur(values: np.ndarray) -> np.ndarray:
         return np.asarray(gaussian_filter(values, (1.5, 1.5, 0), truncate=3.5))
@@ -57,9 +65,9 @@ def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) 
 def image_metrics(
     truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None, background: Color = WHITE
 ) -> dict[str, float]:
-    """psnr, ssim on the background and, where the truth has an alpha channel, psnr_fg and psnr_fg_gain on the object's
-    pixels.
+    """Return the metrics of an image by name: psnr, ssim and, where the truth has an alpha, psnr_fg and psnr_fg_gain.
 
+    The first two are on the background, the others on the object's pixels.
     truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. known [H,W] bool: the pixels that the truth shows,
     None for all; others count in none of them.
     """
@@ -76,5 +84,5 @@ def image_metrics(
 
 
 def unit(image: np.ndarray) -> np.ndarray:
-    """The image as float 0..1, whether it came so or as uint8."""
+    """Return the image as float 0..1, whether it came so or as uint8."""
     return image / 255.0 if image.dtype == np.uint8 else image

@@ -1,4 +1,4 @@
-"""How well a mesh's facets and outline match the truth in the test views, by ray casting."""
+"""Metrics of a mesh's normals and silhouettes against the truth in the test views, by ray casting."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from mgsr.metrics.truth import TrueSurface
 def normal_metrics(
     vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface, cameras: Sequence[Camera]
 ) -> dict[str, float]:
-    """Means over the cameras (user's frame) of: normal_error, degrees between facet normals where both are hit;
-    normal_error_median; mask_iou of the outlines; depth_error, in the truth's bounding radius.
+    """Return the mean errors over the cameras (user's frame) of a mesh's normals, silhouettes and depths, by name.
 
-    A view in which no pixel shows both is left out of all but mask_iou; all are NaN where every view is.
+    normal_error: degrees between face normals where both are hit; normal_error_median; mask_iou of the silhouettes;
+    depth_error, in the truth's bounding radius. A view in which no pixel shows both is left out of all but mask_iou;
+    all are NaN where every view is.
     """
     mesh, true = RayCaster(vertices, faces), RayCaster(truth.vertices, truth.faces)
     views = [compare_hits(mesh.cast(camera), true.cast(camera), truth.radius) for camera in cameras]
@@ -26,7 +27,7 @@ def normal_metrics(
 
 
 def compare_hits(hits: RayHits, true: RayHits, radius: float) -> dict[str, float]:
-    """One view's values; only mask_iou where the two share no pixel."""
+    """Return one view's errors by name; only mask_iou where the two share no pixel."""
     both, either = hits.mask & true.mask, hits.mask | true.mask
     values = {"mask_iou": float(both.sum() / max(either.sum(), 1))}
     if both.any():

@@ -1,4 +1,4 @@
-"""How close a mesh comes to the true surface, by points."""
+"""Surface metrics: how close a mesh comes to the true surface, by sampled points."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ MIN_VIEWS = 2
 
 
 def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface) -> dict[str, float]:
-    """Distances and normals of a mesh, in the truth's frame, against the truth; distances in its bounding radius.
+    """Measure distances and normals of a mesh, in the truth's frame, against the truth; return them by name.
 
-    accuracy: mean distance of area-uniform points of the mesh to the truth, without those whose nearest labelled
-    truth point fewer than two training views see. completeness: mean distance of the truth points that two views or
-    more see to the mesh. chamfer: the mean of both. f_005, f_010, f_020: F-scores at 0.5, 1 and 2%. normal_consistency:
-    mean |n . n'| over nearest points, both ways; normal_consistency_signed: without the absolute value. What rests on
-    no point at all, such as completeness where no two views see the same of the truth, is NaN.
+    Distances are in the truth's bounding radius. accuracy: mean distance of area-uniform points of the mesh to the
+    truth, without those whose nearest labelled truth point fewer than two training views see. completeness: mean
+    distance of the truth points that two views or more see to the mesh. chamfer: the mean of both. f_005, f_010, f_020:
+    F-scores at 0.5, 1 and 2%. normal_consistency: mean |n . n'| over nearest points, both ways;
+    normal_consistency_signed: without the absolute value. What rests on no point at all, such as completeness where no
+    two views see the same of the truth, is NaN.
 
     Raises MeshError for a mesh without faces.
     """

@@ -29,8 +29,11 @@ class Samples:
 
 @dataclass(frozen=True)
 class TrueSurface:
-    """The truth in the user's frame: vertices [V,3], faces [F,3]; labelled samples and how many training views see
-    each, view_counts [P]; radius of the bounding sphere about the middle of the box, the unit of all distances."""
+    """The true surface in the user's frame: vertices [V,3], faces [F,3].
+
+    labelled: samples of it; view_counts [P]: how many training views see each sample; radius of the bounding sphere
+    about the middle of the box, the unit of all distances.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -40,8 +43,11 @@ class TrueSurface:
 
 
 def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | None:
-    """The truth beside a scene: ``mesh_gt.ply``, with the labels of ``points_gt.npz`` or else by ray casting from the
-    training cameras (user's frame); None without a mesh. Raises SceneError for a mesh without faces."""
+    """Load the true surface beside a scene, ``mesh_gt.ply``; None where there is none.
+
+    Its samples have the labels of ``points_gt.npz``, or else those found by ray casting from the training cameras
+    (user's frame). Raises SceneError for a mesh without faces.
+    """
     path = folder / TRUTH
     if not path.is_file():
         return None
@@ -70,7 +76,7 @@ def _labels(
 
 
 def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Samples:
-    """`count` points on a mesh, area-uniform."""
+    """Sample `count` points on a mesh, area-uniform."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     points, index = trimesh.sample.sample_surface(mesh, count, seed=seed)
     return Samples(np.asarray(points), np.asarray(mesh.face_normals)[index])

@@ -1,4 +1,4 @@
-"""From stored to used numbers: scales from their logarithms, shares from their logits."""
+"""Activations of stored parameters: scales from their logarithms, shares from their logits."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any roundi
 
 
 def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
-    """exp of the log-scales, and the sigmoid of each of the logits; of any shapes, gradients flow. The exponential is
-    constant, and passes no gradient, over 80."""
+    """Return exp of the log-scales, and the sigmoid of each of the logits; of any shapes, gradients flow.
+
+    The exponential is constant, and passes no gradient, over 80.
+    """
     kinds = (Activation.EXP, *(Activation.SIGMOID for _ in logits))
     used: tuple[Tensor, ...] = _Activate.apply(kinds, log_scales, *logits)
     return used
@@ -50,8 +52,10 @@ class _Activate(torch.autograd.Function):
 
 
 def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Sequence[Tensor]) -> list[Tensor]:
-    """Return the used numbers of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
-    processor."""
+    """Return the activated values of contiguous tensors, outside the graph.
+
+    launcher: whose kernels to use, None on the processor.
+    """
     if launcher is None:
         return [
             each.clamp(max=LARGEST_LOG_SCALE).exp_() if kind is Activation.EXP else each.sigmoid()
@@ -65,7 +69,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
 def activated_vjp(
     launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
 ) -> list[Tensor | None]:
-    """Return the gradients of the stored numbers; None for some without one."""
+    """Return the gradients of the stored parameters from those of the activated values; None where there is none."""
     if launcher is None:
         return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
     v_stored = [torch.empty_like(each) for each in used]

@@ -15,8 +15,10 @@ from mgsr.ops.arrays import plain
 
 
 def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Whether any number of the tensors is not finite, or is over 1e19, whose square float32 does not hold: [] bool on
-    their device, which is not waited for."""
+    """Return whether any number of the tensors is not finite, or is over 1e19, whose square float32 does not hold.
+
+    The result is [] bool on their device, which is not waited for.
+    """
     launcher = launcher_for(tensors[0])
     if launcher is not None:
         return judge(launcher, [plain(tensor) for tensor in tensors])
@@ -26,8 +28,10 @@ def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
 
 
 def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = None) -> None:
-    """Take a step of optimisers of one device, on a card in one launch. bad [] bool, on a card: whether all gradients
-    count as zero (see `any_bad`)."""
+    """Take a step of optimisers of one device, on a card in one launch.
+
+    bad [] bool, on a card: whether all gradients count as zero (see `any_bad`).
+    """
     launcher = launcher_for(next(iter(optimizers[0].params.values())))
     if launcher is None:
         for optimizer in optimizers:
@@ -82,8 +86,10 @@ class FusedAdam:
         step_together([self])
 
     def set_lrs(self, lrs: Mapping[str, float]) -> None:
-        """Change all learning rates from the next step on; there may be more names than parameters. Raises TensorError
-        where a parameter's is missing."""
+        """Change all learning rates from the next step on; there may be more names than parameters.
+
+        Raises TensorError where a parameter's is missing.
+        """
         if not self.params.keys() <= lrs.keys():
             raise TensorError(f"set_lrs: expected a rate for each of {sorted(self.params)}, got {sorted(lrs)}")
         self.lrs = {name: lrs[name] for name in self.params}
@@ -117,7 +123,10 @@ class FusedAdam:
         self._second[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments, step counts and rates: with `params`, all that the next step depends on. Tensors are not copied."""
+        """Return moments, step counts and rates: with `params`, all that the next step depends on.
+
+        Tensors are not copied.
+        """
         return {
             "first": dict(self._first),
             "second": dict(self._second),
@@ -126,7 +135,7 @@ class FusedAdam:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Take over what `state_dict` gave, for parameters of the same names and shapes.
+        """Restore what `state_dict` returned, for parameters of the same names and shapes.
 
         Raises CheckpointError where they differ.
         """
@@ -164,7 +173,7 @@ class FusedAdam:
         return [(name, p.grad.contiguous()) for name, p in self.params.items() if p.grad is not None and p.numel()]
 
     def step_on_processor(self, due: Sequence[tuple[str, torch.Tensor]]) -> None:
-        """One step along the gradients that are due."""
+        """Take one step on the processor along the gradients that are due."""
         batch = _adam.AdamBatch(*self.betas, self.epsilon)
         for name, gradients in due:
             self._steps[name] += 1
@@ -174,7 +183,7 @@ class FusedAdam:
         batch.update()
 
     def groups(self, due: Sequence[tuple[str, torch.Tensor]]) -> list[tuple[Group, torch.Tensor, float, int]]:
-        """Return what a card's kernel takes for one step along the gradients that are due, which counts as taken."""
+        """Return what a card's kernel takes for one step along the gradients that are due, and count the step."""
         for name, _ in due:
             self._steps[name] += 1
         return [(self._group(name), gradients, self.lrs[name], self._steps[name]) for name, gradients in due]

@@ -1,4 +1,4 @@
-"""Handing tensors to the kernels."""
+"""The handing over of tensors to the kernels."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from mgsr.native.cuda.launcher import launcher_for
 
 
 def plain(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor as a kernel reads it: contiguous and outside the graph (no copy where it already is)."""
+    """Return the tensor as a kernel reads it: contiguous and outside the graph (no copy where it already is)."""
     tensor = tensor.detach() if tensor.requires_grad else tensor
     return tensor if tensor.is_contiguous() else tensor.contiguous()
 
 
 def on_card(tensor: torch.Tensor) -> bool:
-    """Whether a card's kernels work on the tensor, so that to read it is to wait for them."""
+    """Return whether a card's kernels work on the tensor, so that to read it is to wait for them."""
     return launcher_for(tensor) is not None
 
 
 def once_differentiable(backward: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a Function's backward refuse to be differentiated itself, with a TensorError. Torch's decorator of the name
-    costs ten times as much in each call."""
+    """Let a Function's backward refuse to be differentiated itself, with a TensorError.
+
+    Torch's decorator of the name costs ten times as much in each call.
+    """
 
     @wraps(backward)
     def checked(ctx: Any, *gradients: torch.Tensor | None) -> Any:

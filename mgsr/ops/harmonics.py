@@ -1,4 +1,4 @@
-"""Colour of splats from spherical harmonics, as the camera sees them."""
+"""Colours of splats from spherical harmonics, as the camera sees them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 def harmonics_to_rgb(
     coeffs: torch.Tensor, means: torch.Tensor, camera_center: torch.Tensor, degree: int
 ) -> torch.Tensor:
-    """Colours [N, 3] = max(0, SH(direction) + 0.5), direction = from the camera to the splat, unit.
+    """Return the colours [N, 3] = max(0, SH(direction) + 0.5), direction = from the camera to the splat, unit.
 
     coeffs: [N, K, 3], K = 1, 4, 9 or 16; gradients flow (zero for bands above ``degree``).
     means: [N, 3], world; gradients flow. camera_center: [3], world, best on the processor; no gradient.
@@ -36,7 +36,7 @@ def harmonics_to_rgb(
 
 
 def check_degree(coeffs: torch.Tensor, degree: int) -> None:
-    """Raise TensorError unless coefficients [N,K,3] are those of whole bands, up to the degree at least."""
+    """Check that coefficients [N,K,3] are of whole bands, up to `degree` at least; raise TensorError otherwise."""
     stored = coeffs.shape[1]
     if stored not in (1, 4, 9, 16):
         raise TensorError(f"coeffs: expected [N, K, 3] with K = 1, 4, 9 or 16, got K = {stored}")
@@ -65,8 +65,10 @@ class _Harmonics(torch.autograd.Function):
 def harmonics(
     launcher: Launcher | None, coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int
 ) -> torch.Tensor:
-    """Return the colours [N,3] of contiguous tensors, outside the graph. launcher: whose kernels to use, None on the
-    processor."""
+    """Return the colours [N,3] of contiguous tensors, outside the graph.
+
+    launcher: whose kernels to use, None on the processor. Other arguments as of `harmonics_to_rgb`.
+    """
     rgb = torch.empty_like(means)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
     kernels.forward(coeffs, means, center, degree, rgb)
@@ -83,8 +85,7 @@ def harmonics_vjp(
     v_rgb: torch.Tensor,
     v_means: torch.Tensor | None,
 ) -> torch.Tensor:
-    """Return the gradient of the coefficients [N,K,3]; that of the means is added to v_means [N,3], where it is
-    given."""
+    """Return the gradient of the coefficients [N,K,3], and add that of the means to v_means [N,3], if given."""
     v_coeffs = torch.empty_like(coeffs)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)
     kernels.backward(coeffs, means, center, degree, rgb, v_rgb, v_coeffs, v_means)

@@ -23,7 +23,7 @@ def image_loss(
     mask: torch.Tensor | None = None,
     region: Region | None = None,
 ) -> torch.Tensor:
-    """Scalar of `image_loss_term`, whose arguments these are."""
+    """Return the value [] of `image_loss_term`, whose arguments these are; gradients flow."""
     return scalar(image_loss_term(image, target, l1_weight, mask, region))
 
 
@@ -36,21 +36,21 @@ def image_loss_term(
     clip: bool = False,
     mask_sum: float | None = None,
 ) -> Term:
-    """``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, means over all pixels and channels.
+    """Return ``l1_weight * L1 + (1 - l1_weight) * (1 - SSIM)``, means over all pixels and channels.
 
     image, target: [H, W, 3], colours 0..1; gradients flow to each that requires them.
     l1_weight: 0..1.
     mask: [H, W] weights >= 0 or None; both terms become sum(mask * x) / sum(mask). SSIM windows still read the pixels
-        that the mask leaves out. A mask of zeros gives a loss of zero.
+    that the mask leaves out. A mask of zeros gives a loss of zero.
     clip: count what is over 1 in the image as 1, and pass it no gradient: photographs clip, so where one is white, a
-        brighter rendering is as right as a white one.
+    brighter rendering is as right as a white one.
     mask_sum: the mask's sum, where it is known: a card need not find it then.
     region: (y0, y1, x0, x1), ends excluded: a promise that image and target are equal outside. Costs only the region's
-        pixels; the loss is that of the whole image, the gradient outside the region is zero.
+    pixels; the loss is that of the whole image, the gradient outside the region is zero.
 
     SSIM: window of 11 taps, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2 (Wang et al. 2004). At equal pixels L1
-    passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The same bytes come
-    out for any thread count.
+    passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The same bytes come out
+    for any thread count.
 
     Raises TensorError for wrong shapes or dtypes, a weight outside 0..1, or a region that leaves the image.
     Source: method, "Render loss".

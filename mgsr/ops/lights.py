@@ -1,4 +1,4 @@
-"""What is made of rendered images before they are compared: reflected light added, and a flash let fall on them.
+"""Light added to rendered images before they are compared: reflected light, and a flash's.
 
 Forward and back, outside the graph, on contiguous tensors. launcher: whose kernels to use, None on the processor. There
 it goes channel by channel: torch's broadcast over, and sum along, an axis of three is several times slower.
@@ -17,11 +17,10 @@ OFFSET = 0.055
 
 
 def lit_up(launcher: Launcher | None, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor) -> Tensor:
-    """Return the image [H,W,3], in sRGB, of an object whose image under even light is `even` [H,W,3], with alpha [H,W]
-    before `background` [3].
+    """Return the image [H,W,3], in sRGB, of an object under a flash, from its image `even` [H,W,3] under even light.
 
-    lit [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on the object alone. Where that is nearly black,
-    the result may lie below 0.
+    alpha [H,W]: of the object; background [3]. lit [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on the
+    object alone. Where that is nearly black, the result may lie below 0.
     """
     image = torch.empty_like(even)
     if launcher is not None:
@@ -38,7 +37,10 @@ def lit_up(launcher: Launcher | None, even: Tensor, alpha: Tensor, background: T
 def lit_up_vjp(
     launcher: Launcher | None, v_image: Tensor, background: Tensor, lit: Tensor, v_alpha: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the gradients of even [H,W,3] and alpha [H,W]; v_alpha: what is added to the latter."""
+    """Return the gradients of even [H,W,3] and alpha [H,W], from that of the image, v_image [H,W,3].
+
+    v_alpha [H,W]: what is added to the latter.
+    """
     v_even = torch.empty_like(v_image)
     if launcher is not None:
         total = torch.empty_like(lit)
@@ -53,8 +55,10 @@ def lit_up_vjp(
 def with_reflection(
     launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, mirrored: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored; weight
-    [H,W]. Of own and mirrored one may be None."""
+    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored.
+
+    weight [H,W]. Of own and mirrored one may be None.
+    """
     if launcher is not None:
         color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
         LightKernels(launcher).add_reflection(transmitted, weight, own, mirrored, color, reflected)
@@ -74,7 +78,10 @@ def with_reflection_vjp(
     weight: Tensor,
     before: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the gradients of transmitted, weight, own and mirrored. before: what is added to the first three."""
+    """Return the gradients of transmitted, weight, own and mirrored, from that of the image, v_color [H,W,3].
+
+    before: what is added to the first three.
+    """
     if launcher is not None:
         v_transmitted, v_own, v_mirrored = (torch.empty_like(v_color) for _ in range(3))
         v_weight = torch.empty_like(weight)

@@ -1,4 +1,4 @@
-"""The light that a surface mirrors, looked up in maps of directions."""
+"""Environment map look-up: the light that a surface mirrors."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from mgsr.ops.arrays import once_differentiable, plain
 def look_up_mirrored(
     maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """The light [H, W, 3] from where each pixel's surface mirrors the camera's sight to: the sum of both maps there.
+    """Return the light [H, W, 3] that each pixel's surface mirrors towards the camera: the sum of both maps.
 
     maps: [2, S, S, 3], light by direction, row by row; gradients flow. Each is the octahedron |x| + |y| + |z| = 1 seen
-        from +z, its far half folded out over the corners: the first in the world's axes, the second in the camera's,
-        its middle the way back to the camera. Read bilinearly between the texels' centres, outside them as at them.
+    from +z, its far half folded out over the corners: the first in the world's axes, the second in the camera's, its
+    middle the way back to the camera. Read bilinearly between the texels' centres, outside them as at them.
     normals: [H, W, 3], world frame, of any length; gradients flow. One that is zero gives some light and no gradient.
     pixels: [P] int64, which to look at, row x W + column, each once; elsewhere light and gradients are 0. By default
-        all.
+    all.
 
     The same bytes come out for any thread count.
 
@@ -74,5 +74,5 @@ class _Mirrored(torch.autograd.Function):
 
 
 def _like(normals: torch.Tensor, pixels: torch.Tensor | None) -> torch.Tensor:
-    """Room for the kernels' results: they write the chosen pixels alone."""
+    """Allocate the kernels' result [H,W,3]; it is zero where they write only chosen pixels."""
     return torch.empty_like(normals) if pixels is None else torch.zeros_like(normals)

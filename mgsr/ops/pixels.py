@@ -1,4 +1,4 @@
-"""What losses are made of beside image kernels: targets, coverage, and terms that look at each number alone."""
+"""Building blocks of losses beside image kernels: targets, coverage, and terms that look at each number alone."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
 def composite(
     image: Tensor, mask: Tensor, background: Tensor, off_edge: Tensor | None = None, region: Region | None = None
 ) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Return a photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W] as numbers 0 or
-    1.
+    """Composite a photograph in bytes on a colour: color [H,W,3], alpha [H,W] in 0..1, and off_edge [H,W], 0 or 1.
 
     image [H,W,3] uint8, straight colours; mask [H,W] uint8; background [3]; off_edge [H,W] bool; region (y0, y1, x0,
     x1), ends excluded: the mask is 0 outside.
@@ -42,7 +41,7 @@ def composite(
 
 
 def covered(alpha: Tensor, mask: Tensor | None = None) -> Tensor:
-    """[H,W] float32: 1 where alpha [H,W] and, if given, the mask [H,W] are over a half, else 0. No gradient."""
+    """Return 1 where alpha [H,W] and, if given, the mask [H,W] are over a half, else 0: [H,W] float32, no gradient."""
     alpha = plain(alpha)
     launcher = launcher_for(alpha)
     if launcher is None:
@@ -54,11 +53,10 @@ def covered(alpha: Tensor, mask: Tensor | None = None) -> Tensor:
 
 
 def silhouette_term(alpha: Tensor, mask: Tensor, weights: Tensor | None = None, entropy: bool = False) -> Term:
-    """Return the mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy, alpha kept 1e-4 from 0
-    and 1.
+    """Return the mean over all pixels of |alpha - mask|, or with `entropy` of the cross entropy.
 
-    alpha [H,W] in 0..1, gradients flow; mask [H,W] in 0..1; weights [H,W] multiply both before they are compared.
-    Raises TensorError for wrong shapes or dtypes.
+    alpha [H,W] in 0..1, gradients flow, kept 1e-4 from 0 and 1 in the cross entropy; mask [H,W] in 0..1; weights [H,W]
+    multiply both before they are compared. Raises TensorError for wrong shapes or dtypes.
     """
     check_tensors(alpha=(alpha, "H W"), mask=(mask, "H W"), weights=(weights, "? H W"))
     own, other, by = plain(alpha), plain(mask), None if weights is None else plain(weights)
@@ -107,8 +105,10 @@ def squares_term(
 
 
 def product_term(weight: Tensor, color: Tensor) -> Term:
-    """Return the mean over pixels and channels of weight [H,W] times color [H,W,3]; gradients flow to both. Raises
-    TensorError for wrong shapes or dtypes."""
+    """Return the mean over pixels and channels of weight [H,W] times color [H,W,3]; gradients flow to both.
+
+    Raises TensorError for wrong shapes or dtypes.
+    """
     check_tensors(weight=(weight, "H W"), color=(color, "H W 3"))
     factor, image = plain(weight), plain(color)
     launcher = launcher_for(factor)
@@ -124,8 +124,10 @@ def product_term(weight: Tensor, color: Tensor) -> Term:
 
 
 def steps_term(maps: Tensor) -> Term:
-    """Return the mean square of the steps from line to line plus that from column to column in maps [M,S,S,C];
-    gradients flow. 0 for maps of one texel. Raises TensorError for a wrong shape or dtype."""
+    """Return the mean square of the steps between rows plus that between columns in maps [M,S,S,C]; gradients flow.
+
+    It is 0 for maps of one texel. Raises TensorError for a wrong shape or dtype.
+    """
     sizes = check_tensors(maps=(maps, "M S S C"))
     values, by = plain(maps), sizes["M"] * sizes["S"] * (sizes["S"] - 1) * sizes["C"]
     launcher = launcher_for(values)

@@ -1,4 +1,4 @@
-"""What both rasterizers share: a rendering as one node of torch's graph, and what is known of each splat in it."""
+"""Parts that both rasterizers share: a rendering as one node of torch's graph, and statistics of its splats."""
 
 from __future__ import annotations
 
@@ -14,20 +14,26 @@ from mgsr.ops.arrays import once_differentiable, plain
 
 @dataclass
 class SplatStats:
-    """Per-splat facts of one render: radii [N] pixels (0 where culled), and, once backward has run, v_means2d
-    [N,2], the gradient of the loss to each projected centre in pixels."""
+    """Statistics of each splat in one render.
+
+    radii [N]: pixels, 0 where culled; v_means2d [N,2]: once backward has run, the gradient of the loss to each
+    projected centre in pixels.
+    """
 
     radii: Tensor
     v_means2d: Tensor | None = field(default=None)
 
     @property
     def visible(self) -> Tensor:
-        """Which splats were not culled, [N] bool."""
+        """Return which splats were not culled, [N] bool."""
         return self.radii > 0
 
 
 class RasterPass(Protocol):
-    """One rendering, forward and back, outside the graph. splats: its tensors, contiguous, the background last."""
+    """One rendering, forward and back, outside the graph.
+
+    splats: its tensors, contiguous, the background last.
+    """
 
     def forward(self, splats: Sequence[Any]) -> tuple[Tensor | None, ...]:
         """Return the images: colour and alpha, then others."""
@@ -35,8 +41,10 @@ class RasterPass(Protocol):
     def backward(
         self, splats: Sequence[Any], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> Sequence[Tensor | None]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images, each
-        contiguous or None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images.
+
+        Each of the images' is contiguous or None.
+        """
 
 
 class Rasterize(torch.autograd.Function):

@@ -1,4 +1,4 @@
-"""What densification gathers of a rendering's splats."""
+"""Screen-space statistics of a rendering's splats, for densification."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ def gather_gradients(
     scale: tuple[float, float],
     bad: Tensor | None = None,
 ) -> None:
-    """In place: gradient_sum [N] += the lengths of v_means2d [N,2] times `scale`; seen [N] += 1 where radii [N] > 0.
-    bad [] bool, on a card: whether the gradients count as zero.
+    """Add the gradient lengths of one image to gradient_sum [N], and count the splats that it shows in seen [N].
+
+    In place: gradient_sum [N] += the lengths of v_means2d [N,2] times `scale`; seen [N] += 1 where radii [N] > 0. bad
+    [] bool, on a card: whether the gradients count as zero.
 
     Raises TensorError for wrong shapes or dtypes, or tensors on different devices. No gradients flow.
     """

@@ -1,4 +1,4 @@
-"""Rasterize 2D surfels: colour, alpha, expected and median depth, normal and, when asked for, distortion."""
+"""Rasterization of 2D surfels: colour, alpha, expected and median depth, normal and, when asked for, distortion."""
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ from mgsr.ops.raster import Rasterize, SplatStats
 
 @dataclass(frozen=True)
 class SurfelOptions:
-    """near: camera units, splats whose centre is nearer are left out, and so are hits that are nearer; far: camera
-    units, with near the unit of distortion's depths, nothing is cut there; low_pass: px^2, variance of the floor
-    around the projected centre; distortion: whether to render it.
+    """The options of the surfel rasterizer.
 
-    2DGS's low-pass is 0.5 px^2. It fattens silhouettes, and training answers with a smaller object: the default is
-    near a pixel's own variance of 1/12."""
+    near: camera units, splats whose centre is nearer are left out, and so are hits that are nearer; far: camera units,
+    with near the unit of distortion's depths, nothing is cut there; low_pass: px^2, variance of the floor around the
+    projected centre; distortion: whether to render it.
+
+    2DGS's low-pass is 0.5 px^2. It fattens silhouettes, and training answers with a smaller object: the default is near
+    a pixel's own variance of 1/12.
+    """
 
     near: float = 0.01
     far: float = 100.0
@@ -36,11 +39,14 @@ class SurfelOptions:
 
 @dataclass(frozen=True)
 class SurfelRaster:
-    """color [H,W,3]: over the background. alpha [H,W]: 1 - transmittance. depth [H,W]: mean camera z, 0 where nothing
-    is. median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not.
-    normal [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised. distortion [H,W]: sum over
-    pairs of splats (each pair once) of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or
-    None where not asked for."""
+    """The images of a surfel rendering.
+
+    color [H,W,3]: over the background. alpha [H,W]: 1 - transmittance. depth [H,W]: mean camera z, 0 where nothing is.
+    median_depth [H,W]: camera z of the splat at which transmittance falls through 1/2, 0 where it does not. normal
+    [H,W,3]: world frame, towards the camera, sum of alpha T n, not renormalised. distortion [H,W]: sum over pairs of
+    splats (each pair once) of w_i w_j (m_i - m_j)^2 with w = alpha T and m = (z - near) / (far - near), or None where
+    not asked for.
+    """
 
     color: Tensor
     alpha: Tensor
@@ -95,8 +101,10 @@ def rasterize_surfels(
 
 
 class SurfelPass:
-    """One rendering of surfels, forward and back, outside the graph. differentiable: whether `backward` will be called;
-    stats: of the rendering, once it is done."""
+    """One rendering of surfels, forward and back, outside the graph.
+
+    differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
+    """
 
     def __init__(self, camera: Camera, options: SurfelOptions, launcher: Launcher | None, differentiable: bool) -> None:
         self.stats = SplatStats(torch.empty(0))
@@ -114,8 +122,10 @@ class SurfelPass:
         self._frame: Any = None
 
     def forward(self, splats: Sequence[Tensor]) -> tuple[Tensor | None, ...]:
-        """color, alpha, depth, median_depth, normal and distortion. splats: contiguous, the tensors of
-        `rasterize_surfels` in its order, the background last."""
+        """Render color, alpha, depth, median_depth, normal and distortion, each [H,W] or [H,W,3].
+
+        splats: contiguous, the tensors of `rasterize_surfels` in its order, the background last.
+        """
         means = splats[0]
         plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
         color, normal = means.new_empty(triple), means.new_empty(triple)
@@ -129,8 +139,10 @@ class SurfelPass:
     def backward(
         self, splats: Sequence[Tensor], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images, each
-        contiguous or None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images.
+
+        Each of the images' is contiguous or None.
+        """
         # A card's kernels write all of it.
         new_like = torch.zeros_like if self._kernels is _surfels else torch.empty_like
         v_splats = [new_like(t) for t in splats[:-1]]

@@ -1,8 +1,8 @@
 """Loss terms that bring their derivatives along, and their values as one node of the graph.
 
-A term's kernel finds its value and what it says of each image in one pass. Scaled and added up are these only once, for
-all terms together: an image that five terms look at gets its gradient in one pass over it, and a training step has one
-node where it would have dozens.
+A term's kernel finds its value and its derivative for each image in one pass. They are scaled and added up only once,
+for all terms together: an image that five terms look at gets its gradient in one pass over it, and a training step has
+one node where it would have dozens.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ class Total:
 
 @dataclass(slots=True)
 class Slope:
-    """What a term says of one tensor of the graph: the derivative of its sum is factor * values, which is shaped like
-    the image or has one number a pixel. region (y0, y1, x0, x1), ends excluded: outside, the values are not read and
-    the derivative is 0."""
+    """A term's derivative for one tensor of the graph.
+
+    The derivative of the term's sum is factor * values, which is shaped like the image or has one number a pixel.
+    region (y0, y1, x0, x1), ends excluded: outside, the values are not read and the derivative is 0.
+    """
 
     image: Tensor
     values: Tensor
@@ -41,8 +43,11 @@ class Slope:
 
 @dataclass(slots=True)
 class Term:
-    """A number to make small, times a weight. A number times a term is a term; `float` gives its value, and `scalar`
-    makes a tensor of it that gradients flow through."""
+    """A loss term: a number to make small, times a weight.
+
+    A number times a term is a term; `float` gives its value, and `scalar` makes a tensor of it that gradients flow
+    through.
+    """
 
     sums: Total | Sums
     slopes: tuple[Slope, ...]
@@ -56,7 +61,7 @@ class Term:
 
 
 def wanted(*tensors: Tensor) -> list[bool]:
-    """Which of these tensors a gradient is wanted for."""
+    """Return for each of the tensors whether it needs a gradient."""
     return [torch.is_grad_enabled() and tensor.requires_grad for tensor in tensors]
 
 
@@ -66,7 +71,7 @@ def scalar(term: Term) -> Tensor:
 
 
 def evaluate(terms: Sequence[Term]) -> Tensor:
-    """Return the values [T] of terms, weighted; gradients flow to their images. All must be of one device."""
+    """Return the weighted values [T] of terms of one device; gradients flow to their images."""
     images: dict[int, Tensor] = {id(slope.image): slope.image for term in terms for slope in term.slopes}
     values: Tensor = _Evaluate.apply(tuple(terms), list(images), *images.values())
     return values
@@ -95,7 +100,10 @@ class _Evaluate(torch.autograd.Function):
 
 
 def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
-    """Who adds up the slopes, the values, and what the slopes must be multiplied by."""
+    """Evaluate the terms of one device: the kernels that add up their slopes, the values [T], and the slopes' scales.
+
+    On the processor there are no kernels: None.
+    """
     on_card = [(term.sums, term.weight) for term in terms if isinstance(term.sums, Sums)]
     if on_card:
         assert len(on_card) == len(terms), "terms of one loss must be of one device"

@@ -14,21 +14,21 @@ from mgsr.ops.terms import Slope, Term, Total, scalar, wanted
 
 
 def edge_aware_tv(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
-    """Scalar of `edge_aware_tv_term`, whose arguments these are."""
+    """Return the value [] of `edge_aware_tv_term`, whose arguments these are; gradients flow."""
     return scalar(edge_aware_tv_term(values, guide, mask))
 
 
 def edge_aware_tv_term(values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None) -> Term:
-    """Mean over all pairs of neighbours and channels of (difference)^2 * exp(-|difference of the guide|).
+    """Return the mean over pairs of neighbours and channels of (difference)^2 * exp(-|difference of the guide|).
 
     The pairs of both axes form one mean; the guide's absolute difference is averaged over its channels.
 
     values: [H, W] or [H, W, C]; gradients flow. guide: [H, W, 3]; no gradient.
     mask: [H, W] weights >= 0 or None; a pair counts by the product of its pixels' weights, so that with zeros and ones
-        only pairs count that lie inside with both pixels. Without a pair (one pixel, an empty mask) the result is 0.
+    only pairs count that lie inside with both pixels. Without a pair (one pixel, an empty mask) the result is 0.
 
-    A NaN in values makes the result NaN; gradients are NaN at that pixel and its neighbours. Same bytes for any
-    thread count.
+    A NaN in values makes the result NaN; gradients are NaN at that pixel and its neighbours. Same bytes for any thread
+    count.
 
     Raises TensorError for wrong shapes or dtypes.
     Source: method, "TV".

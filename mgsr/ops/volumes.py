@@ -1,4 +1,4 @@
-"""Rasterize 3D Gaussians: one opacity, or a transmitted and a reflected one over the same footprint."""
+"""Rasterization of 3D Gaussians, with one opacity, or a transmitted and a reflected one over the same footprint."""
 
 from __future__ import annotations
 
@@ -28,9 +28,11 @@ class Reflected(NamedTuple):
 
 @dataclass(frozen=True)
 class VolumeOptions:
-    """near: camera units, splats nearer are left out; low_pass: px^2 added to each projected covariance;
-    compensate: lower the opacity by what the low-pass adds, so that zooming out keeps the energy; depth: whether
-    to render depth."""
+    """The options of the rasterizer of 3D Gaussians.
+
+    near: camera units, splats nearer are left out; low_pass: px^2 added to each projected covariance; compensate: lower
+    the opacity by what the low-pass adds, so that zooming out keeps the energy; depth: whether to render depth.
+    """
 
     near: float = 0.01
     low_pass: float = 0.3
@@ -40,8 +42,11 @@ class VolumeOptions:
 
 @dataclass(frozen=True)
 class VolumeRaster:
-    """color [H,W,3]: transmitted light over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean
-    camera z, 0 where nothing is, or None; reflected [H,W,3] and weight [H,W]: None for single opacity."""
+    """The images of a rendering of 3D Gaussians.
+
+    color [H,W,3]: transmitted light over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean camera z, 0
+    where nothing is, or None; reflected [H,W,3] and weight [H,W]: None for single opacity.
+    """
 
     color: Tensor
     alpha: Tensor
@@ -92,8 +97,10 @@ def rasterize_volumes(
 
 
 class VolumePass:
-    """One rendering of Gaussians, forward and back, outside the graph. differentiable: whether `backward` will be
-    called; stats: of the rendering, once it is done."""
+    """One rendering of Gaussians, forward and back, outside the graph.
+
+    differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
+    """
 
     def __init__(self, camera: Camera, options: VolumeOptions, launcher: Launcher | None, differentiable: bool) -> None:
         self.stats = SplatStats(torch.empty(0))
@@ -111,8 +118,11 @@ class VolumePass:
         self._frame: Any = None
 
     def forward(self, splats: Sequence[Tensor | None]) -> tuple[Tensor | None, ...]:
-        """color, alpha, depth, reflected and weight. splats: contiguous, the tensors of `rasterize_volumes` in its
-        order, with the reflected three, or None for each of them, before the background."""
+        """Render color, alpha, depth, reflected and weight, each [H,W] or [H,W,3].
+
+        splats: contiguous, the tensors of `rasterize_volumes` in its order, with the reflected three, or None for each
+        of them, before the background.
+        """
         means, dual = splats[0], splats[5] is not None
         assert means is not None
         plane, triple = self._view[3:1:-1], (*self._view[3:1:-1], 3)
@@ -126,8 +136,10 @@ class VolumePass:
     def backward(
         self, splats: Sequence[Tensor | None], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor | None]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images, each
-        contiguous or None."""
+        """Return the gradients of the splats' tensors without the background's, from those of the images.
+
+        Each of the images' is contiguous or None.
+        """
         # A card's kernels write all of it.
         new_like = torch.zeros_like if self._kernels is _volumes else torch.empty_like
         v_splats = [t if t is None else new_like(t) for t in splats[:-1]]

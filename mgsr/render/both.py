@@ -1,4 +1,4 @@
-"""Both branches seen by one camera, the 3D branch with the light that the 2D branch's surface mirrors."""
+"""Rendering of both branches from one camera, the 3D branch with the light that the 2D branch's surface mirrors."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ def render_both(
     depth: bool = True,
     lit: Tensor | None = None,
 ) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    """Return what each branch shows; None for one that is not there. depth: of the 3D branch; off saves its time; lit:
-    as for `render_volumes`."""
+    """Render each branch from one camera; None for one that is not there.
+
+    depth: of the 3D branch; off saves its time; lit: as for `render_volumes`.
+    """
     flat = None if surfels is None else render_surfels(surfels, camera, background, lit=lit)
     if volumes is None:
         return flat, None

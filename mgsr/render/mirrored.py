@@ -1,4 +1,4 @@
-"""What a surface mirrors in each pixel: the shared light, looked up where the normal throws the line of sight.
+"""The mirrored light in each pixel: the environment maps, looked up where the normal reflects the line of sight.
 
 Deferred shading: the sight is mirrored once a pixel, at the 2D branch's blended normals, or at the mesh once there is
 one. Highlights so follow the shape, also in views and places where no photograph saw them; and where photographs show
@@ -22,7 +22,7 @@ def mirrored_light(
     pixels: Tensor | None = None,
     shining: Light | None = None,
 ) -> Tensor:
-    """Return the light [H,W,3] that comes from where each pixel's surface mirrors the camera's sight to.
+    """Return the light [H,W,3] that each pixel's surface mirrors towards the camera.
 
     normal [H,W,3]: the 2D branch's, world frame, of any length, for a light without a reflector; where it is zero, the
     result means nothing. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by
@@ -43,8 +43,11 @@ def mirrored_light(
 
 
 def octahedral(directions: Tensor) -> Tensor:
-    """Places [P,2] in -1..1 of directions [3,P], of any length: the octahedron |x|+|y|+|z| = 1 seen from +z, its far
-    half folded out over the corners. The same as `octahedral` of native/math/mirrored.h, for pictures of the maps."""
+    """Map directions [3,P], of any length, to places [P,2] in -1..1 of an octahedral map.
+
+    It is the octahedron |x|+|y|+|z| = 1 seen from +z, its far half folded out over the corners. The same as
+    `octahedral` of native/math/mirrored.h, for pictures of the maps.
+    """
     x, y, z = directions / directions.abs().sum(dim=0).clamp_min(1e-9)
     across, along = torch.where(x >= 0, 1.0, -1.0), torch.where(y >= 0, 1.0, -1.0)
     folded = (1 - y.abs()) * across, (1 - x.abs()) * along

@@ -1,4 +1,4 @@
-"""What a rendering holds: named images of one camera."""
+"""The outputs of a rendering: named images of one camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mgsr.data.camera import Camera
 
 @dataclass(frozen=True)
 class SurfelOutputs:
-    """The 2D branch seen by one camera.
+    """The 2D branch's images of one camera.
 
     color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
     where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked
@@ -56,5 +56,5 @@ class VolumeOutputs:
 
 
 def camera_center(camera: Camera) -> Tensor:
-    """[3] float32, world, on the processor, which hands it to the kernels."""
+    """Return the camera's centre [3] float32, world, on the processor, which hands it to the kernels."""
     return torch.from_numpy(camera.center.astype(np.float32))

@@ -1,4 +1,4 @@
-"""Renders the 2D branch."""
+"""Rendering of the 2D branch."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def render_surfels(
     distortion: bool = False,
     lit: Tensor | None = None,
 ) -> SurfelOutputs:
-    """The surfels seen by any camera, at its size.
+    """Render the surfels from any camera, at its size.
 
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
     stored; lit [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
@@ -58,7 +58,7 @@ def render_surfels(
 
 @dataclass
 class _Rendering:
-    """What a rendering is made with, beside the surfels."""
+    """The inputs of a rendering beside the surfels."""
 
     raster: SurfelPass
     launcher: Launcher | None
@@ -69,7 +69,10 @@ class _Rendering:
 
 
 class _RenderSurfels(torch.autograd.Function):
-    """From stored parameters to images in one node: scales and opacities, colours, the raster and the flash."""
+    """The rendering from stored parameters to images, in one node.
+
+    It has scales and opacities, colours, the raster and the flash.
+    """
 
     @staticmethod
     def forward(ctx: Any, r: _Rendering, *stored: Tensor) -> tuple[Tensor | None, ...]:

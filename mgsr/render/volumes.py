@@ -1,4 +1,4 @@
-"""Renders the 3D branch and puts its two lights together."""
+"""Rendering of the 3D branch: its transmitted and reflected light put together."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def render_volumes(
     mirrored: Tensor | None = None,
     lit: Tensor | None = None,
 ) -> VolumeOutputs:
-    """The Gaussians seen by any camera, at its size.
+    """Render the Gaussians from any camera, at its size.
 
-    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
-    the reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.render.mirrored`); lit [H,W]: what a flash makes of the transmitted colour
-    (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's tensors, and to
-    the mirrored light, where these ask for them; from `reflected` and `even` none flow.
+    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and the
+    reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is added
+    to the reflected colour (see `mgsr.render.mirrored`); lit [H,W]: what a flash makes of the transmitted colour (see
+    `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's tensors, and to the
+    mirrored light, where these ask for them; from `reflected` and `even` none flow.
 
     Raises TensorError for a model whose tensors don't fit together.
     """
@@ -85,8 +85,10 @@ class _Rendering:
 
 
 class _RenderVolumes(torch.autograd.Function):
-    """From stored parameters to images in one node: scales and shares, colours, the raster, the flash and the
-    reflected light."""
+    """The rendering from stored parameters to images, in one node.
+
+    It has scales and shares, colours, the raster, the flash and the reflected light.
+    """
 
     @staticmethod
     def forward(ctx: Any, r: _Rendering, mirrored: Tensor | None, *stored: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -144,7 +146,7 @@ class _RenderVolumes(torch.autograd.Function):
 def _to_stored(
     r: _Rendering, sh: Tensor, refl_sh: Tensor | None, splats: list[Any], v_splats: list[Any]
 ) -> tuple[Tensor | None, ...]:
-    """From the gradients of what the raster takes to those of what is stored."""
+    """Propagate the gradients of what the raster takes back to the stored parameters."""
     means, _, scales, opacities, rgb, refl_opacities, refl_rgb, weights, _ = splats
     v_means, v_quats, v_scales, v_opacities, v_rgb, v_refl_opacities, v_refl_rgb, v_weights = v_splats
     v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degrees[0], rgb, v_rgb, v_means)

@@ -1,4 +1,7 @@
-"""Small line charts as inline SVG. Colours come from the page's style, so they follow light and dark."""
+"""Small line charts as inline SVG.
+
+Colours come from the page's style, so they follow light and dark.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Boundary:
-    """A stage's beginning on the x axis and its label."""
+    """The beginning of a stage: its place on the x axis and its label."""
 
     x: float
     label: str
@@ -30,7 +33,7 @@ class Boundary:
 
 @dataclass(frozen=True)
 class Axes:
-    """Both axes' titles, and whether y begins at 0."""
+    """The titles of both axes, and whether y begins at 0."""
 
     title: str
     x: str
@@ -40,7 +43,7 @@ class Axes:
 
 @dataclass(frozen=True)
 class _Frame:
-    """The data's rectangle, and where its points lie in the picture."""
+    """The data's rectangle, and its mapping into the picture."""
 
     low: tuple[float, float]
     high: tuple[float, float]
@@ -52,7 +55,7 @@ class _Frame:
 
 
 def line_chart(lines: Sequence[Line], axes: Axes, boundaries: Sequence[Boundary] = ()) -> str:
-    """An <svg> element with its lines labelled at their ends; empty text where no line has a point."""
+    """Draw an <svg> element with its lines labelled at their ends; empty text where no line has a point."""
     lines = [line for line in lines if line.points]
     if not lines:
         return ""
@@ -66,14 +69,14 @@ def line_chart(lines: Sequence[Line], axes: Axes, boundaries: Sequence[Boundary]
 
 
 def ticks(low: float, high: float, about: int) -> list[float]:
-    """Round numbers (1, 2 or 5 times a power of ten apart) in low..high, about so many."""
+    """Return about `about` round numbers (1, 2 or 5 times a power of ten apart) in low..high."""
     step = _round_step((high - low) / max(about, 1))
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [count * step for count in range(first, last + 1)]
 
 
 def short_number(value: float) -> str:
-    """12, 3.5, 12k, 1.2M."""
+    """Format a number shortly: 12, 3.5, 12k, 1.2M."""
     for size, letter in ((1e6, "M"), (1e3, "k")):
         if abs(value) >= size:
             return f"{value / size:.3g}{letter}"
@@ -112,7 +115,7 @@ def _grid(frame: _Frame, axes: Axes) -> list[str]:
 
 
 def _stages(frame: _Frame, boundaries: Sequence[Boundary]) -> list[str]:
-    """A dashed line where a stage begins, its label right of it where the stage is wide enough for the words."""
+    """Draw a dashed line where a stage begins, with its label where the stage is wide enough for the words."""
     parts = []
     places = [*(boundary.x for boundary in boundaries), frame.high[0]]
     for boundary, end in zip(boundaries, places[1:], strict=True):
@@ -136,7 +139,7 @@ def _line(line: Line, frame: _Frame) -> str:
 
 
 def _end_labels(lines: Sequence[Line], frame: _Frame) -> list[str]:
-    """Label and last value right of each line's end, moved apart where they would touch."""
+    """Draw label and last value right of each line's end, moved apart where they would touch."""
     ends = sorted((frame.at(*line.points[-1])[1], index) for index, line in enumerate(lines))
     parts, lowest = [], -math.inf
     for y, index in ends:

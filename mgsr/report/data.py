@@ -1,4 +1,4 @@
-"""What report.json and report.html say about a run, as named fields."""
+"""The contents of report.json and report.html, as named fields."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class StageRun:
-    """A training stage: its iterations, why it ended (iterations, converged, budget or deadline), and how many splats
-    were dropped then, since they carried next to nothing of the light."""
+    """A training stage.
+
+    Its iterations, why it ended (iterations, converged, budget or deadline), and how many splats were dropped then,
+    since they contributed next to nothing to the light.
+    """
 
     iterations: int
     stopped: str
@@ -20,8 +23,11 @@ class StageRun:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One row of the curve: seconds of training; PSNR in dB on views that no branch trains on, None without such
-    views or for a branch that is not there; splats in each branch."""
+    """One row of the curve.
+
+    Seconds of training; PSNR in dB on views that no branch trains on, None without such views or for a branch that is
+    not there; splats in each branch.
+    """
 
     seconds: float
     stage: str
@@ -46,7 +52,7 @@ class MeshFacts:
 
 @dataclass(frozen=True)
 class Decision:
-    """Something that was chosen for the person: what, what it came to, and the reason."""
+    """A choice that was made for the person: what, what it came to, and the reason."""
 
     what: str
     choice: str
@@ -82,15 +88,18 @@ class ReportData:
     other: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """The object of report.json: only plain types, and None for what is not a finite number."""
+        """Return the object of report.json: only plain types, and None for what is not a finite number."""
         plain = asdict(self)
         other = plain.pop("other")
         return finite(other | plain)
 
     @staticmethod
     def from_json(report: Mapping[str, Any]) -> ReportData:
-        """The run that such an object tells of. Raises KeyError, with the name, where a field without default lacks;
-        psnr_test, ssim_test, mesh and gt may lack, which is None."""
+        """Return the run that such an object tells of.
+
+        psnr_test, ssim_test, mesh and gt may lack, which is None. Raises KeyError, with the name, where another field
+        without default lacks.
+        """
         names = {each.name for each in fields(ReportData)} - {"other"}
         known: dict[str, Any] = dict.fromkeys(("psnr_test", "ssim_test", "mesh", "gt"))
         known |= {name: value for name, value in report.items() if name in names}
@@ -111,7 +120,7 @@ REQUIRED = (
 
 
 def finite(value: Any) -> Any:
-    """The same nest of plain types, with None for NaN and infinities, which JSON does not know."""
+    """Return the same nest of plain types, with None for NaN and infinities, which JSON does not know."""
     if isinstance(value, Mapping):
         return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -122,7 +131,7 @@ def finite(value: Any) -> Any:
 
 
 def _pick(kind: type, values: Any) -> Any:
-    """A dataclass of the entries that it knows."""
+    """Build a dataclass from the entries that it knows."""
     if isinstance(values, kind):
         return values
     names = {each.name for each in fields(kind)}

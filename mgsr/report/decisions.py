@@ -1,4 +1,4 @@
-"""What was decided on the person's behalf, told from the facts in report.json."""
+"""The decisions that were made on the person's behalf, told from the facts in report.json."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _before_plain_backdrop(given: dict[str, Any], train: dict[str, Any]) -> bool
 
 
 def _outlines_learned(given: dict[str, Any], train: dict[str, Any]) -> bool:
-    """Outlines that come to nothing leave a start without them."""
+    """Return whether masks were learned for the start; masks that come to nothing leave a start without them."""
     source = (given.get("starting_points") or {}).get("source")
     return _before_plain_backdrop(given, train) and source not in ("stereo", "ball")
 

@@ -16,12 +16,15 @@ EFFORT = 4  # of WebP, 0 to 6: the last steps take a hundred times as long where
 
 
 def data_address(pixels: np.ndarray, max_side: int) -> str:
-    """`data:image/webp;base64,...` of a picture uint8 [H,W,3] or [H,W,4], made smaller if a side exceeds max_side."""
+    """Return a picture uint8 [H,W,3] or [H,W,4] as `data:image/webp;base64,...`, reduced if a side exceeds max_side."""
     return "data:image/webp;base64," + base64.b64encode(webp(shrunk(pixels, max_side))).decode()
 
 
 def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
-    """The picture with no side longer than max_side. Colours are weighted by alpha, so that no rim appears."""
+    """Reduce a picture so that no side is longer than max_side.
+
+    Colours are weighted by alpha, so that no rim appears.
+    """
     height, width = pixels.shape[:2]
     factor = max_side / max(height, width)
     if factor >= 1:
@@ -36,7 +39,10 @@ def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
 
 
 def webp(pixels: np.ndarray) -> bytes:
-    """A WebP file. Raises MgsrError where OpenImageIO can't write one."""
+    """Encode a picture as a WebP file.
+
+    Raises MgsrError where OpenImageIO can't write one.
+    """
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")

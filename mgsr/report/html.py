@@ -1,4 +1,4 @@
-"""report.html: one file with everything in it, for a person with a browser and no network."""
+"""The page report.html: one file with everything in it, for a person with a browser and no network."""
 
 from __future__ import annotations
 
@@ -37,12 +37,15 @@ STEPS = (
 
 
 def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:
-    """Write the page to `path`. It asks for nothing outside itself; all text from the run is escaped."""
+    """Write the page to `path`.
+
+    It asks for nothing outside itself; all text from the run is escaped.
+    """
     path.write_text(report_page(data, pictures), encoding="utf-8")
 
 
 def report_page(data: ReportData, pictures: ReportPictures) -> str:
-    """The page as text."""
+    """Return the page as text."""
     title = escape(data.scene)
     sections = (
         _light_split(pictures.views),
@@ -170,8 +173,10 @@ def _mirrored(pictures: Sequence[Picture]) -> str:
 
 
 def _light_alone(pixels: np.ndarray) -> np.ndarray:
-    """uint8 [H,W,4] that adds as much light as the picture over black [H,W,3] but is clear where that is black: an
-    opaque black would show at the rounded corners."""
+    """Return a picture uint8 [H,W,4] of the light in one over black [H,W,3], transparent where there is none.
+
+    It adds as much light as the given one. An opaque black would show at the rounded corners.
+    """
     brightest = pixels[..., :3].max(axis=2, keepdims=True)
     straight = pixels[..., :3] / np.maximum(brightest / 255, 1 / 255)
     return np.concatenate([np.rint(straight).clip(0, 255).astype(np.uint8), brightest], axis=2)
@@ -261,7 +266,7 @@ def _curves(data: ReportData) -> str:
 
 
 def _boundaries(data: ReportData) -> list[Boundary]:
-    """Where each stage begins: at the last row of the one before, the nearest that the curve knows."""
+    """Return where each stage begins: at the last row of the one before, the nearest that the curve knows."""
     found = [Boundary(0.0, stage_name(data.curve[0].stage))]
     for before, row in zip(data.curve, data.curve[1:], strict=False):
         if row.stage != before.stage:
@@ -297,7 +302,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _worded_table(head: Sequence[str], rows: Sequence[tuple[str, str, str]]) -> str:
-    """Name, value, and a sentence; on a narrow screen the sentence goes under the other two."""
+    """Return a table of name, value and a sentence; on a narrow screen the sentence goes under the other two."""
     top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     body = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td class="n">{escape(value)}</td>'

@@ -1,4 +1,4 @@
-"""Pictures of the light that the surface mirrors: the surroundings all around, and what is at the camera."""
+"""Pictures of the environment maps that the surface mirrors: the scene's all around, and what is at the camera."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ DARK = 0.1  # of the other map's brightness, under which a map is not worth a pi
 
 
 def mirrored_pictures(light: MirroredLight, up: np.ndarray) -> list[Picture]:
-    """The maps, brightened alike until lamps are white: the one that stands still in the scene unrolled all around,
-    `up` [3] at the top; and the half of the other that lies towards the camera, whose place is the middle. One that is
-    dark beside the other is left out."""
+    """Draw the environment maps, brightened alike until lamps are white.
+
+    The one that stands still in the scene is unrolled all around, `up` [3] at the top; of the other, the half towards
+    the camera is shown, whose place is the middle. One that is dark beside the other is left out.
+    """
     still, held = light.maps().detach()
     around = _looked_up(still, _around(np.asarray(up, np.float64)))
     disk, inside = _half()
@@ -33,7 +35,7 @@ def mirrored_pictures(light: MirroredLight, up: np.ndarray) -> list[Picture]:
 
 
 def _around(up: np.ndarray) -> np.ndarray:
-    """Directions [H,2H,3] of a picture whose columns are longitudes and whose rows are latitudes."""
+    """Return the directions [H,2H,3] of a picture whose columns are longitudes and whose rows are latitudes."""
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     rows, columns = (np.mgrid[:HEIGHT, : 2 * HEIGHT] + 0.5) / HEIGHT * np.pi
@@ -42,14 +44,14 @@ def _around(up: np.ndarray) -> np.ndarray:
 
 
 def _half() -> tuple[np.ndarray, np.ndarray]:
-    """Directions [H,H,3] of the half of a map around its middle, seen from afar, and where it is [H,H]."""
+    """Return the directions [H,H,3] of the half of a map around its middle, seen from afar, and where it is [H,H]."""
     y, x = (np.mgrid[:HEIGHT, :HEIGHT] + 0.5) / HEIGHT * 2 - 1
     square = x * x + y * y
     return np.dstack([x, y, np.sqrt(np.maximum(1 - square, 0))]), square < 1
 
 
 def _looked_up(light: torch.Tensor, directions: np.ndarray) -> np.ndarray:
-    """A map [3,S,S] at directions [H,W,3]."""
+    """Return the values of a map [3,S,S] at directions [H,W,3]."""
     height, width = directions.shape[:2]
     places = octahedral(torch.from_numpy(directions.reshape(-1, 3).T.astype(np.float32)))
     shown = grid_sample(light[None], places[None, None], padding_mode="border", align_corners=False)

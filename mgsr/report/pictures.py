@@ -1,4 +1,4 @@
-"""The pictures that a report shows, and how plain arrays become such pictures."""
+"""The pictures of a report, and how plain arrays become such pictures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ RAMP = np.array(
 
 @dataclass(frozen=True)
 class TestViewPictures:
-    """One test view. Each picture is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
+    """The pictures of one test view.
+
+    Each is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
 
     reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
     even: the transmitted light as it would be without the flash, all sides lit alike.
@@ -49,8 +51,11 @@ class Picture:
 
 @dataclass(frozen=True)
 class SurfacePictures:
-    """The surface from several sides: shaded, with its own colours, and coloured by the distance to the truth, whose
-    scale ends at `limit` of the truth's bounding radius. Empty lists where there is nothing to show."""
+    """The pictures of the surface from several sides.
+
+    It is shaded, with its own colours, and coloured by the distance to the truth, whose scale ends at `limit` of the
+    truth's bounding radius. Empty lists where there is nothing to show.
+    """
 
     shaded: list[Picture] = field(default_factory=list)
     colored: list[Picture] = field(default_factory=list)
@@ -60,8 +65,10 @@ class SurfacePictures:
 
 @dataclass(frozen=True)
 class ReportPictures:
-    """All pictures of a report; the first view is the one at the top. mirrored: the light that the surface mirrors,
-    where it was learnt."""
+    """All pictures of a report; the first view is the one at the top.
+
+    mirrored: the environment maps that the surface mirrors, where they were learnt.
+    """
 
     views: Sequence[TestViewPictures] = ()
     mirrored: Sequence[Picture] = ()
@@ -69,25 +76,34 @@ class ReportPictures:
 
 
 def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
-    """uint8 [H,W,3] from colours 0..1; with alpha [H,W] 0..1, uint8 [H,W,4] with straight colours taken as given."""
+    """Convert colours [H,W,3] 0..1 to uint8 [H,W,3], or with alpha [H,W] 0..1 to uint8 [H,W,4].
+
+    With alpha, the colours are taken as straight ones.
+    """
     channels = color if alpha is None else np.concatenate([color, alpha[..., None]], axis=-1)
     return np.clip(np.rint(np.nan_to_num(channels) * 255), 0, 255).astype(np.uint8)
 
 
 def premultiplied_picture(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """uint8 [H,W,4] with straight alpha, from colours [H,W,3] that are multiplied by alpha [H,W], 0..1."""
+    """Convert colours [H,W,3] that are multiplied by alpha [H,W], 0..1, to uint8 [H,W,4] with straight alpha."""
     return color_picture(np.clip(color / np.maximum(alpha, 1e-6)[..., None], 0, 1), np.clip(alpha, 0, 1))
 
 
 def normal_picture(normal: np.ndarray, camera: Camera, alpha: np.ndarray) -> np.ndarray:
-    """uint8 [H,W,4]: world normals [H,W,3] turned into the camera's frame; red is right, green up, blue towards it."""
+    """Convert world normals [H,W,3] to colours uint8 [H,W,4] in the camera's frame.
+
+    Red is right, green up, blue towards the camera.
+    """
     local = normal @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
     length = np.linalg.norm(local, axis=-1, keepdims=True)
     return color_picture(local / np.maximum(length, 1e-6) * 0.5 + 0.5, np.clip(alpha, 0, 1))
 
 
 def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """uint8 [H,W,4]: near is light, far is dark, between the depths' 1st and 99th percentile; 0 is nothing."""
+    """Convert depths [H,W] to grey uint8 [H,W,4]: near is light, far is dark, and 0 is nothing.
+
+    The range is that between the depths' 1st and 99th percentile.
+    """
     seen = (depth > 0) & (alpha > 0.5)
     if not seen.any():
         return np.zeros((*depth.shape, 4), np.uint8)
@@ -97,7 +113,7 @@ def depth_picture(depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def ramp(values: np.ndarray) -> np.ndarray:
-    """Colours [...,3] 0..1 of values, clipped to 0..1."""
+    """Return the colours [...,3] 0..1 of values [...], clipped to 0..1."""
     place = np.clip(np.nan_to_num(values), 0, 1) * (len(RAMP) - 1)
     low = np.minimum(place.astype(int), len(RAMP) - 2)
     part = (place - low)[..., None]

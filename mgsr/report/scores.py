@@ -1,4 +1,4 @@
-"""The scores that a report explains: what each is called, how it is written, and what it means in a sentence."""
+"""The scores that a report explains: the name of each, its form, and its meaning in a sentence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mgsr.report.data import ReportData
 
 @dataclass(frozen=True)
 class Score:
-    """A score's name in report.json, its label, factor, digits, unit, meaning."""
+    """A score's name in report.json, its label, factor, digits, unit and meaning."""
 
     name: str
     label: str
@@ -99,7 +99,7 @@ SPLIT = (
 
 
 def scores_told(data: ReportData) -> Iterator[tuple[Score, str]]:
-    """The scores that this run has, each with its value written out."""
+    """Yield the scores that this run has, each with its value written out."""
     images = data.other | {"psnr_test": data.psnr_test, "ssim_test": data.ssim_test}
     split = data.other.get("split") or {}
     for scores, values in ((IMAGE, images), (SURFACE, data.gt or {}), (SPLIT, split)):

@@ -35,8 +35,11 @@ ROUND = 0.1  # mean square of the cameras' right sides across their main directi
 
 @dataclass(frozen=True)
 class TriangleMesh:
-    """vertices [V,3], faces [F,3] counter-clockwise from outside, normals [V,3] unit (None: facets are shaded flat),
-    colors [V,3] sRGB 0..1 or None."""
+    """A triangle mesh to be painted.
+
+    vertices [V,3], faces [F,3] counter-clockwise from outside, normals [V,3] unit (None: faces are shaded flat), colors
+    [V,3] sRGB 0..1 or None.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -46,8 +49,11 @@ class TriangleMesh:
 
 @dataclass(frozen=True)
 class _Hits:
-    """One camera's rays: which hit [H,W] bool; of those that did, [P,3]: points, facets' normals towards the camera,
-    smooth normals on their side, and colours (or None)."""
+    """The hits of one camera's rays.
+
+    hit [H,W] bool: the rays that hit; of those, [P,3] each: points, face normals towards the camera, smooth normals on
+    their side, and colours (or None).
+    """
 
     hit: np.ndarray
     points: np.ndarray
@@ -65,11 +71,14 @@ class MeshPainter:
         self.center, self.radius = bounding_ball(mesh.vertices)
 
     def shaded(self, camera: Camera) -> np.ndarray:
-        """uint8 [H,W,4]: soft light from three sides on clay, clear where nothing is; no side over MOST_PIXELS."""
+        """Paint the mesh as pale clay in soft light from three sides, uint8 [H,W,4], transparent where nothing is.
+
+        No side is over MOST_PIXELS.
+        """
         return self.look(camera).clay()
 
     def look(self, camera: Camera) -> MeshLook:
-        """What the camera sees, to be painted in several ways."""
+        """Cast the camera's rays, and return what it sees, to be painted in several ways."""
         camera = _limited(camera)
         # Four samples a pixel, for smooth outlines.
         hits = self._cast(camera.resized(2 * camera.width, 2 * camera.height))
@@ -94,8 +103,10 @@ class MeshPainter:
         return _Hits(hit, points, facets, _facing(unit, facets), colors)
 
     def _openness(self, hits: _Hits) -> np.ndarray:
-        """The share [P] of the directions over the surface in which nothing is near; a fixed seed, so that the same
-        mesh gives the same picture."""
+        """Return the share [P] of the directions over the surface in which nothing is near (ambient occlusion).
+
+        The seed is fixed, so that the same mesh gives the same picture.
+        """
         random = np.random.default_rng(0)
         starts = hits.points + 1e-3 * self.radius * hits.facets
         blocked = np.zeros(len(starts), np.float32)
@@ -111,21 +122,24 @@ class MeshPainter:
 
 @dataclass(frozen=True)
 class MeshLook:
-    """What one camera sees of a mesh, lit. Each method gives a picture uint8 [H,W,4], clear where nothing is."""
+    """One camera's view of a mesh, lit.
+
+    Each method gives a picture uint8 [H,W,4], transparent where nothing is.
+    """
 
     hits: _Hits
     light: np.ndarray
 
     def clay(self) -> np.ndarray:
-        """In one pale colour, which shows the shape best."""
+        """Paint the mesh in one pale colour, which shows the shape best."""
         return _picture(CLAY * self.light, self.hits.hit)
 
     def colored(self) -> np.ndarray:
-        """In the mesh's own colours; pale where it has none."""
+        """Paint the mesh in its own colours; pale where it has none."""
         return _picture((CLAY if self.hits.colors is None else self.hits.colors) * self.light, self.hits.hit)
 
     def distances(self, truth: TriangleMesh, limit: float) -> np.ndarray:
-        """Coloured by the distance to `truth`, in the same frame; the darkest is `limit` and more."""
+        """Paint the mesh by its distance to `truth`, in the same frame; the darkest is `limit` and more."""
         gap = _raycaster(truth).compute_distance(_tensor(self.hits.points)).numpy()
         return _picture(ramp(gap / limit) * (0.6 + 0.4 * self.light), self.hits.hit)
 
@@ -138,8 +152,11 @@ def surface_pictures(
     limit: float = 0.01,
     size: int = 320,
 ) -> SurfacePictures:
-    """The mesh from four sides; with `truth` (in the same frame) also its distance to it, up to `limit` of the
-    truth's bounding radius. up: direction [3]; viewer: a position [3] that sees the front, such as a camera's."""
+    """Draw the mesh from four sides; with `truth` (in the same frame) also its distance to it.
+
+    limit: of the truth's bounding radius, where the distances' scale ends. up: direction [3]; viewer: a position [3]
+    that sees the front, such as a camera's.
+    """
     painter = MeshPainter(mesh)
     front = viewer - painter.center
     looks = [(name, painter.look(side_camera(painter, up, front, angle, size))) for name, angle in SIDES]
@@ -153,7 +170,7 @@ def surface_pictures(
 
 
 def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: float, size: int) -> Camera:
-    """A camera size x size that sees the whole mesh from `angle` degrees round `up`, beginning at `front`."""
+    """Return a camera, size x size, that sees the whole mesh from `angle` degrees round `up`, beginning at `front`."""
     up = up / np.linalg.norm(up)
     ahead = front - (front @ up) * up
     if np.linalg.norm(ahead) < 1e-6:
@@ -190,8 +207,10 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _side_up(rights: np.ndarray) -> np.ndarray:
-    """Return the axis that points up where the cameras' upper sides point everywhere: the one to their right, if all
-    lie on their side, as beside a turntable; else z."""
+    """Return the axis that points up where the cameras' upper sides point everywhere.
+
+    It is the one to their right, if all lie on their side, as beside a turntable; else z.
+    """
     mean = rights.mean(axis=0)
     return _nearest_axis(mean) if np.linalg.norm(mean) > LYING else np.array((0.0, 0.0, 1.0))
 
@@ -206,13 +225,13 @@ def _near(direction: np.ndarray, axis: np.ndarray) -> bool:
 
 
 def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre [3] of the bounding box and the largest distance from there."""
+    """Return the centre [3] of the bounding box and the largest distance from there."""
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     return center, float(np.linalg.norm(points - center, axis=1).max())
 
 
 def _look_at(eye: np.ndarray, toward: np.ndarray, up: np.ndarray, focal: float, size: int) -> Camera:
-    """A square camera at `eye` that looks along -toward; focal in halves of the image's side."""
+    """Return a square camera at `eye` that looks along -toward; focal in halves of the image's side."""
     right = np.cross(up, toward)
     right = right / np.linalg.norm(right)
     rotation = np.stack([right, -np.cross(toward, right), -toward])
@@ -230,12 +249,12 @@ def _limited(camera: Camera) -> Camera:
 
 
 def _facing(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """The normals [P,3], turned round where they point against the directions [P,3]."""
+    """Return the normals [P,3], flipped where they point against the directions [P,3]."""
     return np.where((normals * directions).sum(1, keepdims=True) < 0, -normals, normals)
 
 
 def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
-    """How bright [P] the lights make surfaces with the normals [P,3]; they hang on the camera."""
+    """Return how bright [P] the lights make surfaces with the normals [P,3]; they hang on the camera."""
     local = normals @ camera.cam_from_world[:3, :3].T * (1, -1, -1)
     light = np.full(len(local), AMBIENT)
     for direction, strength in LIGHTS:
@@ -246,8 +265,11 @@ def _three_lights(normals: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
-    """The values [P] of a camera's hits as means over OCCLUSION_SPREAD samples to either side, along rows and then
-    columns, of those on an even surface: few rays a sample are grainy. step: how far off their plane."""
+    """Smooth the values [P] of a camera's hits over the even surface around each: few rays a sample are grainy.
+
+    The means are over OCCLUSION_SPREAD samples to either side, along rows and then columns. step: how far samples may
+    lie off each other's plane.
+    """
 
     def image(of_hits: np.ndarray) -> np.ndarray:
         whole = np.zeros((*hits.hit.shape, *of_hits.shape[1:]), np.float32)
@@ -272,7 +294,10 @@ def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
 
 
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
-    """Half-size uint8 [H,W,4] of the samples' colours [P,3]; alpha is the share of a pixel's four samples that hit."""
+    """Reduce the samples' colours [P,3] to a half-size picture uint8 [H,W,4].
+
+    Alpha is the share of a pixel's four samples that hit.
+    """
     height, width = hit.shape[0] // 2, hit.shape[1] // 2
     full = np.zeros((*hit.shape, 4), np.float32)
     full[hit] = np.concatenate([colors, np.ones((len(colors), 1))], axis=1)

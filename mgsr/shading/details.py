@@ -1,10 +1,10 @@
-"""What photographs show of a surface's fine detail, and how it changes with where the surface lies.
+"""The fine detail that photographs show of a surface, and how it changes as the surface moves.
 
-Photographs are compared in one mix of their channels: that of which the detail is steepest for what is left unexplained
-of it. Where paint differs in hue, that is a difference of channels, from which white light's shades vanish.
+Photographs are compared in one mix of their channels: that whose detail is steepest against the residual. Where paint
+differs in hue, that is a difference of channels, from which white light's shades vanish.
 
 Under a flash on the camera every photograph has a light of its own; where that is known, what a photograph shows of a
-vertex is divided by the light on it. Where the surroundings are known that gloss mirrors, so is how much they disturb.
+vertex is divided by the light on it. Where the environment map that gloss mirrors is known, so is how much it disturbs.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ CLEARER = 1.5  # times the grey's; what another mix must tell at least
 
 @dataclass(frozen=True)
 class KnownLight:
-    """What is known of it: lighting, what a flash on the camera brings; mirrors, what surroundings gloss mirrors."""
+    """What is known of the light.
+
+    lighting: of a flash on the camera; mirrors: the environment map that gloss mirrors.
+    """
 
     lighting: Lighting | None = None
     mirrors: Surroundings | None = None
@@ -53,7 +56,11 @@ class KnownLight:
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh on its way: places [V,3] of its vertices, faces [F,3], their `umbrella`, and a pixel's size there."""
+    """A mesh under refinement.
+
+    places [V,3]: its vertices; faces [F,3]; laplacian: their uniform Laplacian (`umbrella`); pixel: a pixel's size
+    there.
+    """
 
     places: np.ndarray
     faces: np.ndarray
@@ -69,12 +76,15 @@ class Surface:
         return RayCaster(self.places, self.faces)
 
     def around(self, values: np.ndarray, reach: float) -> np.ndarray:
-        """Values [V,...] averaged over about `reach` pixels around."""
+        """Smooth values [V,...] over about `reach` pixels of the surface."""
         return spread(values, self.laplacian, reach * self.pixel / self._edge)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
-        """Values [N,V] less their mean around, where they are known [V] bool, else 0. All known ones count alike, so
-        that photographs which see the same places take the same means."""
+        """Return values [N,V] less their mean over DETAIL pixels around, and 0 where they are not known.
+
+        known [V] bool: the vertices that count. All known ones count alike, so that photographs which see the same
+        places take the same means.
+        """
         around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
         return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
 
@@ -85,8 +95,11 @@ class Surface:
 
 @dataclass(frozen=True)
 class MixedPhotograph:
-    """Its image [H,W,3] uint8; mixed [H,W] float32, the mix [3] of its channels, blurred; usable [H,W] bool, where that
-    is of use."""
+    """A photograph in one mix of its channels.
+
+    image [H,W,3] uint8; mix [3]: the channels' weights; mixed [H,W] float32: the mixed channels, blurred; usable [H,W]
+    bool: the pixels that are of use.
+    """
 
     camera: Camera
     image: np.ndarray
@@ -95,19 +108,19 @@ class MixedPhotograph:
     usable: np.ndarray
 
     def slopes(self, pixels: np.ndarray) -> np.ndarray:
-        """How the mix changes a pixel to the right, and a pixel down, [P,2], at pixel coordinates [P,2]."""
+        """Return how the mix changes a pixel to the right, and a pixel down, [P,2], at pixel coordinates [P,2]."""
         sides = np.eye(2)
         ahead, behind = ([read_image(self.mixed, pixels + sign * side) for side in sides] for sign in (1, -1))
         return np.stack(ahead, axis=1) / 2 - np.stack(behind, axis=1) / 2
 
     def rates(self, pixels: np.ndarray) -> np.ndarray:
-        """How fast the mix rises with white light, [P], at pixel coordinates [P,2]."""
+        """Return how fast the mix rises with white light, [P], at pixel coordinates [P,2]."""
         columns, rows = np.clip(pixels.astype(int), 0, (self.camera.width - 1, self.camera.height - 1)).T
         return np.asarray(srgb_rate(self.image[rows, columns] / 255) @ self.mix)
 
 
 def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[MixedPhotograph]:
-    """The views in a mix [3] of their channels, in sRGB, whose noise is more even than linear light's."""
+    """Mix the channels of the views by weights [3], in sRGB, whose noise is more even than linear light's."""
 
     def mixed(view: View) -> MixedPhotograph:
         inside = view.image.max(axis=-1) <= CLIPPED * 255
@@ -125,9 +138,10 @@ def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | Non
 
 
 def telling_mix(surface: Surface, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
-    """The mix [3] of the channels whose detail tells most of where the surface lies: steepest for what is left of it.
+    """Find the channel weights [3] whose detail tells most about where the surface lies.
 
-    It is the leading eigenvector of the slopes' covariance against that of what is left unexplained.
+    The mix is steepest against the residual: the leading eigenvector of the slopes' covariance against that of the
+    residual. Unless it tells CLEARER times as much as the mean of the channels, the latter is returned.
     """
     single = [mixed_photographs(views, channel, threads) for channel in np.eye(3)]
     channels = [read_details(surface, photographs, light, threads) for photographs in single]
@@ -146,9 +160,12 @@ def telling_mix(surface: Surface, views: Sequence[View], light: KnownLight, thre
 
 @dataclass(frozen=True)
 class Details:
-    """V vertices in K photographs, each [V,K] float32: mixed, less that around the vertex; change, of it for each
-    pixel's size that the vertex moves along its normal; mirrored, how much detail gloss mirrors there and
-    around, as normals are known but roughly; weights, 0 where the vertex is not seen."""
+    """The detail of V vertices in K photographs, each [V,K] float32.
+
+    mixed: the mix at the vertex less its mean around; change: of `mixed`, for each pixel's size that the vertex moves
+    along its normal; mirrored: how much detail gloss mirrors there and around, as normals are only known roughly;
+    weights: 0 where the vertex is not seen.
+    """
 
     mixed: np.ndarray
     change: np.ndarray
@@ -159,7 +176,7 @@ class Details:
 def read_details(
     surface: Surface, photographs: Sequence[MixedPhotograph], light: KnownLight, threads: int | None
 ) -> Details:
-    """What the photographs show of the surface's vertices."""
+    """Read the detail of the surface's vertices in all photographs."""
     rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
     details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
     details.weights[(details.weights > 0).sum(axis=1) < MIN_READINGS] = 0
@@ -167,7 +184,7 @@ def read_details(
 
 
 def _read_one(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
-    """A photograph's column of the readings' four, [4,V]."""
+    """Read one photograph's column [4,V] of `Details`, in the order of its fields."""
     camera, places, normals = photograph.camera, surface.places, surface.normals
     look = look_at(surface, photograph, light)
     step = 0.1 * surface.pixel * normals[look.seen]
@@ -187,9 +204,12 @@ def _read_one(surface: Surface, photograph: MixedPhotograph, light: KnownLight) 
 
 @dataclass(frozen=True)
 class Look:
-    """A photograph's at a surface: towards [V,3], from each vertex to the camera, unit; seen [S], the vertices that it
-    sees; their pixel coordinates [S,2]; lit [S], by what a flash on the camera raises their sRGB, 1 without; weights
-    [S], 0 where they are of no use."""
+    """A surface's vertices in one photograph.
+
+    towards [V,3]: unit directions from each vertex to the camera; seen [S]: the vertices that it sees; pixels [S,2]:
+    their pixel coordinates; lit [S]: the factor by which a flash on the camera scales their sRGB, 1 without; weights
+    [S]: 0 where they are of no use.
+    """
 
     towards: np.ndarray
     seen: np.ndarray
@@ -199,7 +219,7 @@ class Look:
 
 
 def look_at(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> Look:
-    """Where a photograph shows the surface's vertices."""
+    """Find where a photograph shows the surface's vertices, and how much each counts."""
     camera, places, normals = photograph.camera, surface.places, surface.normals
     offsets = camera.center - places
     towards = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
@@ -215,6 +235,6 @@ def look_at(surface: Surface, photograph: MixedPhotograph, light: KnownLight) ->
 
 
 def apart(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Values [V,K] less their mean over the photographs by weights [V,K]."""
+    """Return values [V,K] less their mean over the K photographs, by weights [V,K]."""
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     return values - (weights * values).sum(axis=1, keepdims=True) / total

@@ -1,4 +1,4 @@
-"""How far photographs under a flash disagree about what lies on a surface.
+"""The photometric residual of a surface under a flash, by which holes are found.
 
 A flash on the camera leaves nothing unknown of the light, so that each place should be as bright in one photograph as
 in another once the light on it is divided out. Where they differ by more than the surface's own error explains, they
@@ -34,8 +34,11 @@ def disagreement(
     shading: Shading,
     threads: int | None = None,
 ) -> np.ndarray:
-    """By how much more than is usual, in sRGB 0..1, the photographs differ about each of a mesh's vertices [V,3]: [V],
-    0 where too few show it."""
+    """Return each vertex's photometric residual [V], in sRGB 0..1, less what is usual all over the surface.
+
+    vertices [V,3]; faces [F,3]. It tells how much the photographs differ about the vertex, once the flash's light and
+    an error of OFF pixels in the surface are taken off; 0 where too few photographs show it.
+    """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
     light = KnownLight.known_by(shading, vertices, faces)
     places, triangles = coarser(vertices, faces, EDGE * pixel)
@@ -55,8 +58,10 @@ def disagreement(
 
 
 def _column(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
-    """Return what a photograph shows of the vertices, under even light, and how steep it is a pixel: [2,V], NaN where
-    it tells nothing."""
+    """Return a photograph's values at the vertices under even light, and their slopes: [2,V], NaN where unknown.
+
+    A slope is the change of the value from a pixel to the next.
+    """
     look = look_at(surface, photograph, light)
     told = np.full((2, len(surface.places)), np.nan, np.float32)
     of_use = look.weights > 0
@@ -67,6 +72,9 @@ def _column(surface: Surface, photograph: MixedPhotograph, light: KnownLight) ->
 
 
 def _median(values: np.ndarray) -> np.ndarray:
-    """Of each row [V,K] of what is not NaN (of two in the middle, the lower), [V]; NaN where nothing is."""
+    """Return the median of each row's numbers that are not NaN (of two in the middle, the lower), [V]; else NaN.
+
+    values [V,K].
+    """
     counts = np.isfinite(values).sum(axis=1, keepdims=True)
     return np.take_along_axis(np.sort(values, axis=1), np.maximum(counts - 1, 0) // 2, axis=1)[:, 0]

@@ -1,4 +1,4 @@
-"""What a kind of light says of a surface."""
+"""The normals that a light model asks for."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MIN_READINGS = 5  # photographs that see a point, or nothing is said of it
 
 @dataclass(frozen=True)
 class Explained:
-    """normals [P,3] that the light asks for, unit, and sure [P], 0 where it says nothing to 1 where it is certain."""
+    """The normals [P,3] that the light asks for, unit, and the confidence in each, sure [P], from 0 to 1."""
 
     normals: np.ndarray
     sure: np.ndarray

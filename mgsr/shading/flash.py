@@ -1,10 +1,9 @@
-"""Normals from a flash: where the light sits beside the lens, how bright a point is tells how it is tilted.
+"""Photometric stereo under a flash: how bright a point is, with the lamp beside the lens, tells how it is tilted.
 
 For a matte surface lit from one place, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
 in linear light. Several views of a point give three unknowns, its normal times its albedo, by least squares
 (photometric stereo, Woodham 1980); highlights are brighter than that and lose their weight in rounds. A mesh that is
-off its surface reads another place in each view: what then can't be explained tells that the normal is not to be
-trusted.
+off its surface reads another place in each view: the residual then tells that the normal is not to be trusted.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ CHUNK = 4096  # points at a time
 
 @dataclass(frozen=True)
 class Flash:
-    """A lamp that moves with the camera, and what lights a surface besides it.
+    """A lamp that moves with the camera, and the other light on a surface.
 
     right, down: where the lamp is in the camera's frame, from the lens, in the scene's units. ambient: the light from
     everywhere, where the lamp gives 1 at a distance of 1; bounced: how much of the light that arrives from the surface
@@ -43,14 +42,18 @@ class Flash:
     bounced: float = 0.0
 
     def lamps(self, cameras: Sequence[Camera]) -> np.ndarray:
-        """Where the lamp is in each photograph, [N,3]."""
+        """Return the lamp's positions [N,3] for the cameras' photographs, in the scene's frame."""
         sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])
         return np.stack([camera.center for camera in cameras]) + np.array([self.right, self.down]) @ sides
 
 
 def flash_ratio(readings: Readings, normals: np.ndarray) -> float:
-    """How far the readings are from the shading by a flash at the lens of a surface with these normals [P,3], against
-    how far they are from one brightness a point: the median over the points; infinite if there are none."""
+    """Return the share of the brightness' deviation that a flash at the lens leaves unexplained.
+
+    normals [P,3]: the surface's at the P points of the readings. It is the median over the points of the deviation from
+    shading by the flash, as a share of the deviation from one brightness a point; infinite without points that enough
+    photographs see.
+    """
     brightness, weights = readings.brightness * readings.distances**2, readings.weights**2
     cosines = np.maximum(np.einsum("pki,pi->pk", readings.towards, normals), 0)
     shaded = deviation(brightness - cosines * scale(brightness, cosines, weights)[:, None], weights)
@@ -68,7 +71,10 @@ def explain_by_flash(
     hollows: Hollows,
     threads: int | None = None,
 ) -> Explained:
-    """What the flash says of the normals [P,3] of the points [P,3] that were read in the cameras' photographs."""
+    """Estimate the normals of points from a flash's shading, by photometric stereo.
+
+    points, normals [P,3]: those read in the cameras' photographs; hollows: their ambient occlusion and interreflection.
+    """
     lamps = flash.lamps(cameras)
     sky, thrown = hollows.at(points, readings.photographs)
 
@@ -93,8 +99,10 @@ def albedos(
     cameras: Sequence[Camera],
     hollows: Hollows,
 ) -> np.ndarray:
-    """How bright the points [P,3] with unit normals [P,3] are in a light of 1, [P], highlights apart; 0 where no
-    photograph tells."""
+    """Estimate the albedo [P] of points [P,3] with unit normals [P,3], without highlights.
+
+    It is their brightness in a light of 1; 0 where no photograph tells.
+    """
     sky, thrown = hollows.at(points, readings.photographs)
     lamp = lamp_light(flash.lamps(cameras)[readings.photographs] - points[:, None], normals[:, None])
     light = lamp + flash.ambient * sky[:, None] + flash.bounced * thrown
@@ -109,10 +117,10 @@ def albedos(
 def _solve(
     towards: np.ndarray, brightness: np.ndarray, besides: np.ndarray, weights: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals [P,3] by least squares whose weights fall for readings that don't fit, and to how many radians they
-    are known [P].
+    """Solve for unit normals [P,3] by robust least squares, with their standard deviations [P] in radians.
 
-    Without the lamp's falloff, brightness [P,K] = albedo * (cosine of the tilt + besides [P,K]).
+    Without the lamp's falloff, brightness [P,K] = albedo * (cosine of the tilt + besides [P,K]). towards [P,K,3]: unit
+    directions to the lamp; weights [P,K]; normals [P,3]: the surface's own. Readings that do not fit lose weight.
     """
     current, solved = weights, normals
     products = np.stack([towards[..., i] * towards[..., j] for i, j in _PAIRS], axis=1)
@@ -136,17 +144,21 @@ _PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among the
 
 
 def scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The factor [P] that brings shape [P,K] closest to the brightness."""
+    """Return the factor [P] that brings shape [P,K] closest to brightness [P,K], by weighted least squares."""
     return (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
 
 
 def deviation(left: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The mean square of what is left [P,K], under its root, [P]."""
+    """Return the weighted root mean square [P] of the residuals [P,K]."""
     return np.sqrt((weights * left * left).sum(1) / np.maximum(weights.sum(1), 1e-9))
 
 
 def trusted(left: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """The weights [P,K], less for readings off which more is left than by the current weights is usual."""
+    """Return robust weights [P,K]: lower where a residual is larger than usual by the current weights.
+
+    left, weights, current [P,K]: the residuals, the weights without regard to them, and those of the round before.
+    Bright outliers, such as highlights, lose more than dark ones.
+    """
     spread = deviation(left, current)[:, None] + 1e-6
     high, low = np.maximum(left, 0) / (ABOVE * spread), np.minimum(left, 0) / (BELOW * spread)
     return weights / ((1 + high**2) * (1 + low**2))

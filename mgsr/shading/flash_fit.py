@@ -1,8 +1,8 @@
-"""Where a flash sits beside the lens, and what lights the surface besides it: four numbers for a whole capture.
+"""Calibration of a flash: its place beside the lens and the other light, four numbers for a whole capture.
 
-A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and what
-hollows throw back, flatten them. All points' readings together tell these apart (Gauss-Newton, each point's albedo
-being solved for on the way: variable projection, Golub and Pereyra 1973).
+A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and
+interreflection in hollows, flatten them. All points' readings together tell these apart (Gauss-Newton, each point's
+albedo being solved for on the way: variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -34,8 +34,11 @@ def fit_flash(
     hollows: Hollows,
     start: Flash,
 ) -> Flash:
-    """The flash that explains the readings of a surface's points [P,3], with normals [P,3], in the cameras'
-    photographs; `start`, from which it is looked for, if too few photographs see them."""
+    """Fit the flash that explains the readings of a surface's points [P,3] with normals [P,3].
+
+    cameras: those of the photographs; start: where the search begins, returned where too few photographs see the
+    points.
+    """
     seen = np.flatnonzero(readings.counts >= MIN_READINGS)
     seen = seen[:: max(1, len(seen) // POINTS)]
     if len(seen) == 0:
@@ -56,9 +59,12 @@ def fit_flash(
 
 @dataclass(frozen=True)
 class _Equations:
-    """Of P points in K photographs each: to_lens [P,K,3], the way there; sides [P,K,2,3], the camera's axes to the
-    right and down; cosines [P,K] and tilts [P,K,2], the components of both along the normal; besides [P,K,2], the open
-    share of the sky, and what the surface throws there."""
+    """The shading equations of P points in K photographs each.
+
+    to_lens [P,K,3]: the way to the lens; sides [P,K,2,3]: the camera's axes to the right and down; cosines [P,K] and
+    tilts [P,K,2]: the components of both along the normal; besides [P,K,2]: the open share of the sky, and the
+    interreflected light.
+    """
 
     to_lens: np.ndarray
     sides: np.ndarray
@@ -67,7 +73,7 @@ class _Equations:
     besides: np.ndarray
 
     def shade(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How bright an albedo of 1 is [P,K] at the four values of a `Flash`, and its slopes along them [P,K,4]."""
+        """Return the brightness [P,K] of an albedo of 1 at the values [4] of a `Flash`, and its derivatives [P,K,4]."""
         to_lamp = self.to_lens + np.einsum("s,pksi->pki", values[:2], self.sides)
         square = (to_lamp**2).sum(axis=-1)
         lamp = np.maximum(self.cosines + self.tilts @ values[:2], 0) / square**1.5
@@ -88,7 +94,10 @@ def _equations(
 
 
 def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """By how much to change the values [4] so that the shade [P,K], times each point's albedo, fits the brightness."""
+    """Return the Gauss-Newton step [4] that lets the shade [P,K], times each point's albedo, fit the brightness [P,K].
+
+    slopes [P,K,4]: the derivatives of the shade; weights [P,K].
+    """
     current = weights
     for _ in range(ROUNDS):
         albedo = scale(brightness, shade, current)

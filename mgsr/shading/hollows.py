@@ -1,4 +1,4 @@
-"""What a surface hides from itself, and the light that it throws back into its own hollows.
+"""Ambient occlusion and one-bounce interreflection of a surface.
 
 A matte point shines alike to all sides. So what a photograph shows of the surface around a point, weighed by how much
 of the point's sky it fills and by its tilt, is what arrives from there: the first of the bounces (radiosity). Both
@@ -25,8 +25,11 @@ TURN = np.pi * (3 - np.sqrt(5))  # from ray to ray: the golden angle spreads the
 
 @dataclass(frozen=True)
 class Hollows:
-    """open [V], the share of its sky that a vertex of the coarse copy sees, and thrown [V,N], the brightness that
-    arrives there from the surface itself in N photographs, both by the cosine of the tilt."""
+    """Ambient occlusion and interreflection at the vertices of a coarse copy of a surface, both weighed by the cosine.
+
+    open [V]: the share of its sky that a vertex sees; thrown [V,N]: the brightness that arrives there from the surface
+    itself, in N photographs.
+    """
 
     caster: RayCaster
     faces: np.ndarray
@@ -34,7 +37,10 @@ class Hollows:
     thrown: np.ndarray
 
     def at(self, points: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is open [P], and thrown [P,K] in these photographs [P,K], at points [P,3] beside the surface."""
+        """Return the open share of the sky [P], and the interreflected light [P,K], at points [P,3] beside the surface.
+
+        photographs [P,K]: the photographs, by index, of which the interreflected light is asked for.
+        """
         face, shares = self.caster.nearest(points)
         corners = self.faces[face]
         thrown = sum(self.thrown[corners[:, i, None], photographs] * shares[:, i, None] for i in range(3))
@@ -48,7 +54,10 @@ def find_hollows(
     gap: float,
     threads: int | None = None,
 ) -> Hollows:
-    """Those of a mesh. gap: how far a vertex may lie behind its facets."""
+    """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
+
+    vertices [V,3]; faces [F,3]; gap: how far a vertex may lie behind its faces.
+    """
     caster = RayCaster(vertices, faces)
     normals = vertex_normals(vertices, faces).astype(np.float64)
     columns = map_ahead(lambda each: _shown(caster, each, vertices, normals, gap), photographs, threads)
@@ -60,7 +69,7 @@ def find_hollows(
 def _shown(
     caster: RayCaster, photograph: Photograph, vertices: np.ndarray, normals: np.ndarray, gap: float
 ) -> np.ndarray:
-    """How bright each vertex is in a photograph, [V]; 0 where it is not seen."""
+    """Return each vertex's brightness in a photograph, [V]; 0 where it is not seen."""
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
     seen = seen_frontal(caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.known)
@@ -73,8 +82,10 @@ def _shown(
 def _around(
     caster: RayCaster, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, gap: float
 ) -> sparse.csr_matrix:
-    """The share of each vertex's sky (row) that each other fills, [V,V]: rays by the cosine, on a spiral that is turned
-    from vertex to vertex."""
+    """Return the share of each vertex's sky (row) that each other vertex fills, [V,V].
+
+    RAYS rays are cast from each vertex, distributed by the cosine, on a spiral that is turned from vertex to vertex.
+    """
     first, second = tangents(normals)
     outwards = face_crosses(vertices, faces)
     turned = 2 * np.pi * np.random.default_rng(0).random(len(vertices))

@@ -1,4 +1,4 @@
-"""How each kind of light explains a mesh's shading: read the photographs, and say what normals they ask for."""
+"""Light models: how a flash or an environment map explains a mesh's shading, and the normals that they ask for."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CONVEX = 0.12  # bend, in radians a pixel, from which an edge is left alone: it 
 
 @dataclass(frozen=True)
 class Shot:
-    """The photographs, with what reading them at a mesh needs. pixel: its size on the surface."""
+    """The photographs of a capture, with what reading them at a mesh needs; pixel: a pixel's size on the surface."""
 
     photographs: Sequence[Photograph]
     pixel: float
@@ -45,34 +45,40 @@ class Shot:
     def read(
         self, vertices: np.ndarray, faces: np.ndarray, lamps: np.ndarray | None = None
     ) -> tuple[Readings, np.ndarray]:
-        """The photographs at the vertices, and the vertices' normals [V,3]; lamps: as for `read_photographs`."""
+        """Read the photographs at a mesh's vertices, and return the readings with the vertices' normals [V,3].
+
+        lamps: as for `read_photographs`.
+        """
         normals = vertex_normals(vertices, faces).astype(np.float64)
         readings = read_photographs(vertices, faces, normals, self.photographs, self.pixel, self.threads, lamps)
         return readings, normals
 
 
 class Shading(Protocol):
-    """A kind of light."""
+    """A light model."""
 
     def explain(
         self, vertices: np.ndarray, faces: np.ndarray, laplacian: sparse.csr_matrix
     ) -> tuple[np.ndarray, Explained]:
-        """The normals [V,3] that a mesh's vertices have, and what the light says of them. laplacian: `umbrella`."""
+        """Return the normals [V,3] of a mesh's vertices, and the normals that the light asks for.
+
+        laplacian: the mesh's uniform Laplacian (`umbrella`).
+        """
 
     def lighting(self, vertices: np.ndarray, faces: np.ndarray) -> Lighting | None:
-        """What the light makes of a mesh, where it comes with the camera."""
+        """Return how the light falls on a mesh, where it comes with the camera; else None."""
 
     def surroundings(self, vertices: np.ndarray, faces: np.ndarray) -> Surroundings | None:
-        """What a mesh mirrors, where the light stands still."""
+        """Return the environment map that a mesh mirrors, where the light stands still; else None."""
 
 
 class ByFlash:
-    """A lamp that moves with the camera. With each call its place is better known, as the mesh is."""
+    """A lamp that moves with the camera; each call of `explain` refines its place, as the mesh is refined."""
 
     def __init__(
         self, shot: Shot, vertices: np.ndarray, faces: np.ndarray, readings: Readings, normals: np.ndarray
     ) -> None:
-        """readings, normals: of the mesh, with which the lamp's place is first looked for."""
+        """Estimate the lamp from the readings and normals [V,3] of a mesh."""
         self._shot = shot
         self._cameras = [photograph.camera for photograph in shot.photographs]
         self._hollows = self._find_hollows(vertices, faces)
@@ -108,7 +114,10 @@ class ByFlash:
         return None
 
     def _unmixed(self, readings: Readings, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Readings:
-        """The readings at a mesh's vertices, with normals [V,3], without what pixels mix into them."""
+        """Return the readings at a mesh's vertices, corrected for the footprints of pixels (`unmixed`).
+
+        normals [V,3]: the vertices'.
+        """
         flash, lamps, caster = self._flash, self._flash.lamps(self._cameras), RayCaster(vertices, faces)
         paint = albedos(readings, vertices, normals, flash, self._cameras, self._hollows)
         paint = paint[_nearest(readings.counts > 0, vertices, edges(faces))]
@@ -130,7 +139,7 @@ class ByFlash:
 
 
 class ByMirroring:
-    """Surroundings that stand still, mirrored by the surface."""
+    """An environment that stands still and is mirrored by the surface."""
 
     def __init__(self, shot: Shot) -> None:
         self._shot = shot
@@ -155,13 +164,15 @@ class ByMirroring:
 
 
 def mirrored_surroundings(readings: Readings, normals: np.ndarray) -> Surroundings:
-    """What points with these normals [P,3] mirror, as far as one map for all tilts can tell."""
+    """Fit the environment map that points with normals [P,3] mirror, from their readings under FRONTAL's tilt alone."""
     return fit_surroundings(readings.frontal(FRONTAL), normals)
 
 
 def _nearest(wanted: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """The vertex of those that are wanted [V] bool that is nearest to each [V,3] along the edges [E,2]; itself where no
-    way leads to one."""
+    """Return for each vertex [V,3] the nearest wanted vertex along the edges [E,2], by index [V].
+
+    wanted [V] bool. A vertex from which no path leads to a wanted one gets its own index.
+    """
     own = np.arange(len(vertices))
     if not wanted.any():
         return own
@@ -176,7 +187,7 @@ def _nearest(wanted: np.ndarray, vertices: np.ndarray, edges: np.ndarray) -> np.
 def _near_sharp_edges(
     vertices: np.ndarray, laplacian: sparse.csr_matrix, normals: np.ndarray, pixel: float, reach: float
 ) -> np.ndarray:
-    """1 at vertices beside a sharp convex edge, 0 far from all, [V]."""
+    """Return how near each vertex lies to a sharp convex edge, [V]: from 1 beside one to 0 far from all."""
     steps = laplacian @ vertices
     length = np.sqrt(np.maximum((laplacian @ (vertices**2)).sum(1) - 2 * (vertices * steps).sum(1), 1e-20))
     smooth = mean_normals(normals, laplacian, rounds=1)

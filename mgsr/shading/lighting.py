@@ -1,4 +1,4 @@
-"""How a flash lights a surface, seen by any camera: the part of the brightness that is not the object's own.
+"""Irradiance of a surface by a flash, for any camera: the part of the brightness that is not the object's own.
 
 A lamp on the camera moves with it, and with it move shading and shadows. Once lamp and surface are known both can be
 computed for each photograph; what is left to be learned of it changes little from view to view.
@@ -47,7 +47,10 @@ class Lighting:
     lamp: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """`View.lit` of what a camera sees, [H,W] uint8; beside the surface as at its nearest pixel."""
+        """Return the irradiance of what a camera sees, [H,W] uint8, encoded as `View.lit`.
+
+        Pixels beside the surface take the value of its nearest pixel.
+        """
         light, seen = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width), np.intp)
         for part, pixels in self._parts(camera):
             light[part], seen[part] = self._light_at(camera, pixels)
@@ -58,8 +61,10 @@ class Lighting:
         return to_uint8(255 * np.clip(mean, DIMMEST, 1) ** (1 / GAMMA))
 
     def falling_on(self, camera: Camera, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """The light [P] on points [P,3] beside the surface, with unit normals [P,3], while the camera's photograph is
-        taken; 0 in the lamp's shadow."""
+        """Return the irradiance [P] of points [P,3] beside the surface, in a camera's photograph.
+
+        normals [P,3]: unit. In the lamp's shadow the irradiance is 0.
+        """
         face, shares = self._caster.nearest(points)
         besides = (self.besides[self.like[self.faces[face]]] * shares).sum(axis=1)
         place = self._lamp(camera)
@@ -67,7 +72,7 @@ class Lighting:
         return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + besides))
 
     def moved(self, to: Similarity) -> Lighting:
-        """The same in the frame that `to` leads to."""
+        """Return the same lighting in the frame that `to` leads to."""
         longer = to.scale
         return replace(
             self,
@@ -78,7 +83,7 @@ class Lighting:
         )
 
     def _lamp(self, camera: Camera) -> np.ndarray:
-        """Where the lamp is, [3]."""
+        """Return the lamp's position [3] for a camera, in the scene's frame."""
         return np.asarray(camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3])
 
     @cached_property
@@ -87,19 +92,21 @@ class Lighting:
 
     @cached_property
     def _carried(self) -> np.ndarray:
-        """What each vertex is lit by, [V,7] float32: place, normal, and the light besides the lamp's."""
+        """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
         normals = vertex_normals(self.vertices, self.faces)
         carried = np.concatenate([self.vertices, normals, self.besides[:, None]], axis=1)
         return carried[self.like].astype(np.float32)
 
     @cached_property
     def _gap(self) -> float:
-        """How far a point may lie behind its facets."""
+        """Return how far a point may lie behind its faces: the mean edge length."""
         return edge_length(self.vertices, self.faces)
 
     def _parts(self, camera: Camera) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
-        """Where the surface may be in the image, some rows at a time, with the places [H,n,W,n,2] of n x n rays in each
-        pixel."""
+        """Yield the parts of an image in which the surface may be, some rows at a time.
+
+        Each comes with the pixel coordinates [H,n,W,n,2] of n x n rays in each of its H x W pixels.
+        """
         size, fine = (camera.width, camera.height), max(1, round(RAYS / max(camera.width, camera.height)))
         places, depths = camera.project(self.vertices)
         first, last = np.zeros(2, np.intp), np.array(size)
@@ -116,7 +123,10 @@ class Lighting:
             yield (slice(top, end), slice(first[0], last[0])), pixels
 
     def _light_at(self, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The sum of the light over each pixel's rays [H,n,W,n,2] that meet the surface, and their number."""
+        """Return the sum of the light [H,W] over each pixel's rays that meet the surface, and their number [H,W].
+
+        pixels [H,n,W,n,2]: the rays' pixel coordinates.
+        """
         hits = self._caster.cast_pixels(camera, pixels)
         met = hits.mask
         there = np.einsum("pki,pk->pi", self._carried[self.faces[hits.face[met]]], hits.barycentric[met])
@@ -130,14 +140,16 @@ class Lighting:
 
 
 def lamp_light(to_lamp: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The light [...] that a lamp sends to surfaces with unit normals [...,3], to_lamp [...,3] away: 1 to one that
-    faces it at a distance of 1 (Lambert)."""
+    """Return the irradiance [...] by a lamp at the offsets to_lamp [...,3] from surfaces with unit normals [...,3].
+
+    It is 1 for a surface that faces the lamp at a distance of 1 (Lambert).
+    """
     cosines = np.maximum((to_lamp * normals).sum(axis=-1), 0)
     return np.asarray(cosines / (to_lamp**2).sum(axis=-1) ** 1.5)
 
 
 def lit_scene(scene: Scene, lighting: Lighting | None, threads: int | None = None) -> Scene:
-    """The scene with what the flash makes of each of its views; as it is without one."""
+    """Return the scene with the flash's irradiance in each of its views; unchanged without a flash."""
     if lighting is None:
         return scene
     pixels = PixelStore()

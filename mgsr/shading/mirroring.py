@@ -1,6 +1,8 @@
-"""Normals from gloss: each point is tilted until what it mirrors of the surroundings explains how it changes from view
-to view. The tilts are searched on a grid, as lamps make the surroundings too uneven for steps along a slope. How fast
-what is left unexplained rises around the best tilt, against how much of it there is, tells how well it is known."""
+"""Normals from gloss: each point is tilted until the environment map explains how its brightness changes.
+
+The tilts are searched on a grid, as lamps make the environment too uneven for steps along a slope. How fast the
+residual rises around the best tilt, against how much of it there is, tells how well the tilt is known.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,10 @@ def explain_by_mirroring(
     still: np.ndarray,
     threads: int | None,
 ) -> Explained:
-    """What one map of mirrored surroundings says of the normals [P,3] of a mesh's vertices.
+    """Estimate the normals of a mesh's vertices from one environment map that they all mirror.
 
-    laplacian: the mesh's (`umbrella`). reach: edges over which the readings of neighbours are put together.
-    still [P] in 0..1: how little a point's own normal may change.
+    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`umbrella`). reach: edges over which the readings
+    of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
     """
     own = mean_normals(normals, laplacian, rounds=1)
     surroundings = fit_surroundings(readings, own)
@@ -54,7 +56,10 @@ def explain_by_mirroring(
 def _costs(
     readings: Readings, surroundings: Surroundings, frames: np.ndarray, tilts: np.ndarray, threads: int | None
 ) -> np.ndarray:
-    """What is left unexplained [P,T*T] at each tilt of the third axis of the frames [P,3,3] along the others."""
+    """Return the cost [P,T*T] of the residual at each tilt of the third axis of the frames [P,3,3] along the others.
+
+    tilts [T]: tangents of the angles.
+    """
     table, outlier = surroundings.table(), OUTLIER * surroundings.deviation + 1e-9
     parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
     costs = map_ahead(lambda part: _part(readings.at(part), table, frames[part], tilts, outlier), parts, threads)
@@ -79,9 +84,12 @@ def _part(readings: Readings, table: np.ndarray, frames: np.ndarray, tilts: np.n
 
 
 def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The tilts [P] along both axes where costs [P,T,T] are lowest, between the steps by a parabola; the cost at the
-    lowest step [P], and by how much the steps before and after it are higher together, along both axes [2,P]: 0 at the
-    search's limits, beyond which it may be lower."""
+    """Find the tilts at which the costs [P,T,T] are lowest, between the steps by a parabola.
+
+    Returns the tilts [P] along both axes; the cost at the lowest step [P]; and by how much the steps before and after
+    it are higher together, along both axes [2,P]. The last is 0 at the search's limits, beyond which the cost may be
+    lower.
+    """
     count, side = len(costs), len(tilts)
     place = costs.reshape(count, -1).argmin(axis=1)
     row, column, index = place // side, place % side, np.arange(count)
@@ -98,6 +106,6 @@ def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Where a parabola through three neighbours is lowest, in steps from the middle."""
+    """Return where a parabola through three neighbours is lowest, in steps from the middle, at most half a step."""
     bend = np.maximum(before + after - 2 * here, 1e-12)
     return np.clip((before - after) / (2 * bend), -0.5, 0.5)

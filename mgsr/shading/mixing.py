@@ -1,9 +1,9 @@
-"""What a photograph's pixels mix.
+"""Correction of readings for the footprints of pixels.
 
 A pixel shows the mean of a patch of the surface, and a reading between pixels that of a larger one. So creases look
 flatter than they are, and the borders of paint look like shades. The surface as it is known, seen through the same
-pixels, is mixed alike; what mixing changes there at a point is taken off the reading of it. A surface that explains
-the photographs then explains its readings too (deferred correction; of images, Van Cittert's deconvolution, 1931).
+pixels, is mixed alike; what mixing changes there at a point is taken off the reading of it. A surface that explains the
+photographs then explains its readings too (deferred correction; of images, Van Cittert's deconvolution, 1931).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ def unmixed(
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
 ) -> Readings:
-    """The readings at the vertices [V,3] of a mesh, which `caster` has, without what pixels mix into them.
+    """Return the readings at a mesh's vertices [V,3], corrected for what the footprints of pixels mix into them.
 
-    shown: how bright some of the mesh's vertices, by their indices [P], are known to be [P] in the photograph of this
-    number, to an eye that sees single points.
+    caster: of the mesh. shown: a function of a photograph's number and vertex indices [P], which returns the known
+    brightness [P] of these vertices in this photograph, as single points.
     """
     brightness = readings.brightness.copy()
 
@@ -53,7 +53,7 @@ def unmixed(
 
 
 def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
-    """What RAYS x RAYS rays through each of a photograph's usable pixels meet, [U,RAYS,RAYS]."""
+    """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; the hits are [U,RAYS,RAYS]."""
     rows, columns = np.nonzero(photograph.usable)
     inside = (np.arange(RAYS) + 0.5) / RAYS
     pixels = np.empty((len(rows), RAYS, RAYS, 2))
@@ -64,8 +64,10 @@ def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
 def _through_pixels(
     hits: PixelHits, faces: np.ndarray, points: np.ndarray, usable: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How bright the usable pixels [H,W] bool that were cast show vertices of this brightness [V], [H,W], 0 where they
-    meet none; and 1 where they do."""
+    """Render vertices' brightness [V] through the pixels that were cast: an image [H,W] and its coverage [H,W].
+
+    usable [H,W] bool: the pixels that were cast. A pixel that meets no face has 0 in both, any other 1 in the coverage.
+    """
     met = hits.mask
     seen, counts = np.zeros(met.shape, np.float32), met.sum(axis=(1, 2))
     seen[met] = (points[faces[hits.face[met]]] * hits.barycentric[met]).sum(axis=-1)

@@ -1,13 +1,13 @@
-"""A surface moved to where the photographs agree on what lies on it.
+"""Photometric multi-view refinement: a surface is moved to where the photographs agree on what lies on it.
 
 Where a mesh lies before or behind the true surface, each photograph shows another place of it under the same vertex.
 Fine texture and creases tell by how much; what is coarser comes from the light, whose shades and highlights have a
 parallax of their own, and is left out. This is Lucas and Kanade's (1981) registration with one displacement a vertex,
 along its normal, under a thin plate: variational stereo, as in Faugeras and Keriven (1998) and Vu and others (2012).
 
-Where the light stands still, what gloss mirrors moves all the same; where the surroundings are known, a reading counts
-less the more of the detail around it is mirrored. And outlines must hold the surface: parallax alone draws it inwards,
-by 3 per mille of its radius from the very truth of a painted cow.
+Where the light stands still, what gloss mirrors moves all the same; where the environment map is known, a reading
+counts less the more of the detail around it is mirrored. And contours must hold the surface: parallax alone draws it
+inwards, by 3 per mille of its radius from the very truth of a painted cow.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ def refine_by_parallax(
 ) -> np.ndarray:
     """Return the vertices [V,3] of a mesh moved along their normals so that the photographs agree at them.
 
-    outlines: the masks', which hold the surface. reach: pixels over which a displacement spreads that is known to
-    KNOWN. shading: what light the photographs were taken in, if that is known. go_on: asked before every round; the
-    surface stays as it is then once it says no.
+    outlines: the masks' contours, which hold the surface. reach: pixels over which a displacement spreads that is known
+    to KNOWN. shading: what light the photographs were taken in, if that is known. go_on: asked before every round; once
+    it says no, no more rounds follow.
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
     light = KnownLight.known_by(shading, vertices, faces)
@@ -78,15 +78,17 @@ def refine_by_parallax(
 def _plate(
     points: np.ndarray, coarse: np.ndarray, triangles: np.ndarray, reach: float
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return the thin plate on a coarse mesh that joins what points [P,3] beside it want: displacements [P], weights
-    [P]."""
+    """Return a function that smooths displacements of points [P,3] by a thin plate on a coarse mesh beside them.
+
+    It takes the points' target displacements [P] and their weights [P], and returns displacements [P].
+    """
     carry, laplacian = interpolation(coarse, triangles, points), umbrella(triangles, len(coarse))
     steps = reach / edge_length(coarse, triangles) * (len(points) / len(coarse)) ** 0.25
     return lambda wanted, weights: carry @ smooth_displacements(laplacian, wanted, weights, steps, carry)
 
 
 def _told(readings: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacements [V], in pixels, after which the photographs agree best, and what each weighs [V]."""
+    """Return the displacements [V], in pixels, after which the photographs agree best, and their weights [V]."""
     weights = readings.weights
     noise = _noise(apart(readings.mixed, weights), weights)
     weights = weights / (1 + (readings.mirrored / (MIRRORED * noise)) ** 2)
@@ -105,5 +107,8 @@ def _told(readings: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _noise(left: np.ndarray, weights: np.ndarray) -> float:
-    """Return the deviation of what is left unexplained [V,K] where the weights [V,K] are above 0, but for outliers."""
+    """Return the robust deviation of the residuals [V,K] where the weights [V,K] are above 0.
+
+    It is the median absolute residual times 1.4826; 1 where no weight is above 0.
+    """
     return 1.4826 * float(np.median(np.abs(left[weights > 0]))) + 1e-9 if weights.any() else 1.0

@@ -1,4 +1,4 @@
-"""How bright each point of a surface is in the photographs that see it."""
+"""Observations of a surface: how bright each point is in the photographs that see it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ KEPT = 24  # readings of a point, those that see it most frontal
 
 @dataclass(frozen=True)
 class Readings:
-    """At P points, each in at most K photographs, float32: towards [P,K,3], unit directions to the camera; distances
-    [P,K] to it; brightness [P,K], the mean of the channels in linear light; weights [P,K], the cosine of the tilt where
-    the point is seen and the pixel is of use, else 0. photographs [P,K] int: which they are."""
+    """Observations of P points, each in at most K photographs, float32.
+
+    towards [P,K,3]: unit directions to the camera; distances [P,K] to it; brightness [P,K]: the mean of the channels in
+    linear light; weights [P,K]: the cosine of the tilt where the point is seen and the pixel is of use, else 0;
+    photographs [P,K] int: the photographs' indices.
+    """
 
     towards: np.ndarray
     distances: np.ndarray
@@ -35,7 +38,7 @@ class Readings:
 
     @property
     def counts(self) -> np.ndarray:
-        """How many photographs tell of each point, [P]."""
+        """Return how many photographs tell of each point, [P]."""
         return (self.weights > 0).sum(axis=1)
 
     def at(self, points: np.ndarray) -> Readings:
@@ -43,15 +46,18 @@ class Readings:
         return Readings(*(array[points] for array in _arrays(self)))
 
     def frontal(self, least: float) -> Readings:
-        """Return the same, but readings of which the cosine of the tilt is under `least` count as unseen."""
+        """Return the same readings, but those under a cosine of the tilt of `least` count as unseen."""
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
 @dataclass(frozen=True)
 class Photograph:
-    """brightness [H,W] float32, the mean of the channels in linear light, 0 where nothing is; usable [H,W] bool: pixels
-    that show the object alone and are not clipped; known [H,W] bool: pixels whose neighbours, too, are shown by the
-    photograph, None if all are."""
+    """A photograph in linear light.
+
+    brightness [H,W] float32: the mean of the channels, 0 where nothing is known; usable [H,W] bool: pixels that show
+    the object alone and are not clipped; known [H,W] bool: pixels that are known together with their neighbours, None
+    if all are.
+    """
 
     camera: Camera
     brightness: np.ndarray
@@ -60,7 +66,7 @@ class Photograph:
 
 
 def linear_photographs(views: Sequence[View]) -> list[Photograph]:
-    """Return the photographs as they are read: `some_of` the views, in linear light."""
+    """Return `some_of` the views as photographs in linear light."""
     return [_linear(view) for view in some_of(views)]
 
 
@@ -73,10 +79,10 @@ def read_photographs(
     threads: int | None = None,
     lamps: np.ndarray | None = None,
 ) -> Readings:
-    """Return the photographs' brightness at the vertices [V,3] of a mesh.
+    """Read the photographs' brightness at the vertices [V,3] of a mesh with normals [V,3].
 
-    gap: how far a vertex may lie behind the mesh. lamps [N,3]: the place of each photograph's; a vertex in its shadow
-    counts as unseen.
+    gap: how far a vertex may lie behind the mesh. lamps [N,3]: the lamp's place for each photograph; a vertex in its
+    shadow counts as unseen. At most KEPT readings of a vertex are kept, those that see it most head-on.
     """
     caster = RayCaster(vertices, faces)
 
@@ -102,19 +108,21 @@ def seen_frontal(
     gap: float,
     known: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the indices of those of a mesh's points [P,3], with unit normals [P,3], that are frontal [P] bool and that
-    the camera sees. gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`."""
+    """Return the indices of the points [P,3] of a mesh that are frontal and that the camera sees.
+
+    normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`.
+    """
     index = np.flatnonzero(frontal)
     return index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
 
 
 def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return the image [H,W] at pixel coordinates [P,2] (centres at +0.5), between pixels in proportion."""
+    """Interpolate the image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
     return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
 
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Which of the pixel coordinates [P,2] lie between pixels of the mask [H,W] bool alone, [P] bool."""
+    """Return which of the pixel coordinates [P,2] lie between pixels of the mask [H,W] bool alone, [P] bool."""
     return read_image(mask.astype(np.float32), pixels) > 0.99
 
 
@@ -142,7 +150,10 @@ def _read(
     normals: np.ndarray,
     gap: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One photograph's column of the readings, but for its number."""
+    """Read one photograph's column of the readings, without its index.
+
+    lamp [3]: the lamp's place, or None; points, normals [P,3]; gap: how far a point may lie behind the mesh.
+    """
     camera = photograph.camera
     offsets = (camera.center - points).astype(np.float32)
     distances = np.linalg.norm(offsets, axis=1)

@@ -1,8 +1,8 @@
-"""A surface bent to the normals that the photographs' shading tells.
+"""Shape from shading: a surface is bent to the normals that the photographs' shading tells.
 
-Two kinds of light are tried: a flash on the camera, and surroundings that stand still and are mirrored. Where neither
-explains the photographs, the surface stays. Normals know the small shape best and positions the large (Nehab and
-others 2005), and the masks' outlines hold the surface where they touch it.
+Two light models are tried: a flash on the camera, and an environment that stands still and is mirrored. Where neither
+explains the photographs, the surface stays. Normals know the small shape best and positions the large (Nehab and others
+2005), and the masks' contours hold the surface where they touch it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,10 @@ OUTLINE_SMOOTHING = 1.5  # pixels over which what the outlines say is smoothed
 
 
 class Light(StrEnum):
-    """flash: on the camera; surroundings: standing still, mirrored by the surface; unknown: neither explains enough."""
+    """The light of a capture, as far as the photographs tell.
+
+    flash: on the camera; surroundings: standing still, mirrored by the surface; unknown: neither explains enough.
+    """
 
     FLASH = "flash"
     SURROUNDINGS = "surroundings"
@@ -47,9 +50,11 @@ RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are co
 
 @dataclass(frozen=True)
 class Pass:
-    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels. Shape larger than
-    `reach` pixels is left as it is, but for what the outlines say. fairing: degrees; noise up to this is taken off the
-    surface before, and after as well (`smooth_noise`); 0: none."""
+    """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels.
+
+    Shape larger than `reach` pixels stays as it is, but for what the contours say. fairing: degrees; noise up to this
+    is smoothed before and after the rounds (`smooth_noise`); 0: none.
+    """
 
     edge: float
     rounds: int
@@ -59,7 +64,10 @@ class Pass:
 
 @dataclass(frozen=True)
 class Refined:
-    """vertices [V,3], moved where the light is known; shading: what knows it, None for an unknown light."""
+    """A surface refined by shading.
+
+    vertices [V,3]: moved where the light is known; shading: the light model, None for an unknown light.
+    """
 
     vertices: np.ndarray
     light: Light
@@ -77,12 +85,12 @@ def refine_by_shading(
     progress: Callable[[float], None] = lambda done: None,
     go_on: Callable[[], bool] = lambda: True,
 ) -> Refined:
-    """Return the vertices [V,3] of a mesh moved so that shading explains the photographs, if it does.
+    """Move the vertices [V,3] of a mesh so that its shading explains the photographs, if a light model does.
 
-    outlines: the masks', which hold the surface; none without masks.
+    outlines: the masks' contours, which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
-    passes: how each light bends the surface; one without any only gets known. go_on: asked before every round; the
-    surface stays as it is then once it says no.
+    passes: how each light bends the surface; a light without any is only identified.
+    go_on: asked before every round; once it says no, no more rounds follow.
     progress: told after each round of the share of the rounds that are done.
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
@@ -111,7 +119,10 @@ def refine_by_shading(
 
 
 def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:
-    """Return the kind of light that leaves least unexplained on the mesh as it is, if that is little enough."""
+    """Return the light that leaves least unexplained on the mesh as it is, and its model.
+
+    Where that is more than max_ratio, the light is unknown and the model None.
+    """
     readings, normals = shot.read(vertices, faces)
     by_flash, by_mirroring = flash_ratio(readings, normals), mirrored_surroundings(readings, normals).ratio
     if not min(by_flash, by_mirroring) <= max_ratio:
@@ -123,8 +134,11 @@ def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: 
 
 @dataclass(frozen=True)
 class _Whole:
-    """The mesh with all its vertices [W,3] before any moves, which are those of a coarser one's, `before` [V,3],
-    carried over [W,V]; and the outlines that it is held against. Outlines of a coarse mesh would show cut corners."""
+    """The full mesh that a coarser one's moves are carried over to, and the contours that it is held against.
+
+    vertices [W,3], faces: before any moves; before [V,3]: the coarse mesh's vertices; carry [W,V]: the interpolation of
+    their moves; outlines: the contours. Those of the coarse mesh would show cut corners.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -133,7 +147,7 @@ class _Whole:
     outlines: Sequence[Outline]
 
     def gaps(self, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`outline_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
+        """Return `outline_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
         vertices = self.vertices + self.carry @ (after - self.before)
         gaps, touched = outline_gaps(vertices, self.faces, vertex_normals(vertices, self.faces), self.outlines)
         sums, counts = self.carry.T @ (gaps * touched), self.carry.T @ touched
@@ -142,7 +156,7 @@ class _Whole:
 
 @dataclass(frozen=True)
 class _Work:
-    """The mesh that is worked on, but for its vertices, and the whole one."""
+    """The coarse mesh that is bent, but for its vertices, and the full one."""
 
     faces: np.ndarray
     edges: np.ndarray
@@ -151,7 +165,10 @@ class _Work:
     pixel: float
 
     def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: Explained, reach: float) -> np.ndarray:
-        """Return the vertices moved to fit the normals, the outlines and their own places."""
+        """Return the vertices [V,3] moved to fit the light's normals, the contours and their own places.
+
+        normals [V,3]: the vertices' own; explained: the light's; reach: pixels; larger shape stays.
+        """
         offsets, touched = self.whole.gaps(vertices)
         held = np.minimum(touched, 1)
         edge = edge_length(vertices, self.faces)
@@ -175,6 +192,6 @@ def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
-    """Values [V] averaged, by their weights [V], over about `reach` edges around."""
+    """Average values [V] by their weights [V] over about `reach` edges around."""
     sums = spread(np.stack([values * weights, weights], axis=1), laplacian, reach)
     return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)

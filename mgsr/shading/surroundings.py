@@ -1,4 +1,4 @@
-"""The surroundings as a surface mirrors them, blurred by its gloss: one map over all directions.
+"""The environment map as a surface mirrors it, blurred by its gloss.
 
 Under light that stands still, what a point of an object shows is its own steady brightness, whatever matte paint makes
 of the light, plus what it mirrors, which depends on the mirrored direction alone when the gloss is the same all over.
@@ -26,15 +26,21 @@ OUTLIER = 3.0  # deviations at which a reading counts half
 
 @dataclass(frozen=True)
 class Surroundings:
-    """light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the readings from it, in linear light; ratio: of
-    that to their deviation from one brightness a point."""
+    """An environment map fitted to readings.
+
+    light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the readings from it, in linear light; ratio: of that
+    to their deviation from one brightness a point.
+    """
 
     light: np.ndarray
     deviation: float
     ratio: float
 
     def table(self) -> np.ndarray:
-        """The light in the cells of the cube [-1,1]^3, flat [CELLS^3] float32: `look_up` needs no angles."""
+        """Return the light in the cells of the cube [-1,1]^3, flat [CELLS^3] float32.
+
+        `look_up` reads it without computing angles.
+        """
         middles = (np.arange(CELLS, dtype=np.float32) + 0.5) * (2 / CELLS) - 1
         cells = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
         rows, columns = _places(cells / np.linalg.norm(cells, axis=-1, keepdims=True))
@@ -42,19 +48,22 @@ class Surroundings:
         return map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
 
     def mirrored(self, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
-        """The light [P] that points with these normals [P,3] send towards [P,3] a camera, all unit."""
+        """Return the light [P] that points with normals [P,3] mirror into the directions towards [P,3], all unit."""
         directions = 2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards
         return np.asarray(_sampling(directions) @ self.light.ravel())
 
 
 def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """The light [...] in unit directions with these components [...], from a `Surroundings.table`."""
+    """Return the light [...] in unit directions with components x, y and z [...], from a `Surroundings.table`."""
     x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
     return table[(x * CELLS + y) * CELLS + z]
 
 
 def fit_surroundings(readings: Readings, normals: np.ndarray, seed: int = 0) -> Surroundings:
-    """The map that explains the readings best on a surface with these normals [P,3], by robust least squares."""
+    """Fit the environment map that explains the readings best on a surface with normals [P,3], by robust least squares.
+
+    At most POINTS points are used, drawn with `seed`.
+    """
     points, seen = _well_read(readings, seed)
     towards, brightness, weights = readings.towards[points], readings.brightness[points], readings.weights[points]
     owners = np.nonzero(seen)[0]
@@ -75,7 +84,10 @@ def fit_surroundings(readings: Readings, normals: np.ndarray, seed: int = 0) -> 
 
 @dataclass(frozen=True)
 class _Equations:
-    """brightness [Q] = rows [Q,cells] @ light + what is the point's own, the same in all readings of an owner [Q]."""
+    """The linear equations of the map: brightness [Q] = rows [Q,cells] @ light + each point's own brightness.
+
+    owners [Q]: the point of each reading; its own brightness is the same in all of them.
+    """
 
     rows: sparse.csr_matrix
     brightness: np.ndarray
@@ -101,7 +113,10 @@ class _Equations:
 
 
 def _well_read(readings: Readings, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Some points that several photographs see, by index, and which of their readings count [points,K] bool."""
+    """Return the indices of some points that at least three photographs see, and which of their readings count.
+
+    The latter are [points,K] bool.
+    """
     points = np.flatnonzero(readings.counts >= 3)
     if len(points) > POINTS:
         points = np.sort(np.random.default_rng(seed).choice(points, POINTS, replace=False))
@@ -109,14 +124,14 @@ def _well_read(readings: Readings, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where directions [...,3] fall on the map: row -0.5 to HEIGHT-0.5 and column -0.5 to WIDTH-0.5."""
+    """Return where directions [...,3] fall on the map: rows -0.5 to HEIGHT-0.5 and columns -0.5 to WIDTH-0.5."""
     polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
     azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
     return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
 
 
 def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
-    """The matrix [Q,HEIGHT*WIDTH] that reads the map in directions [Q,3], bilinear."""
+    """Return the matrix [Q,HEIGHT*WIDTH] that reads the map in directions [Q,3], bilinearly."""
     rows, columns = _places(directions)
     top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
     down, along = rows - top, columns - first
@@ -130,7 +145,7 @@ def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
 
 
 def _steps_squared() -> sparse.csr_matrix:
-    """The quadratic form of the differences of neighbouring cells; the map closes around the azimuth."""
+    """Return the quadratic form of the differences of neighbouring cells; the map wraps around in azimuth."""
     cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
     pairs = np.concatenate(
         [

@@ -1,8 +1,8 @@
-"""What neither paint nor mirrored surroundings explain of the photographs, place by place on a surface.
+"""The residual that paint and a mirrored environment map leave of the photographs, place by place on a surface.
 
 Where a surface is right, each of its points has one brightness of its own in all photographs, and what it mirrors comes
-from one map of the surroundings. Where it is wrong, other places come to lie behind one point from view to view. So of
-two surfaces that are seen at the same pixel, the one that leaves less unexplained is the likelier there.
+from one environment map. Where it is wrong, other places come to lie behind one point from view to view. So of two
+surfaces that are seen at the same pixel, the one that leaves less unexplained is the likelier there.
 """
 
 from __future__ import annotations
@@ -29,9 +29,12 @@ FEWEST = 3  # readings of a point, or it tells nothing
 
 @dataclass(frozen=True)
 class Unexplained:
-    """vertices [V,3] and faces [F,3] of a surface; variance [V]: of the readings around each vertex, in squared linear
-    light, that is left once each point has its own brightness and what it mirrors, 0 where too few tell; ratio: the
-    share of their deviation that mirrored surroundings leave on all of the surface."""
+    """The photometric residual of a surface, vertices [V,3] and faces [F,3].
+
+    variance [V]: of the readings around each vertex, in squared linear light, that is left once each point has its own
+    brightness and what it mirrors, 0 where too few tell; ratio: the share of the readings' deviation that the
+    environment map leaves on the whole surface.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -39,7 +42,7 @@ class Unexplained:
     ratio: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """Return the variance [H,W] of what the camera sees, 0 where it sees nothing of which enough is told."""
+        """Return the variance [H,W] of what the camera sees; 0 where it sees nothing, or too few readings tell."""
         hits = self._caster.cast(camera)
         corners = self.variance[self.faces[np.where(hits.mask, hits.face, 0)]]
         return np.asarray(np.where(hits.mask & (corners > 0).all(axis=-1), corners.mean(axis=-1), 0))
@@ -52,8 +55,7 @@ class Unexplained:
 def leave_unexplained(
     surfaces: Sequence[Triangles], views: Sequence[View], threads: int | None = None
 ) -> list[Unexplained]:
-    """Return what each of several meshes leaves unexplained of the views, with the map of the surroundings of the mesh
-    on which one explains most."""
+    """Return the residual of each of several meshes, by the one environment map that explains its mesh best."""
     photographs, read = linear_photographs(views), []
     for vertices, faces in surfaces:
         pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
@@ -69,7 +71,7 @@ def leave_unexplained(
 
 
 def _left(readings: Readings, normals: np.ndarray, surroundings: Surroundings) -> np.ndarray:
-    """Return the readings' brightness [P,K] less what points with these normals [P,3] mirror; 0 where unseen."""
+    """Return the readings' brightness [P,K] less what points with normals [P,3] mirror; 0 where unseen."""
     seen = readings.weights > 0
     owners = np.nonzero(seen)[0]
     left = np.zeros(seen.shape)
@@ -78,7 +80,7 @@ def _left(readings: Readings, normals: np.ndarray, surroundings: Surroundings) -
 
 
 def _pooled(vertices: np.ndarray, faces: np.ndarray, pixel: float, readings: Readings, left: np.ndarray) -> np.ndarray:
-    """Return the variance [V] of what is left [V,K] of a mesh's readings, about each point's mean, over AROUND."""
+    """Return the variance [V] of the residuals [V,K] about each point's mean, averaged over AROUND pixels."""
     weights = np.where(readings.counts[:, None] >= FEWEST, readings.weights, 0)
     total = weights.sum(axis=1)
     means = (weights * left).sum(axis=1) / np.maximum(total, 1e-9)

@@ -1,4 +1,4 @@
-"""Depth where stereo finds none: an image without contrast continues what lies around it.
+"""Depth where stereo finds none: an image without contrast continues the depth around it.
 
 A pixel without depth takes the inverse depth that bends least, as a plane's inverse depth does not bend at all in a
 photograph. Where the image has an edge it may bend and break at no cost.
@@ -18,8 +18,10 @@ TRUSTED = 0.8  # least share of its trust that a pixel must have from found dept
 
 
 def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Inverse depths [h,w] of a view's image [h,w,3], sRGB 0..255, in place of what is 0 in `inverse` [h,w]; NaN
-    where no found depth is near enough, or only beyond an edge."""
+    """Fill the gaps, where it is 0, of a view's inverse depth map [h,w], and return inverse depths [h,w].
+
+    image [h,w,3]: the view's, sRGB 0..255. NaN is returned where no found depth is near enough, or only beyond an edge.
+    """
     found = inverse > 0
     if found.sum() < 3:
         return np.where(found, inverse, np.nan)
@@ -33,14 +35,16 @@ def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
-    """How smooth the image is between each pixel and the next along an axis: 1 where nothing changes, BARELY across an
-    edge; one less along that axis."""
+    """Return how smooth the image is between each pixel and the next along an axis.
+
+    It is 1 where nothing changes, and BARELY across an edge. The result has the image's size, less one along that axis.
+    """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
     return np.maximum(np.exp(-((change / EDGE) ** 2)), BARELY)
 
 
 def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
-    """The quadratic form of the second differences along an axis, each as dear as its rougher step."""
+    """Return the quadratic form of the second differences along an axis, each weighed by its rougher step."""
     steps = np.moveaxis(smooth, axis, -1)
     weights = np.minimum(steps[..., :-1], steps[..., 1:])
     index = np.moveaxis(_pixels(smooth, axis), axis, -1)
@@ -49,7 +53,7 @@ def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
 
 
 def _trust(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
-    """1 where depth was found, fading on the way from there, and hardly passing edges, [h,w]."""
+    """Return the trust [h,w] in filled depths: 1 where depth was found, fading with distance and at edges."""
     form = LEAK * sparse.eye(found.size) + sparse.diags(HOLD * found.ravel().astype(float))
     for smooth, axis in ((along_x, 1), (along_y, 0)):
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
@@ -59,13 +63,13 @@ def _trust(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.nd
 
 
 def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:
-    """The numbers [h,w] of an image's pixels, given what lies between them along an axis."""
+    """Return the indices [h,w] of an image's pixels, given an array of what lies between them along an axis."""
     shape = [side + (number == axis) for number, side in enumerate(smooth.shape)]
     return np.arange(int(np.prod(shape))).reshape(shape)
 
 
 def _gram(parts: list[tuple[np.ndarray, float]], weights: np.ndarray, count: int) -> sparse.csc_matrix:
-    """A' W A for rows that add pixels times factors, each row times its weight."""
+    """Return A' W A for rows that add pixels times factors, each row times its weight."""
     rows = np.arange(weights.size)
     entries = [(np.full(weights.size, factor), (rows, index.ravel())) for index, factor in parts]
     matrix = sum(sparse.csc_matrix(entry, shape=(weights.size, count)) for entry in entries)

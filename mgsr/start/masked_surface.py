@@ -1,4 +1,4 @@
-"""The surface that training begins on where masks tell the object: the visual hull, corrected by the photographs.
+"""The initial surface where masks tell the object: the visual hull, corrected by the photographs.
 
 PatchMatch stereo finds the concavities that no silhouette shows; in photographs of half the size it finds, more
 coarsely, what is too faint for it in whole ones. On a mirror it finds what is mirrored instead, behind the surface; so
@@ -60,8 +60,11 @@ HALVES_MATCHED, MATCHED, FUSED, FAR_SHADED, NEAR_BEGUN, NEAR_SHADED = 0.1, 0.4, 
 
 @dataclass(frozen=True)
 class MaskedSurface:
-    """vertices [V,3] float64 in the scene's frame and outward faces [F,3]; light: what lit the photographs, as far as
-    they tell; lighting: what a flash makes of the surface, None without one."""
+    """The initial surface of a masked object.
+
+    vertices [V,3] float64 in the scene's frame and outward faces [F,3]; light: what lit the photographs, as far as they
+    tell; lighting: a flash's light on the surface, None without one.
+    """
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -93,10 +96,11 @@ def find_surface(
 
 
 def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Callable[[float], None]) -> Triangles:
-    """Return the hull's surface where mirrored surroundings explain the photographs on it, and clearly better than on
-    the surface that stereo finds; else the latter, for which pixels count the less the better the hull explains them.
+    """Return the hull's surface where it explains the photographs clearly better than stereo's; else stereo's.
 
-    What a surface mirrors moves across it as a pattern behind it would, and stereo cannot tell the two apart.
+    The hull wins where a mirrored environment map explains the photographs on it. For stereo's surface, pixels count
+    the less the better the hull explains them. What a surface mirrors moves across it as a pattern behind it would, and
+    stereo cannot tell the two apart.
     """
     outer = hull_surface(hull)
     seen = _matched(stereo_photographs(views), RayCaster(*outer), seed, progress)
@@ -114,8 +118,10 @@ def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Ca
 
 @dataclass(frozen=True)
 class _Matched:
-    """Depth maps of photographs at two sizes: their cameras, the maps, their pixels' weights, and the size of the
-    finer pixels on the object."""
+    """Depth maps of photographs at two sizes.
+
+    cameras: of the maps; maps; weights: of their pixels; pixel: the size of the finer pixels on the object.
+    """
 
     cameras: Sequence[Camera]
     maps: Sequence[DepthMap]
@@ -136,8 +142,11 @@ def _matched(
 
 
 def _believed(camera: Camera, outer: Unexplained, inner: Unexplained) -> np.ndarray:
-    """Return by how much pixels [H,W] of stereo count, 0..1: less the more the inner surface leaves unexplained there,
-    in octaves of the deviation over what the outer one leaves; where either tells nothing, 1."""
+    """Return how much each pixel of stereo counts, [H,W] 0..1.
+
+    It counts less the more the inner surface leaves unexplained there, in octaves of the deviation over what the outer
+    one leaves; where either tells nothing, 1.
+    """
     left, before = inner.seen_by(camera), outer.seen_by(camera)
     known = (left > 0) & (before > 0)
     octaves = np.log2(np.where(known, left, 1) / np.where(known, before, 1)) / 2
@@ -158,5 +167,5 @@ def _bent(
 
 
 def _between(progress: Callable[[float], None], begin: float, end: float) -> Callable[[float], None]:
-    """Return what a part of the work calls that goes from `begin` to `end` of the whole."""
+    """Return a progress callback for a part of the work that goes from `begin` to `end` of the whole."""
     return lambda done: progress(begin + (end - begin) * done)

@@ -1,9 +1,9 @@
-"""Points on a surface that no mask shows, by plane-sweep stereo (Collins 1996).
+"""Plane-sweep stereo (Collins 1996): points on a surface that no mask shows.
 
-A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where
-they agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. What
-has no contrast continues what lies around it, where that too is confirmed. The unit ball is searched finely, and what
-lies behind it coarsely, so that a background has its place and is not taken for something in the ball.
+A photograph's neighbours are held against it on one plane after the other in front of it; a pixel's depth is where they
+agree best, by the correlation of a small window. Depths that other photographs don't confirm are dropped. What has no
+contrast continues what lies around it, where that too is confirmed. The unit ball is searched finely, and what lies
+behind it coarsely, so that a background has its place and is not taken for something in the ball.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CROWD, LONELY = 20, 1.5  # a point is noise whose CROWD neighbours are LONELY de
 
 
 def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lambda done: None) -> PointCloud:
-    """Points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none.
+    """Find points of the surfaces in the unit ball and behind it, as far as the views have contrast; maybe none.
 
     progress: told of the share of the work that is done, 0..1.
     """
@@ -66,8 +66,11 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
 @dataclass(frozen=True)
 class _Look:
-    """A view as it is compared: its reduced camera, image [h,w,3] sRGB 0..255 and grey [1,h,w] 0..1; known [h,w]
-    float32, 1 where the photograph shows a pixel, None where it shows all."""
+    """A view as it is compared.
+
+    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; known [h,w] float32: 1 where the photograph shows a
+    pixel, None where it shows all.
+    """
 
     camera: Camera
     image: np.ndarray
@@ -87,7 +90,7 @@ def _look(view: View) -> _Look:
 
 
 def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
-    """Camera z [h,w] where the neighbours agree; infinite where they don't."""
+    """Return the depth map of one view, camera z [h,w], infinite where the neighbours do not agree."""
     look = looks[index]
     beside = neighbours([each.camera for each in looks], index, NEIGHBOURS, APART, FARTHEST)
     nearest, farthest = (look.camera.cam_from_world[2, 3] + shift for shift in (-REACH, REACH))
@@ -106,7 +109,7 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
 
 
 def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
-    """How well `other` fits to `look` [D,h,w] on planes at these inverse depths [D]; -1 where it does not see."""
+    """Return how well `other` correlates with `look`, [D,h,w], on planes at inverse depths [D]; -1 where unseen."""
     camera, neighbour = look.camera, other.camera
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([(x - camera.K[0, 2]) / camera.K[0, 0], (y - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(x)], -1)
@@ -147,11 +150,10 @@ def _window_mean(images: Tensor) -> Tensor:
 
 
 def _own_contrast(image: np.ndarray) -> np.ndarray:
-    """Return the standard deviation [h,w], 0..1, of those pixels [h,w,3] in each window whose colour is like its
-    middle's.
+    """Return the contrast [h,w] of an image [h,w,3] around each pixel, among pixels of a similar colour alone.
 
-    Beside the edge of something near, all the contrast in a window of plain background is that edge's, and so would be
-    the depth.
+    It is the standard deviation, 0..1, in the most varied channel. Beside the edge of something near, all the contrast
+    in a window of plain background is that edge's, and so would be the depth.
     """
     image = image / 255
     height, width = image.shape[:2]
@@ -200,7 +202,7 @@ def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], l
 
 
 def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
-    """Points of continued depth maps, away from the points found [P,3] already."""
+    """Return points of the filled depth maps that lie away from the points found [P,3] already."""
     cloud = _cloud(looks, [_confirmed(index, looks, whole, CONFIRMED_FILLED) for index in range(len(looks))])
     cloud = cloud.rows(_thinned(cloud.positions, SPACING_FILLED))
     if not len(found):
@@ -223,7 +225,7 @@ def _cloud(looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> PointCloud:
 
 
 def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
-    """World points [P,3] of the finite pixels of a depth map, row by row."""
+    """Return the world points [P,3] of the finite pixels of a depth map [h,w], row by row."""
     rows, columns = np.nonzero(np.isfinite(depth))
     pixels = np.stack([columns, rows], axis=1) + 0.5
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
@@ -232,7 +234,7 @@ def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
-    """Which points to keep, by index: one a cell of `spacing`, without those that stand alone."""
+    """Return the indices of the points to keep: one a cell of `spacing`, without those that stand alone."""
     near = _drawn_in(positions)
     _, first = np.unique(np.floor(near / spacing).astype(int), axis=0, return_index=True)
     first.sort()
@@ -243,7 +245,9 @@ def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
 
 
 def _drawn_in(positions: np.ndarray) -> np.ndarray:
-    """Points [P,3] with all that lies outside the unit ball drawn into one of radius 2, infinity onto its surface, as
-    photographs taken around the ball see less the farther it is."""
+    """Contract the points [P,3] outside the unit ball into a ball of radius 2, with infinity on its surface.
+
+    Photographs taken around the ball see less of a place the farther it is.
+    """
     radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
     return positions * (2 - 1 / radius) / radius

@@ -1,4 +1,4 @@
-"""How much light photographs got, told by points of the surface that several of them show.
+"""Exposures of photographs, told by points of the surface that several of them show.
 
 The logarithm of a point's light in a photograph is the photograph's exposure plus the point's own light. Both are
 fitted to all that photographs show of the points, by least squares that are weighted anew at each round (Cauchy's
@@ -29,11 +29,10 @@ WIDTH = 0.5  # deviations of the residual at which a point counts half
 def point_exposures(
     train: Sequence[View], test: Sequence[View], positions: np.ndarray, normals: np.ndarray | None
 ) -> np.ndarray | None:
-    """Return the factors [V,3] of linear light of the training views and then the test views, those of the training
-    views with a geometric mean of 1; None where the points [P,3] do not tell those of some view. normals [P,3]: points
-    turned away are not seen.
+    """Estimate the exposures [V,3] of the training views and then the test views, as factors of linear light.
 
-    The training views alone tell the points' own light.
+    Those of the training views have a geometric mean of 1. None is returned where the points [P,3] do not tell those of
+    some view. normals [P,3]: points turned away are not seen. The training views alone tell the points' own light.
     """
     some = slice(None, None, max(1, -(-len(positions) // POINTS)))
     seen = _log_light([*train, *test], positions[some], None if normals is None else normals[some])
@@ -60,8 +59,10 @@ def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray
 
 
 def _fit(seen: np.ndarray, train: int) -> np.ndarray:
-    """Return the logarithms of the factors [V] from those of one channel's light [V,P]; the first `train` views tell
-    the points' own light."""
+    """Fit the log exposures [V] to one channel's log light [V,P]; NaN where a view does not show a point.
+
+    The first `train` views alone tell the points' own light.
+    """
     there = np.isfinite(seen)
     seen = np.where(there, seen, 0.0).astype(np.float64)
     weight = there.astype(np.float64)

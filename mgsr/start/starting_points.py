@@ -1,4 +1,4 @@
-"""Where the Gaussians start: the capture's own points, the visual hull's surface, or stereo; else a random ball."""
+"""Starting points of the Gaussians: the capture's own points, the visual hull, or stereo; else a random ball."""
 
 from __future__ import annotations
 
@@ -45,8 +45,11 @@ FARTHEST = 50.0
 
 
 class StartSource(StrEnum):
-    """capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree;
-    ball: nothing was known."""
+    """The source of the starting points.
+
+    capture: the capture's own points; hull: the visual hull of the masks; stereo: where photographs agree; ball:
+    nothing was known.
+    """
 
     CAPTURE = "capture"
     HULL = "hull"
@@ -56,10 +59,13 @@ class StartSource(StrEnum):
 
 @dataclass(frozen=True)
 class StartingPoints:
-    """positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where
-    the surface is known, else None; shiny: whether a flash, or mirrored surroundings, explain how brightness changes
-    from view to view, None where that was not looked at; lighting: what a flash makes of the surface, None without
-    one; surface: vertices [V,3] and faces [F,3] of the mesh that the points lie on, None without masks."""
+    """The points on which training begins.
+
+    positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where the
+    surface is known, else None; shiny: whether a flash, or a mirrored environment map, explains how brightness changes
+    from view to view, None where that was not looked at; lighting: a flash's light on the surface, None without one;
+    surface: vertices [V,3] and faces [F,3] of the mesh that the points lie on, None without masks.
+    """
 
     positions: np.ndarray
     colors: np.ndarray
@@ -77,8 +83,10 @@ def starting_points(
     progress: Callable[[float], None] = lambda done: None,
     background: Background = Background.AUTO,
 ) -> StartingPoints:
-    """Points to start from. The same seed gives the same points. progress: told now and then of the share of the work
-    that is done, 0..1; background: the setting, which tells whether a plain backdrop is looked for.
+    """Choose the points to start from; the same seed gives the same points.
+
+    progress: told of the share of the work that is done, 0..1; background: the setting, which tells whether a plain
+    backdrop is looked for.
 
     With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
     on the surface that stereo, shading and parallax find inside the visual hull, spread evenly.
@@ -98,7 +106,7 @@ def starting_points(
 
 
 def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
-    """Points evenly through the ball, in the colour that the views show in their direction."""
+    """Draw `count` points evenly in the unit ball, in the colours that the views show in their direction."""
     generator = np.random.default_rng(seed)
     directions = generator.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -107,15 +115,17 @@ def ball_points(views: Sequence[View], count: int, seed: int) -> StartingPoints:
 
 
 def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> StartingPoints:
-    """Points spread evenly over the visual hull of a scene with masks, on a grid of so many voxels a side, neither
-    carved nor bent. Raises SceneError if it is empty."""
+    """Spread `count` points evenly over the visual hull of a scene with masks, as its silhouettes alone give it.
+
+    resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
+    """
     vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution))
     positions, normals = _sample(vertices, faces, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution)
 
 
 def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointCloud:
-    """Return the capture's points that can be of use."""
+    """Return the capture's points that are finite, near enough and, with masks, inside all silhouettes."""
     good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
     if outlines:
         # A point reconstructed on the outline lies a pixel off as often as not.
@@ -152,8 +162,7 @@ def _unmasked_points(
 
 
 def _in_company(points: PointCloud) -> PointCloud:
-    """Return the points without those in the ball that have no others around them: splats there would be huge disks
-    that hang in the air."""
+    """Return the points without those in the ball that stand alone, whose splats would hang there as huge disks."""
     inside = np.linalg.norm(points.positions, axis=1) <= BALL
     if not inside.any():
         return points
@@ -163,7 +172,7 @@ def _in_company(points: PointCloud) -> PointCloud:
 
 
 def _some(index: np.ndarray, most: int, generator: np.random.Generator) -> np.ndarray:
-    """At most so many of these."""
+    """Draw at most `most` of the indices."""
     return generator.choice(index, most, replace=False) if len(index) > most else index
 
 
@@ -197,7 +206,7 @@ def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndar
 def _sample(
     vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the area, and their faces' normals."""
+    """Spread `count` points [count,3] evenly over a mesh, and return them with their faces' unit normals [count,3]."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
     area = np.linalg.norm(across, axis=1)

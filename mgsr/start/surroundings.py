@@ -1,8 +1,8 @@
-"""Points of the surroundings where stereo finds none, such as plain walls.
+"""Points of the background where stereo finds none, such as plain walls.
 
-Seen from the middle of a capture, its surroundings lie at one distance in each direction. Several distances are tried:
-where a photograph shows nothing that was found already, it shows the surroundings, and at the right distance the
-photographs agree about their colour. On a plain wall they agree at many; there the neighbouring directions tell, by
+Seen from the middle of a capture, its background lies at one distance in each direction. Several distances are tried:
+where a photograph shows nothing that was found already, it shows the background, and at the right distance the
+photographs agree about its colour. On a plain wall they agree at many; there the neighbouring directions tell, by
 iterated conditional modes (Besag 1986).
 """
 
@@ -29,8 +29,7 @@ ROUNDS = 40
 
 
 def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
-    """Return points around the capture in directions in which photographs show something, but none of the points
-    found [P,3] already; maybe none."""
+    """Return background points in directions where photographs show none of the points found [P,3]; maybe none."""
     looks = [_look(view, found) for view in views[:: -(-len(views) // VIEWS)]]
     directions = _directions(DIRECTIONS)
     inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
@@ -53,7 +52,7 @@ def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
 
 @dataclass(frozen=True)
 class _Look:
-    """A reduced photograph: its camera, image [h,w,3] sRGB 0..1, and where [h,w] it may show the surroundings."""
+    """A reduced photograph: its camera, image [h,w,3] sRGB 0..1, and where [h,w] bool it may show the background."""
 
     camera: Camera
     image: np.ndarray
@@ -70,7 +69,7 @@ def _look(view: View, found: np.ndarray) -> _Look:
 
 
 def _directions(count: int) -> np.ndarray:
-    """Return unit vectors [count,3], spread evenly (a Fibonacci lattice)."""
+    """Return `count` unit vectors [count,3], spread evenly (a Fibonacci lattice)."""
     index = np.arange(count) + 0.5
     z, turn = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)
@@ -78,8 +77,7 @@ def _directions(count: int) -> np.ndarray:
 
 
 def _agreement(looks: Sequence[_Look], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the deviation [D] of the colours in which photographs show places [D,3], their mean [D,3], and how
-    many photographs show them [D]."""
+    """Return the deviation [D] of the photographs' colours at places [D,3], their mean [D,3], and their number [D]."""
     count, total, squares = np.zeros(len(places)), np.zeros((len(places), 3)), np.zeros((len(places), 3))
     for look in looks:
         index, pixels, _ = look.camera.project_inside(places)
@@ -96,8 +94,10 @@ def _agreement(looks: Sequence[_Look], places: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _smooth_levels(disagreement: np.ndarray, neighbours: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the level [D] of each direction that has little disagreement [D,L], and is like its neighbours' [D,k];
-    and the mean [D] of it and theirs, for positions between the levels."""
+    """Choose the distance level [D] of each direction: of low disagreement [D,L], and like its neighbours' [D,k].
+
+    Also returns the mean [D] of the level and its neighbours', for positions between the levels.
+    """
     cost = (disagreement + disagreement[neighbours].mean(axis=1)) / (2 * NOISE)
     levels = np.arange(cost.shape[1])
     level = cost.argmin(axis=1)

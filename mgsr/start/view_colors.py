@@ -1,4 +1,4 @@
-"""The colours in which a set of views shows points."""
+"""The colours in which views show points."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ _UNSEEN = 999
 def seen_colors(
     views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None = None, tolerance: float = 0.05
 ) -> np.ndarray:
-    """Return the colour [P,3] uint8 of each point: the median over the views that see it, so that highlights don't
-    count.
+    """Return the colour [P,3] uint8 of each point: the median over the views that see it, without highlights.
 
-    With normals [P,3], the points are a surface: those turned away and those further than `tolerance` behind others
-    are not seen. A point that no view sees has its nearest seen neighbour's colour.
+    With normals [P,3], the points are a surface: those turned away and those further than `tolerance` behind others are
+    not seen. A point that no view sees has its nearest seen neighbour's colour.
     """
     samples = np.full((len(views), len(positions), 3), _UNSEEN, dtype=np.int16)
     for sample, view in zip(samples, views, strict=True):
@@ -79,7 +78,7 @@ def seen_pixels(
 def _hidden(
     camera: Camera, pixels: np.ndarray, depth: np.ndarray, seen: np.ndarray, tolerance: float, side: int
 ) -> np.ndarray:
-    """Return which points lie behind others, by the nearest depth in cells of a coarse depth map."""
+    """Return which points [P] lie behind others, by the nearest depth in cells of a coarse depth map."""
     cells = (pixels / max(camera.width, camera.height) * side).clip(0, side - 1).astype(np.intp)
     flat = cells[:, 1] * side + cells[:, 0]
     nearest = np.full(side**2, np.inf)

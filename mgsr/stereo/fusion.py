@@ -1,4 +1,4 @@
-"""Depth maps fused into one surface inside the visual hull.
+"""Fusion of depth maps into one surface inside the visual hull.
 
 Each voxel of a grid holds a histogram of its signed distances to the surfaces that the depth maps see, up to a few
 pixels, as in Zach (2008). A depth map says that the space before its surface is empty, and, more faintly, that what
@@ -62,7 +62,7 @@ def fuse(
 def fuse_roughly(
     cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
 ) -> Triangles:
-    """Return what `fuse` does on a grid that is COARSER times as coarse, in a fraction of the time."""
+    """Fuse depth maps as `fuse` does, but on a grid that is COARSER times as coarse, in a fraction of the time."""
     return _surface(_roughly_fused(_Votes(cameras, maps, weights, REACH * pixel), hull, pixel))
 
 
@@ -103,7 +103,7 @@ class _Grid:
         return np.asarray(places * self.voxel + self.origin)
 
     def blurred(self, voxels: np.ndarray, values: np.ndarray, deviation: float) -> np.ndarray:
-        """Return the values [P] of the voxels [P] averaged by a Gaussian, 0 elsewhere."""
+        """Blur the values [P] of the voxels `voxels` [P] by a Gaussian, with 0 elsewhere; deviation: in voxels."""
         whole = np.zeros(int(np.prod(self.shape)), np.float32)
         whole[voxels] = values
         return np.asarray(ndimage.gaussian_filter(whole.reshape(self.shape), deviation).ravel()[voxels])
@@ -141,7 +141,7 @@ def _fused(votes: _Votes, grid: _Grid, hull: Hull, rough: Hull | None) -> Hull:
 def _thickness(depth: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
     """Return about how thick [P] the hull is around each voxel, as a share of THIN from THINNEST to 1.
 
-    depth: in the hull [P], in the reach of the votes.
+    depth [P]: signed depth inside the hull, in units of the votes' reach.
     """
     around = 2 * round(THIN * reach / grid.voxel) + 1
     deepest = ndimage.maximum_filter(depth.reshape(grid.shape), around, mode="nearest")
@@ -165,8 +165,10 @@ def _surface(field: Hull) -> Triangles:
 
 
 def _without_voids(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
-    """Return the mesh without the pieces that bound a void inside, which no photograph sees; their volume is
-    negative."""
+    """Return the mesh without the pieces that bound a void inside, which no photograph sees.
+
+    Their volume is negative.
+    """
     count, pieces = face_components(faces, len(vertices))
     corners = vertices[faces]
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))

@@ -1,4 +1,4 @@
-"""Depth maps by PatchMatch stereo inside the masks, and what other views confirm of them.
+"""PatchMatch stereo inside the masks: depth maps, and what other views confirm of them.
 
 Each photograph is matched with its neighbours on slanted planes by normalised cross-correlation (Bleyer and others
 2011; Schönberger and others 2016, whose checks between the views these are). The search begins on a surface that is
@@ -56,8 +56,11 @@ class MatchSettings:
 
 @dataclass(frozen=True)
 class DepthMap:
-    """depth [h,w] float32 camera z, 0 where nothing is found; normal [h,w,3] float32, unit, world frame, towards the
-    camera; score [h,w] float32, the correlation with the neighbours that agree best, -1 where nothing is found."""
+    """A depth map with normals and scores.
+
+    depth [h,w] float32 camera z, 0 where nothing is found; normal [h,w,3] float32, unit, world frame, towards the
+    camera; score [h,w] float32, the correlation with the neighbours that agree best, -1 where nothing is found.
+    """
 
     depth: np.ndarray
     normal: np.ndarray
@@ -116,8 +119,11 @@ def search_range(camera: Camera) -> tuple[float, float]:
 
 
 def weigh(photographs: StereoPhotographs, maps: Sequence[DepthMap]) -> list[np.ndarray]:
-    """Weigh each pixel of the depth maps, [h,w] float32 in 0..1: 0 unless CONFIRMED views and more than contradict it
-    confirm it; what is seen head-on and correlates well weighs more."""
+    """Weigh each pixel of the depth maps, [h,w] float32 in 0..1, by how far other views confirm it.
+
+    A pixel weighs 0 unless at least CONFIRMED views confirm it, and more confirm than contradict it. What is seen
+    head-on and correlates well weighs more.
+    """
     return list(map_ahead(lambda view: _weights(photographs, maps, view), range(len(maps)), None))
 
 

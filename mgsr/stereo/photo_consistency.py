@@ -1,4 +1,4 @@
-"""How well photographs agree about what lies on a surface."""
+"""Photo-consistency: how well photographs agree about what lies on a surface."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from mgsr.stereo.photographs import StereoPhotographs
 
 
 def photo_consistency(photographs: StereoPhotographs, surface: RayCaster) -> float:
-    """Return the mean normalised cross-correlation, -1..1, of patches of the photographs with their neighbours, warped
-    by the surface's planes, over all pixels that show the object; where the surface leaves such a pixel bare, -1.
+    """Return the mean normalised cross-correlation, -1..1, of the photographs with their neighbours on a surface.
 
-    It is 0 where no photograph has neighbours to compare with.
+    Patches are warped by the surface's planes, and the mean is over all pixels that show the object; where the surface
+    leaves such a pixel bare, -1. It is 0 where no photograph has neighbours to compare with.
     """
     settings = [float(each) for each in astuple(MatchSettings())]
     total, count = 0.0, 0

@@ -1,4 +1,4 @@
-"""Photographs as stereo compares them: reduced to a size that pays, with the share of each pixel that is the object."""
+"""Photographs prepared for stereo: reduced in size, with the share of each pixel that shows the object."""
 
 from __future__ import annotations
 
@@ -20,31 +20,36 @@ APART, FARTHEST = 20.0, 60.0  # degrees; neighbours are best so far apart, and a
 
 @dataclass(frozen=True)
 class StereoPhotographs:
-    """images: for each view [h,w,4] float32, sRGB 0..1 and the share of the pixel that shows the object, 0 where the
-    photograph does not show the pixel; cameras: of the same sizes."""
+    """Photographs prepared for stereo.
+
+    images: for each view [h,w,4] float32, sRGB 0..1 and the share of the pixel that shows the object, 0 where the
+    photograph does not show the pixel; cameras: of the same sizes.
+    """
 
     images: list[np.ndarray]
     cameras: list[Camera]
 
     @cached_property
     def packed_cameras(self) -> np.ndarray:
-        """[N,16] float32: a `pinhole_row` a camera."""
+        """Return the cameras as one array [N,16] float32, a `pinhole_row` each."""
         return np.array([pinhole_row(camera) for camera in self.cameras], np.float32)
 
     def neighbours(self, view: int, count: int, apart: float = APART) -> list[int]:
-        """Return the views, at most `count`, that look at the scene's centre from about `apart` degrees beside."""
+        """Return at most `count` views, by index, those nearest to `apart` degrees from `view` first (`neighbours`)."""
         return neighbours(self.cameras, view, count, apart, FARTHEST)
 
     def reduced(self, share: float) -> StereoPhotographs:
-        """Return the same photographs with sides of this share of theirs, each pixel the mean over its area."""
+        """Reduce the photographs' sides to a share of theirs, each pixel the mean over its area."""
         cameras = [_resized(camera, share) for camera in self.cameras]
         pairs = zip(self.images, cameras, strict=True)
         return StereoPhotographs([reduce_area(image, each.width, each.height) for image, each in pairs], cameras)
 
 
 def neighbours(cameras: Sequence[Camera], view: int, count: int, apart: float, farthest: float) -> list[int]:
-    """Return the cameras, at most `count`, that look at the scene's centre from about `apart` degrees beside camera
-    `view`, and from less than `farthest`."""
+    """Return at most `count` cameras near camera `view`, by index, those nearest to `apart` degrees from it first.
+
+    Angles are between the directions from the scene's centre; cameras at `farthest` degrees or more are left out.
+    """
     away = np.array([camera.center for camera in cameras])
     away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
     angles = np.degrees(np.arccos(np.clip(away @ away[view], -1, 1)))

@@ -1,4 +1,4 @@
-"""One branch in training: its splats, which densification adds to and takes from."""
+"""One branch in training: its splats, and their densification."""
 
 from __future__ import annotations
 
@@ -26,8 +26,10 @@ ORDER_EVERY = 2000
 
 
 class Branch(Trained[Splats]):
-    """A branch's splats with everything that changes them. `name` is surfels or volumes; extent: the scene's, in its
-    unit."""
+    """A branch's splats with everything that changes them.
+
+    `name` is surfels or volumes; extent: the scene's, in its unit.
+    """
 
     def __init__(
         self,
@@ -46,11 +48,11 @@ class Branch(Trained[Splats]):
         self.densify_state = DensifyState.empty(len(model), self.device)
 
     def rates(self, progress: float) -> dict[str, float]:
-        """See `Trained`."""
+        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trained`)."""
         return rates_at(progress, self.settings, self.extent)
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """See `Trained`."""
+        """Return a new optimiser for parameters of the branch's kind (see `Trained`)."""
         return FusedAdam(
             parameters,
             {name: rate for name, rate in self.rates(0.0).items() if name in parameters},
@@ -60,12 +62,15 @@ class Branch(Trained[Splats]):
         )
 
     def gather(self, stats: Any, width: int, height: int, weight: float, bad: Tensor | None = None) -> None:
-        """Note one image's screen-space gradients for densification (see `DensifyState.gather`)."""
+        """Gather one image's screen-space gradients for densification (see `DensifyState.gather`)."""
         if stats.v_means2d is not None:
             self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight, bad)
 
     def adapt(self, grow: bool = True) -> None:
-        """Clone, split and prune, and begin to gather anew. Raises TrainingError when no splat is left."""
+        """Clone, split and prune, and begin to gather anew.
+
+        Raises TrainingError when no splat is left.
+        """
         change = adapt(self.model.parameters(), self.densify_state, self.densify, self.extent, self.generator, grow)
         if len(change.kept) + change.cloned + 2 * change.split == 0:
             raise TrainingError(
@@ -77,20 +82,25 @@ class Branch(Trained[Splats]):
             self.reorder()
 
     def reorder(self) -> None:
-        """Put neighbours in space next to each other in memory. For when nothing is gathered of the splats."""
+        """Put neighbours in space next to each other in memory (`morton_order`).
+
+        Call it only while no gradients are gathered, as these keep the old order.
+        """
         self.optimizer.keep(morton_order(self.model.means.detach()))
         self.adopt()
 
     def exchange(self, kept: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep the splats of ascending indices [M] int64, append new ones (tensors as the model's), and begin to gather
-        anew."""
+        """Keep some splats, append new ones, and begin to gather anew.
+
+        kept [M] int64: the ascending indices to keep; added: the new splats' tensors, by name, as the model's.
+        """
         self.optimizer.keep(kept)
         self.optimizer.extend(added)
         self.adopt()
         self.densify_state = DensifyState.empty(len(self.model), self.device)
 
     def keep(self, rows: Tensor) -> None:
-        """Drop all splats but those of these ascending indices [M] int64, and begin to gather anew."""
+        """Drop all splats but those of ascending indices [M] int64, and begin to gather anew."""
         self.optimizer.keep(rows)
         self.adopt()
         self.densify_state = DensifyState.empty(len(self.model), self.device)
@@ -101,11 +111,11 @@ class Branch(Trained[Splats]):
             self.optimizer.replace(name, lowered)
 
     def state(self) -> dict[str, Any]:
-        """Everything that the next iteration depends on, for a checkpoint."""
+        """Return everything that the next iteration depends on, for a checkpoint."""
         return super().state() | {"densify": self.densify_state.tensors(), "generator": self.generator.get_state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take back what `state` gave."""
+        """Restore what `state` returned."""
         super().restore(state)
         self.densify_state = DensifyState(**state["densify"]).to(self.device)
         self.generator.set_state(state["generator"])

@@ -1,4 +1,4 @@
-"""One file that holds a run: written whole or not at all, and read only by the run that it belongs to."""
+"""Checkpoints: one file that holds a run, written whole or not at all, and read only by the run that it belongs to."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ FORMAT = 6
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
-    """What a checkpoint must share with a run: hashes of the training images and cameras, and of the settings that
-    change the result."""
+    """Return hashes of what a checkpoint must share with a run.
+
+    They are of the training images and cameras, and of the settings that change the result.
+    """
     digest = hashlib.sha256()
     for view in scene.train:
         digest.update(_view_bytes(view))
@@ -43,8 +45,11 @@ def save_checkpoint(path: Path, content: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
-    """The content of a checkpoint. Raises CheckpointError when it can't be read, or belongs to another scene or other
-    settings than `expected` (see `fingerprint`)."""
+    """Return the content of a checkpoint.
+
+    expected: the run's hashes (see `fingerprint`). Raises CheckpointError when the file can't be read, or belongs to
+    another scene or other settings.
+    """
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError) as error:
@@ -63,7 +68,7 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
 
 
 def read_pace(path: Path) -> dict[str, Any] | None:
-    """What a checkpoint knows of the pace of its run (see `Pace.state`); None where there is none to be read."""
+    """Return what a checkpoint knows of the pace of its run (see `Pace.state`); None where there is none to be read."""
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):

@@ -1,4 +1,7 @@
-"""Tests for whether a warm-up has converged. They compare like with like; the paper's own rule is there too."""
+"""Tests for whether a warm-up has converged.
+
+They compare like with like; the paper's own rule is there too.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,20 @@ from mgsr.config import StopRule, WarmupConfig
 
 
 class Convergence(Protocol):
-    """Sees every iteration's loss and says when it is enough."""
+    """A test that sees every iteration's loss and says when it is enough."""
 
     def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
-        """Take the loss (a scalar without gradient) of one iteration, counted from 1; True to stop now."""
+        """Take the loss (a scalar without gradient) of one iteration, counted from 1, and return whether to stop."""
 
     def state(self) -> dict[str, Any]:
-        """Everything it remembers, for a checkpoint."""
+        """Return everything that the test remembers, for a checkpoint."""
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take back what `state` gave."""
+        """Restore what `state` returned."""
 
 
 def make_convergence(config: WarmupConfig, iterations: int, held_back_psnr: Callable[[], float]) -> Convergence | None:
-    """The test that the configuration names for a warm-up of at most `iterations`, or None for none.
+    """Return the convergence test that the settings name for a warm-up of at most `iterations`, or None for none.
 
     held_back_psnr measures the branch on the views that it is not trained on.
     """
@@ -37,8 +40,11 @@ def make_convergence(config: WarmupConfig, iterations: int, held_back_psnr: Call
 
 
 class EpochMeans:
-    """Converged when the mean loss over `span` epochs lies less than `gain` (relative) under that of the `span`
-    epochs before. Whole epochs hold the same views, so only the model's change is measured."""
+    """The test that compares mean losses over whole epochs.
+
+    It has converged when the mean loss over `span` epochs lies less than `gain` (relative) under that of the `span`
+    epochs before. Whole epochs hold the same views, so only the model's change is measured.
+    """
 
     def __init__(self, earliest: int, span: int, gain: float) -> None:
         self.earliest, self.span, self.gain = earliest, span, gain
@@ -66,8 +72,11 @@ class EpochMeans:
 
 
 class HeldBack:
-    """Converged when the PSNR of views that are not trained on has not risen by `held_back_gain` dB over its best
-    for `held_back_patience` looks in a row."""
+    """The test that looks at views which are kept from training.
+
+    It has converged when their PSNR has not risen by `held_back_gain` dB over its best for `held_back_patience` looks
+    in a row.
+    """
 
     def __init__(self, earliest: int, config: WarmupConfig, measure: Callable[[], float]) -> None:
         self.earliest, self.config, self.measure = earliest, config, measure

@@ -1,4 +1,4 @@
-"""How well a branch renders views, for the curve and the convergence test."""
+"""The PSNR of a branch on views, for the curve and the convergence test."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Picture = Callable[[Camera, Color, Tensor | None], Tensor]
 
 
 def surfel_picture(model: SurfelModel) -> Picture:
-    """Return the 2D branch's colours."""
+    """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
         return render_surfels(model, camera, color_tensor(background, model.means.device), lit=light).color
@@ -30,7 +30,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
 
 
 def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
-    """Return the 3D branch's colours, with what the surface mirrors."""
+    """Return a function that renders the 3D branch, with what the surface mirrors."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
         color = color_tensor(background, model.means.device)
@@ -44,8 +44,11 @@ def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: Mi
 
 @torch.no_grad()
 def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) -> float:
-    """Return the mean over the views of the PSNR, dB, of images clipped to 0..1, at the pixels that the photographs
-    show, on `background` where there are masks."""
+    """Return the mean PSNR, dB, of a branch over views, with images clipped to 0..1.
+
+    Only pixels that the photographs show count. background: the colour behind the splats and the photographs with
+    masks.
+    """
     values = []
     for view in views:
         image = picture(view.camera, background, view.light()).clamp(0, 1)

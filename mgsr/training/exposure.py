@@ -1,4 +1,4 @@
-"""Whether photographs differ in exposure, and by how much, told by a small 3D branch that is trained for it.
+"""Exposure differences between photographs, estimated with a small 3D branch that is trained for it.
 
 Where most surfaces look the same from all sides, the points that they show tell the factors more exactly than the
 branch does (see `point_exposures`): on matte objects, and in photographs of a whole room.
@@ -42,9 +42,10 @@ WHITE = 0.9  # light of a rendering times its factor over which the photograph m
 def find_exposures(
     scene: Scene, start: StartingPoints, seed: int, should_stop: Callable[[], bool] = lambda: False
 ) -> Exposures | None:
-    """Return what each photograph got, the factors' geometric mean over the training views being 1; None where
-    exposures don't differ, or can't be told from what light does. The same seed gives the same factors, on any number
-    of cores.
+    """Estimate each photograph's exposure, with a geometric mean of 1 over the training views.
+
+    Returns None where exposures don't differ, or can't be told from what light does. The same seed gives the same
+    factors, on any number of cores.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
@@ -73,16 +74,20 @@ def find_exposures(
 
 
 def _rounded(factors: np.ndarray, train: int) -> Exposures:
-    """Return the factors [V,3], of the training views first, as exposures.json has them, so that later steps see the
-    same photographs."""
+    """Round the factors [V,3], of the training views first, as exposures.json does.
+
+    So later steps see the same photographs whether they read the file or not.
+    """
     return Exposures(factors[:train].round(DIGITS), factors[train:].round(DIGITS))
 
 
 def _kept_errors(
     scene: Scene, start: StartingPoints, small: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> np.ndarray:
-    """Return the mean `_errors` [2] of views that are kept from training: every HELD_BACK-th, then others so, until
-    JUDGED were kept, as few tell too little."""
+    """Return the mean `_errors` [2] of views that are kept from training.
+
+    Every HELD_BACK-th view is kept, then others in the same way until JUDGED were kept, as few tell too little.
+    """
     errors: list[tuple[float, float]] = []
     for first in (1, 2, 3, 0):
         kept = small[first::HELD_BACK]
@@ -97,7 +102,7 @@ def _kept_errors(
 def _trained(
     scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
-    """How Gaussians that are trained on these views render a view: linear light [H,W,3]."""
+    """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
     model = train_scout(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
     picture, behind = volume_picture(model, None, None), backdrop(scene, Background.AUTO)
 
@@ -109,8 +114,10 @@ def _trained(
 
 
 def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
-    """How far the halves of a view's pixels are from their rendering [H,W,3], dB, as they are and each with the other's
-    factor."""
+    """Return the errors of a view's rendering [H,W,3], in dB, as it is and after a gain.
+
+    The gain of each half of the view's pixels is fitted to the other half.
+    """
     usable = _usable(view)
     columns = np.broadcast_to(np.arange(usable.shape[1]), usable.shape)
     if not usable.any():
@@ -129,13 +136,13 @@ def _errors(view: View, rendered: np.ndarray) -> tuple[float, float]:
 
 
 def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
-    """Return a view's light [3] against its rendering's [H,W,3]; 1 where too little can be compared."""
+    """Return the factor [3] of a view's light against its rendering's [H,W,3]; 1 where too little can be compared."""
     fitted = _fitted(view, rendered, _usable(view))
     return np.ones(3) if fitted is None else fitted
 
 
 def _usable(view: View) -> np.ndarray:
-    """Pixels [H,W] bool that are known, of the object alone, and not clipped."""
+    """Return the pixels [H,W] bool that are known, of the object alone, and not clipped."""
     usable = (view.image < CLIPPED).all(axis=-1)
     if view.alpha is not None:
         usable &= view.alpha >= CLIPPED
@@ -143,8 +150,11 @@ def _usable(view: View) -> np.ndarray:
 
 
 def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:
-    """Return the factor [3] by which the photograph's light at some pixels exceeds the rendering's; relative errors
-    count, large ones as if they were 1.5 deviations (Huber). None for too few pixels."""
+    """Fit the factor [3] by which the photograph's linear light exceeds the rendering's [H,W,3] at usable pixels.
+
+    usable [H,W] bool. Relative errors count, large ones as if they were 1.5 deviations (Huber). None for too few
+    pixels.
+    """
     factor = np.ones(3)
     for channel in range(3):
         wanted = srgb_to_linear(view.image[..., channel][usable] / 255.0)

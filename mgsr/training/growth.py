@@ -1,4 +1,4 @@
-"""Lets the 3D branch grow where its renderings differ from the photographs."""
+"""Error-driven growth of the 3D branch, where its renderings differ from the photographs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ from mgsr.training.views import TrainingView, color_tensor
 
 @dataclass(frozen=True)
 class ErrorGrowth:
-    """Adds Gaussians to `branch`, which is that of `parts`; behind: the colour on which renderings are judged."""
+    """The growth of `branch`, which is that of `parts`.
+
+    behind: the colour on which renderings are judged.
+    """
 
     branch: VolumeBranch
     parts: Parts
@@ -34,8 +37,10 @@ class ErrorGrowth:
     behind: Color
 
     def grow(self, views: Sequence[TrainingView]) -> None:
-        """Prune, and replace and add Gaussians by what some of the views show; they are drawn by the branch's
-        generator. Raises TrainingError when no Gaussian is left."""
+        """Prune, and then replace and add Gaussians by what some of the views show.
+
+        The views are drawn by the branch's generator. Raises TrainingError when no Gaussian is left.
+        """
         branch, densify = self.branch, self.config.densify
         branch.adapt(grow=False)
         drawn = torch.randperm(len(views), generator=branch.generator)[: densify.growth_views].tolist()

@@ -1,4 +1,4 @@
-"""Keeps a training from carrying on after a step that went bad: it is noticed, undone and logged."""
+"""The guard of a training: a step that goes bad is noticed, undone and logged."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOST_INCIDENTS = 100  # that are kept for the report; all are logged
 
 
 class Guard:
-    """Watches one stage's steps.
+    """A guard that watches one stage's steps.
 
     A step is bad when its loss or a gradient is not finite or over 1e19 (whose square float32 does not hold, nor Adam's
     memory of it). It is not taken, and the next view comes. Every `every` steps the guard looks back: where a parameter
@@ -47,8 +47,11 @@ class Guard:
         self._kept = self._copies()
 
     def admits(self, step: Step, view: str) -> bool:
-        """Whether the step may be taken; on a card yes, with `bad` telling those who take it. Raises TrainingError
-        where going back did not help."""
+        """Return whether the step may be taken.
+
+        On a card the answer is always yes, and `bad` tells those who take the step whether its gradients count as zero.
+        Raises TrainingError where going back did not help.
+        """
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trained, "grad", without=SH_NAMES)])
         if on_card(bad):
@@ -65,8 +68,10 @@ class Guard:
         return False
 
     def look_back(self, values: Tensor) -> None:
-        """After a step that was taken; values, of any shape: of its loss's terms. Raises TrainingError where going back
-        did not help."""
+        """Note the loss of a step that was taken, and look back where it is time.
+
+        values, of any shape: of its loss's terms. Raises TrainingError where going back did not help.
+        """
         self._losses.append(values)
         if len(self._losses) < self.every:
             return
@@ -80,11 +85,11 @@ class Guard:
         self._losses, self._returns, self._kept = [], 0, self._copies()
 
     def expect_anew(self) -> None:
-        """The loss is about to rise for a good reason, such as an opacity reset."""
+        """Forget the usual loss, as it is about to rise for a good reason, such as an opacity reset."""
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def state(self) -> dict[str, Any]:
-        """What its next judgements depend on, with the copy of the last good look, for a checkpoint."""
+        """Return what the guard's next judgements depend on, with the copy of the last good look, for a checkpoint."""
         return {
             "losses": list(self._losses),
             "dropped": list(self._dropped),
@@ -95,7 +100,7 @@ class Guard:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take back what `state` gave; the branches' devices may be others."""
+        """Restore what `state` returned; the branches may be on other devices."""
         device = self.stage.trained[0].device
         self._losses = [loss.to(device) for loss in state["losses"]]
         self._dropped = [bad.to(device) for bad in state["dropped"]]

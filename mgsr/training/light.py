@@ -1,4 +1,4 @@
-"""The shared light in training."""
+"""The shared environment maps in training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from mgsr.training.trained import Trained
 
 
 class LightInTraining(Trained[MirroredLight]):
-    """The light that the surface mirrors, with its optimiser; `used` says whether it is part of the model."""
+    """The environment maps that the surface mirrors, with their optimiser.
+
+    `used` says whether they are part of the model.
+    """
 
     def __init__(self, model: MirroredLight, config: MirrorConfig, used: bool) -> None:
         self.settings = config
@@ -22,18 +25,18 @@ class LightInTraining(Trained[MirroredLight]):
         super().__init__("light", model)
 
     def rates(self, progress: float) -> dict[str, float]:
-        """See `Trained`."""
+        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trained`)."""
         return {"logits": self.settings.rate * fade(progress, self.settings.fade_from, self.settings.final)}
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """See `Trained`."""
+        """Return a new optimiser for the maps (see `Trained`)."""
         return FusedAdam(parameters, self.rates(0.0))
 
     def state(self) -> dict[str, Any]:
-        """See `Trained`."""
+        """Return everything that the next step depends on, for a checkpoint."""
         return super().state() | {"used": self.used}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """See `Trained`."""
+        """Restore what `state` returned."""
         super().restore(state)
         self.used = state["used"]

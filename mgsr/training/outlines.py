@@ -1,11 +1,11 @@
-"""Where the object ends in photographs before a plain backdrop that come without masks, told by small 3D branches.
+"""Masks of photographs before a plain backdrop that come without masks, learned by small 3D branches.
 
 The backdrop's colour lies behind the splats and needs none, so what they come to cover is the object. No pixel is
 compared with that colour: splats have to explain all photographs at once, so a highlight or a patch that looks like the
 backdrop makes no hole, as it would in a mask by colour.
 
 A first branch begins anywhere in the ball. Its splats that show nothing have the backdrop's colour, which no photograph
-tells from being transparent, so opacity costs something there, and its outlines are rough. A second begins on the hull
+tells from being transparent, so opacity costs something there, and its contours are rough. A second begins on the hull
 of these, where no splat is idle, and opacity is free.
 """
 
@@ -40,9 +40,10 @@ def learned_outlines(
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
 ) -> list[np.ndarray] | None:
-    """Masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks; None where what splats
-    cover is no object: nothing that all views show, or all that they show. The same seed gives the same masks, on any
-    number of cores. progress: told of the share that is done, 0..1.
+    """Learn masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks.
+
+    Returns None where what splats cover is no object: nothing that all views show, or all that they show. The same seed
+    gives the same masks, on any number of cores. progress: told of the share that is done, 0..1.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
@@ -70,8 +71,11 @@ def learned_outlines(
 
 @torch.no_grad()
 def _opacities(model: VolumeModel, views: Sequence[View], side: int) -> list[np.ndarray]:
-    """What the model, trained on photographs of `side` pixels, covers of views [H,W] uint8: its edges are as soft as
-    those pixels, and are drawn in to the views'."""
+    """Render the opacity of the model in the views, as masks [H,W] uint8.
+
+    The model is trained on photographs of `side` pixels, so its edges are as soft as those pixels; they are sharpened
+    to the views' pixels.
+    """
     masks = []
     for view in views:
         steeper = max(1.0, max(view.camera.width, view.camera.height) / side)

@@ -1,4 +1,4 @@
-"""What may change the lengths of stages while they run."""
+"""The stage scheduler's interface: what may change the lengths of stages while they run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ FINISH = "finish"  # the stage after the surface was made
 
 
 class StageLength(Protocol):
-    """What a pace sees of a stage: its name, the iterations that it has done, and those that it shall do."""
+    """A stage as a pace sees it: its name, the iterations that it has done, and those that it shall do."""
 
     @property
     def name(self) -> str: ...
@@ -22,11 +22,13 @@ class StageLength(Protocol):
 
 
 class Pace(Protocol):
-    """Is asked before every iteration."""
+    """A stage scheduler, which is asked before every iteration."""
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
-        """How many iterations the stage with this index shall have in all: at least one more than it has done.
-        splats: how many each branch has."""
+        """Return how many iterations the stage with this index shall have in all: at least one more than it has done.
+
+        splats: how many each branch has.
+        """
 
     def state(self) -> dict[str, Any]:
-        """What it needs to go on, for a checkpoint: plain values."""
+        """Return what the scheduler needs to go on, for a checkpoint: plain values."""

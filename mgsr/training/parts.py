@@ -1,4 +1,4 @@
-"""What a run trains, made from the starting points: the branches, and the light that the surface mirrors."""
+"""What a run trains, made from the starting points: the branches, and the environment maps that the surface mirrors."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ from mgsr.training.trained import Trained
 
 
 class StartingPoints(Protocol):
-    """Where splats begin: positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether
-    brightness was seen to change from view to view as light does, None if that was not looked at."""
+    """The points where splats begin.
+
+    positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether brightness was seen to
+    change from view to view as light does, None if that was not looked at.
+    """
 
     @property
     def positions(self) -> np.ndarray: ...
@@ -40,8 +43,10 @@ class StartingPoints(Protocol):
 
 @dataclass(frozen=True)
 class Parts:
-    """The branches (None where the method has none), and the light that the surface mirrors (None where it can't come
-    to be of use)."""
+    """The branches and the environment maps of a run.
+
+    A branch is None where the method has none; light is None where it can't come to be of use.
+    """
 
     surfels: SurfelBranch | None
     volumes: VolumeBranch | None
@@ -49,23 +54,23 @@ class Parts:
 
     @property
     def branches(self) -> list[Branch]:
-        """Those that there are."""
+        """Return the branches that there are."""
         return [branch for branch in (self.surfels, self.volumes) if branch is not None]
 
     @property
     def trained(self) -> list[Trained]:
-        """The branches, and the light."""
+        """Return the branches, and the light where there is one."""
         return [*self.branches, *([] if self.light is None else [self.light])]
 
     @property
     def models(self) -> tuple[SurfelModel | None, VolumeModel | None, MirroredLight | None]:
-        """As they stand: of the 2D branch, the 3D branch and the light, None where it is not used."""
+        """Return the models of the 2D branch, the 3D branch and the light; None for each that is not used."""
         surfels = None if self.surfels is None else self.surfels.model
         volumes = None if self.volumes is None else self.volumes.model
         return surfels, volumes, None if self.light is None or not self.light.used else self.light.model
 
     def picture(self, branch: str) -> Picture:
-        """How a branch, surfels or volumes, renders as it stands."""
+        """Return a function that renders a branch, surfels or volumes, as it stands."""
         surfels, volumes, light = self.models
         if branch == "surfels":
             assert surfels is not None
@@ -77,8 +82,10 @@ class Parts:
 def make_parts(
     scene: Scene, start: StartingPoints, config: Config, reflection: Reflection, tried: bool, device: torch.device
 ) -> Parts:
-    """Parts on the starting points, on `device`; reflection: what the 3D branch adds at first, which a trial may add to
-    where `tried`."""
+    """Build the branches and the environment maps on the starting points, on `device`.
+
+    reflection: what the 3D branch adds at first; tried: whether a trial may add to it.
+    """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
     surfels, volumes, light = None, None, None
@@ -100,7 +107,7 @@ def make_parts(
 
 
 def camera_extent(scene: Scene) -> float:
-    """3DGS's size of a scene: 1.1 times the largest distance of a training camera from their mean."""
+    """Return 3DGS's size of a scene: 1.1 times the largest distance of a training camera from their mean."""
     centers = np.stack([view.camera.center for view in scene.train])
     return 1.1 * max(float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()), 1e-3)
 

@@ -1,4 +1,4 @@
-"""Builds a run's stages from its settings."""
+"""The plan of a run: its stages, built from the settings."""
 
 from __future__ import annotations
 
@@ -31,8 +31,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Plan:
-    """A run before its first iteration: what it trains, its stages, the views that only its curve looks at, and what
-    lies behind the splats."""
+    """A run before its first iteration.
+
+    parts: what it trains; stages; curve_views: the views that only its curve looks at; backdrop: what lies behind the
+    splats.
+    """
 
     parts: Parts
     stages: list[Stage]
@@ -41,12 +44,14 @@ class Plan:
 
     @property
     def trial(self) -> Trial | None:
-        """Of what the 3D branch adds to the transmitted light, where that was left to it."""
+        """Return the trial of what the 3D branch adds to the transmitted light; None where there is no trial."""
         return next((stage.trial for stage in self.stages if stage.trial is not None), None)
 
     def mirror_at(self, reflector: Reflector) -> bool:
-        """Let a mesh mirror the light from the stage FINISH on, where there is such light, and masks tell the object;
-        return whether it does."""
+        """Let a mesh mirror the light from the stage FINISH on, and return whether it does.
+
+        It does where there is such light, and masks tell the object.
+        """
         finish, light = self.stages[-1], self.parts.light
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
             return False
@@ -59,8 +64,10 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Photographs:
-    """A stage's views, and the same made smaller, where they are large enough; the last `held_back` of both are kept
-    from it. behind: the colour on which renderings of them are judged."""
+    """A stage's views, and reduced copies of them where they are large enough.
+
+    The last `held_back` of both are kept from training. behind: the colour on which renderings of them are judged.
+    """
 
     views: list[TrainingView]
     small: list[TrainingView] | None
@@ -82,9 +89,10 @@ class _Photographs:
 def make_plan(
     scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU, finish: bool = False
 ) -> Plan:
-    """Branches on the starting points, all on `device`, and the stages that the settings ask for; with `finish`, or
-    where a mesh may mirror the light in the end, one more, of no iterations yet, in which the branch that renders goes
-    on alone.
+    """Build the branches on the starting points, all on `device`, and the stages that the settings ask for.
+
+    With `finish`, or where a mesh may mirror the light in the end, there is one more stage, of no iterations yet, in
+    which the branch that renders goes on alone.
 
     Raises TrainingError for too few training views.
     """
@@ -119,7 +127,7 @@ def make_plan(
 
 
 def mutual_iterations(config: Config) -> int:
-    """Return iterations of the last stage."""
+    """Return the iterations of the mutual phase, or of a lone branch in its place."""
     return round(config.train.mutual.iterations * config.train.mutual.iterations_factor)
 
 
@@ -171,8 +179,10 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
 
 
 def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
-    """Drop the branch's splats that together carry the share of the light that its settings can do without, and
-    counts them."""
+    """Return a function that prunes a branch's splats of least contribution, and returns their number.
+
+    Those go that together carry the share of the light that the branch's settings can do without.
+    """
     share = branch.densify.drop_carrying
 
     def thin() -> int:
@@ -219,8 +229,10 @@ def _warmup(
 
 
 def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
-    """Return the stage of the mutual phase; for one branch alone, of as many more iterations of its own. stages: those
-    of the run, which may be filled in later."""
+    """Build the stage of the mutual phase; for one branch alone, of as many more iterations of its own.
+
+    stages: those of the run, which may be filled in later.
+    """
 
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
@@ -246,8 +258,10 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
 
 
 def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
-    """Return the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
-    Once a mesh mirrors the light, the rates begin at those of the middle of training instead."""
+    """Build the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
+
+    Once a mesh mirrors the light, the rates begin at those of the middle of training instead.
+    """
     cycle = ViewCycle(len(views), seeded(config, 6))
     if parts.volumes is None:
         assert parts.surfels is not None
@@ -268,28 +282,28 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
 
 
 def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:
-    """Return a branch's PSNR on the views that are kept from its warm-up."""
+    """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
     return lambda: mean_psnr(parts.picture(branch), held_back, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:
-    """Whether the alpha losses see to what lies outside the masks' boxes."""
+    """Return whether the alpha losses of both branches look after what lies outside the masks' boxes."""
     return config.train.surfels.alpha_weight > 0 and config.train.volumes.alpha_weight > 0
 
 
 def _held_back(config: Config, views: int) -> int:
-    """Return views that are kept from a whole warm-up, to judge its convergence."""
+    """Return the number of views that are kept from a whole warm-up, to judge its convergence."""
     held_back = config.train.warmup.stop_rule is StopRule.HELD_BACK
     return min(config.train.warmup.held_back_views, views // 2) if held_back else 0
 
 
 def _spared(config: Config, views: int) -> int:
-    """Return views that are kept for a trial."""
+    """Return the number of views that are kept for a trial."""
     return min(config.train.trial.views, views // 4)
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:
-    """`count` items at even distances, or all if there are fewer."""
+    """Return `count` items at even distances, or all if there are fewer."""
     count = min(count, len(items))
     return [items[(2 * i + 1) * len(items) // (2 * count)] for i in range(count)]

@@ -1,4 +1,4 @@
-"""Times a few iterations of each stage on a plan that is thrown away."""
+"""Timing of a few iterations of each stage, on a plan that is thrown away."""
 
 from __future__ import annotations
 
@@ -23,14 +23,20 @@ UNTIMED, TIMED = 2, 4  # iterations; the first ones load kernels and fill memory
 
 @dataclass(frozen=True)
 class Probe:
-    """Seconds of one iteration by stage, in their order, and how many splats each branch had."""
+    """The measured speed of training.
+
+    seconds: of one iteration by stage, in their order; splats: how many each branch had.
+    """
 
     seconds: dict[str, float]
     splats: dict[str, int]
 
 
 def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Probe:
-    """How long an iteration of each stage takes at the beginning. Raises what `Training` does."""
+    """Measure how long an iteration of each stage takes at the beginning.
+
+    Raises what `Training` does.
+    """
     timer = _Timer(device)
     with one_torch_thread():
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing

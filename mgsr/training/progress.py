@@ -1,4 +1,4 @@
-"""What training tells its caller, while it runs and at the end."""
+"""What training reports to its caller, while it runs and at the end."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ class CurveRow:
 
     @property
     def psnr(self) -> float | None:
-        """The rendering branch's, or the only branch's."""
+        """Return the PSNR, dB, of the rendering branch, or of the only branch."""
         return self.psnr_surfels if self.psnr_volumes is None else self.psnr_volumes
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training is.
+    """The progress of a training.
 
-    iteration of total in this stage; done: 0..1 of all stages' planned iterations; losses: the last iteration's
-    terms by name, times their weights; counts: splats by branch; psnr: the curve's last; previews: images [H,W,3]
-    uint8 by name, where they are due.
+    iteration of total in this stage; done: 0..1 of all stages' planned iterations; losses: the last iteration's terms
+    by name, times their weights; counts: splats by branch; psnr: the curve's last; previews: images [H,W,3] uint8 by
+    name, where they are due.
     """
 
     stage: str
@@ -57,8 +57,11 @@ class Progress:
 
 @dataclass(frozen=True)
 class StageReport:
-    """How a stage went: its iterations, seconds, why it ended (iterations, converged, budget or deadline), and how many
-    splats were dropped then."""
+    """The report of a finished stage.
+
+    Its iterations, seconds, why it ended (iterations, converged, budget or deadline), and how many splats were dropped
+    then.
+    """
 
     name: str
     iterations: int
@@ -69,12 +72,12 @@ class StageReport:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained branches (None for one that the method lacks) and the light that the surface mirrors (None where it
-    has no use) without gradients, and how they came about.
+    """The trained models without gradients, and how they came about.
 
-    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB,
-    that each candidate for the reflection reached in the trial, on photographs kept from training, and degrees: what
-    lower degrees of the transmitted colour reached there; empty without one.
+    A branch is None where the method lacks it, and the light where it has no use. incidents: each bad step that was
+    undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB, that each candidate for the reflection
+    reached in the trial, on photographs kept from training, and degrees: what lower degrees of the transmitted colour
+    reached there; empty without one.
     """
 
     surfels: SurfelModel | None
@@ -89,7 +92,7 @@ class TrainResult:
 
     @property
     def reflection(self) -> Reflection | None:
-        """What the 3D branch adds to the transmitted light, None without that branch."""
+        """Return what the 3D branch adds to the transmitted light, None without that branch."""
         if self.volumes is None:
             return None
         if self.volumes.split:

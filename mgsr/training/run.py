@@ -1,4 +1,4 @@
-"""Trains the branches of a scene: the door to this package."""
+"""Training of a scene's branches: the public interface of this package."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CARD_FAILED: type[Exception] | tuple[()] = getattr(torch, "AcceleratorError", ()
 
 @contextmanager
 def card_explained() -> Iterator[None]:
-    """Raise what goes wrong with a card inside as a GpuError or LostCardError that says what to do."""
+    """Turn what goes wrong with a card inside the block into a GpuError or LostCardError that says what to do."""
     try:
         yield
     except torch.OutOfMemoryError as error:
@@ -88,14 +88,18 @@ class Training:
                 self._trainer.resume()
 
     def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
-        """Let the finished mesh, vertices [V,3] in the scene's frame and faces [F,3], mirror the light from here on;
-        return whether the stage FINISH has something to do then. Call it before that stage."""
+        """Let the finished mesh mirror the light from here on, and return whether the stage FINISH has work then.
+
+        vertices [V,3] in the scene's frame; faces [F,3]. Call it before that stage.
+        """
         with one_torch_thread(), card_explained():
             return self._trainer.plan.mirror_at(Reflector(vertices, faces))
 
     def run(self, finish: bool = True) -> TrainResult:
-        """Return the branches as they are after all stages; without `finish`, before the stage FINISH. A pace or
-        `mirror_at` gives that stage something to do."""
+        """Train all stages, and return the branches; without `finish`, as they are before the stage FINISH.
+
+        A pace or `mirror_at` gives that stage something to do.
+        """
         plan, paced = self._trainer.plan, self._trainer.pace is not None
         with one_torch_thread(), card_explained():
             self._trainer.run(before=None if finish and (paced or plan.stages[-1].iterations) else FINISH)

@@ -1,4 +1,4 @@
-"""What changes with a run's progress: learning rates and the degree of the colours."""
+"""Schedules over a run's progress: learning rates and the degree of the colours."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SH_NAMES = ("sh", "refl_sh")
 
 
 def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, float]:
-    """Each parameter's learning rate at `progress` 0..1 through the whole run, whatever its iterations.
+    """Return each parameter's learning rate at `progress` 0..1 through the whole run, whatever its iterations.
 
     extent: the scene's, in its unit; the positions' rate is proportional to it. Of colours it is the constant term's
     (see `rest_scale`).
@@ -33,19 +33,22 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
 
 
 def fade(progress: float, begin: float, final: float) -> float:
-    """1 until `progress` is `begin`, then falling exponentially to `final` at 1."""
+    """Return a factor that is 1 until `progress` is `begin`, and then falls exponentially to `final` at 1."""
     return float(final ** (max(0.0, progress - begin) / max(1 - begin, 1e-9)))
 
 
 def rest_scale(sh: Tensor, config: RatesConfig) -> Tensor:
-    """What multiplies the rate of each coefficient of colours [N,K,3]: [K,3], 1 for the constant term."""
+    """Return the factors [K,3] on the learning rate of each coefficient of colours [N,K,3]; 1 for the constant term."""
     scale = torch.full(sh.shape[1:], config.sh_rest / config.sh, device=sh.device)
     scale[0] = 1.0
     return scale
 
 
 def sh_degree_at(iteration: int, warmup_iterations: int, step: float, highest: int) -> int:
-    """The colours' degree in the warm-up: from 0, one more each `step` (a fraction of the warm-up), to `highest`."""
+    """Return the degree of the colours in the warm-up, which rises from 0 to `highest`.
+
+    step: the fraction of the warm-up after which it rises by one; 0: it is `highest` at once.
+    """
     if step <= 0:
         return highest
     return min(highest, int(iteration / max(1.0, step * warmup_iterations)))

@@ -1,4 +1,4 @@
-"""A small 3D branch that is trained on small photographs before the real training, to learn something about them."""
+"""A small proxy model, a 3D branch that is trained on small photographs before the real training to learn from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RATES = 0.2  # where on the way from a warm-up's first to its last learning rate
 
 
 def small_view(view: View, side: int = SIDE) -> View:
-    """Return the view as a scout is trained on it."""
+    """Reduce a view to the size that a proxy model is trained on: its longer side has at most `side` pixels."""
     return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
 
 
@@ -40,10 +40,11 @@ def train_scout(
     progress: Callable[[float], None] = lambda done: None,
     opacity_cost: float = 0.0,
 ) -> VolumeModel:
-    """Return some of the starting points as Gaussians of one colour with harmonics up to `degree`, trained on small
-    views of the scene; none are added or dropped. name: what its stage is called; progress: told of the share that is
-    done; opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The same seed
-    gives the same Gaussians.
+    """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
+
+    None are added or dropped. degree: of their harmonics; name: what its stage is called; progress: told of the share
+    that is done; opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The
+    same seed gives the same Gaussians.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """

@@ -1,4 +1,7 @@
-"""The stages of a run: what each iteration renders and is judged by. The loop in `trainer.py` runs any of them."""
+"""The stages of a run: what each iteration renders, and by what it is judged.
+
+The loop in `trainer.py` runs any of them.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 
 @dataclass(frozen=True)
 class Seen:
-    """What densification needs of one render: whose it was, its screen-space figures, its weight in the loss."""
+    """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
 
     branch: Branch
     stats: Any
@@ -44,7 +47,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Step:
-    """One iteration's loss and what was seen on the way."""
+    """One iteration's loss, and what densification needs of its renders."""
 
     loss: Loss
     seen: list[Seen]
@@ -52,8 +55,10 @@ class Step:
 
 @dataclass(frozen=True)
 class Coarse:
-    """A stage's views made smaller, for the first `share` of its iterations: while splats find their places, small
-    images say as much, in less time."""
+    """A stage's views made smaller, for the first `share` of its iterations.
+
+    While splats find their places, small images say as much, in less time.
+    """
 
     views: list[TrainingView]
     share: float
@@ -114,7 +119,7 @@ class Stage:
 
     @property
     def trained(self) -> list[Trained]:
-        """All that it trains."""
+        """Return all that the stage trains."""
         return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
 
     def next_view(self) -> TrainingView:
@@ -136,7 +141,7 @@ class Stage:
         return self.views
 
     def state(self) -> dict[str, Any]:
-        """Where the stage stands, for a checkpoint."""
+        """Return where the stage stands, for a checkpoint."""
         return {
             "iteration": self.iteration,
             "iterations": self.iterations,
@@ -148,7 +153,7 @@ class Stage:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take back what `state` gave."""
+        """Restore what `state` returned."""
         self.iteration, self.iterations = state["iteration"], state["iterations"]
         self.seconds = state["seconds"]
         self.cycle.order = state["order"]
@@ -161,10 +166,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class WhatIsMirrored:
-    """The light that the surface mirrors, and the 2D branch whose normals throw it where the light has no reflector;
-    only the light learns.
+    """The environment maps that the surface mirrors, and the surface that mirrors them; only the maps learn.
 
-    The 2D branch must stand still, for its normals are kept, as float16, while KEPT_NORMALS lasts."""
+    Where the light has no reflector, the 2D branch's normals mirror it. The branch must stand still then, for its
+    normals are kept, as float16, while KEPT_NORMALS lasts.
+    """
 
     light: LightInTraining
     surfels: SurfelBranch
@@ -186,7 +192,7 @@ class WhatIsMirrored:
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
-    """Return what trains the 2D branch on the photographs (Algorithm 1).
+    """Return a function that computes a step of the 2D branch on the photographs (Algorithm 1).
 
     `warming` raises the SH degree and holds back the regularisers as the warm-up's settings say.
     """
@@ -206,7 +212,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
 def volumes_alone(
     branch: VolumeBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
 ) -> Callable[..., Step]:
-    """Return what trains the 3D branch on the photographs (Algorithm 1).
+    """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
     `warming` raises the SH degree; `mirrored` adds what the surface mirrors, as the 2D branch stands.
     """
@@ -232,7 +238,10 @@ def volumes_alone(
 def both_teach(
     surfels: SurfelBranch, volumes: VolumeBranch, config: TrainConfig, light: LightInTraining | None = None
 ) -> Callable[..., Step]:
-    """Both branches on the photographs and on each other (Algorithm 2), and on the light that the surface mirrors."""
+    """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
+
+    light: the environment maps that the surface mirrors, which are trained too where they are used.
+    """
     both = config.mutual.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:

@@ -1,4 +1,4 @@
-"""What training changes: parameters with their optimiser, and their state for a checkpoint."""
+"""Trainable models: parameters with their optimiser, and their state for a checkpoint."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Trained(ABC, Generic[Model]):
 
     @abstractmethod
     def rates(self, progress: float) -> dict[str, float]:
-        """Each parameter's learning rate at `progress` 0..1 of the run; there may be more names than parameters."""
+        """Return each parameter's learning rate at `progress` 0..1 of the run; other names may be among them."""
 
     @abstractmethod
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
@@ -38,11 +38,11 @@ class Trained(ABC, Generic[Model]):
 
     @property
     def device(self) -> torch.device:
-        """Where the parameters are."""
+        """Return the device of the parameters."""
         return next(iter(self.optimizer.params.values())).device
 
     def skip_step(self) -> None:
-        """Forget the gradients that backward has left; counts as a step, so that the schedule goes on."""
+        """Clear the gradients that backward has left, and count a step, so that the schedule goes on."""
         for tensor in self.optimizer.params.values():
             tensor.grad = None
         self.steps += 1
@@ -54,12 +54,12 @@ class Trained(ABC, Generic[Model]):
         return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
 
     def bad(self, kind: Kind) -> list[str]:
-        """Names of the parameters whose value, or gradient, is not finite or has a square that is not."""
+        """Return the names of the parameters whose value, or gradient, is not finite or has a square that is not."""
         tensors = self.tensors(kind).items()
         return [f"{self.name}.{name}" for name, tensor in tensors if not bool(tensor.square().sum().isfinite())]
 
     def state(self) -> dict[str, Any]:
-        """Everything that the next step depends on, for a checkpoint."""
+        """Return everything that the next step depends on, for a checkpoint."""
         return {
             "parameters": {name: tensor.detach() for name, tensor in self.optimizer.params.items()},
             "optimizer": self.optimizer.state_dict(),
@@ -67,7 +67,7 @@ class Trained(ABC, Generic[Model]):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take back what `state` gave."""
+        """Restore what `state` returned."""
         device = self.device
         self.optimizer = self.make_optimizer({name: t.to(device) for name, t in state["parameters"].items()})
         self.optimizer.load_state_dict(state["optimizer"])
@@ -75,7 +75,7 @@ class Trained(ABC, Generic[Model]):
         self.adopt()
 
     def widen(self, added: dict[str, Tensor]) -> None:
-        """Give the model parameters that it has not had; the others' moments stay."""
+        """Add parameters to the model, by name; the others' moments stay."""
         state = copied(self.state())
         state["parameters"] |= added
         moments = state["optimizer"]
@@ -99,8 +99,10 @@ class Trained(ABC, Generic[Model]):
 
 
 def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -> None:
-    """One step of all these along the gradients that backward has left, on a card in one launch. progress: of each,
-    0..1 of the run; bad [] bool, on a card: whether the gradients count as zero."""
+    """Take one optimiser step of all these models, on a card in one launch.
+
+    progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.
+    """
     for part, share in progress.items():
         part.optimizer.set_lrs(part.rates(share))
     step_together([part.optimizer for part in progress], bad)
@@ -109,7 +111,7 @@ def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -
 
 
 def copied(state: Any) -> Any:
-    """Return a state's nest of dicts and lists with tensors of its own."""
+    """Copy a state, a nest of dicts and lists, with tensors of its own."""
     if isinstance(state, dict):
         return {name: copied(value) for name, value in state.items()}
     if isinstance(state, list):

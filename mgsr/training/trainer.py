@@ -1,4 +1,4 @@
-"""The one training loop: it runs the stages of a plan, and looks up from time to time to report and to save."""
+"""The training loop: it runs the stages of a plan, and looks up from time to time to report and to save."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from mgsr.training.views import pick_background
 
 
 class Trainer:
-    """Runs a plan. Its state is the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint`
-    holds it all.
+    """The training loop of a plan.
+
+    Its state is the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint` holds it all.
 
     progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
     iteration; deadline: seconds of training after which the stages end where they are; pace: sets their lengths.
@@ -60,12 +61,14 @@ class Trainer:
 
     @property
     def seconds(self) -> float:
-        """Spent on this run, also before it was resumed, but not between two calls of `run`."""
+        """Return the seconds spent on this run, also before it was resumed, but not between two calls of `run`."""
         return time.perf_counter() - self._clock_start
 
     def run(self, before: str | None = None) -> None:
-        """Every stage that is left, or those before the stage of that name. Raises Cancelled when should_stop says so,
-        TrainingError when numbers go bad."""
+        """Run every stage that is left, or those before the stage of that name.
+
+        Raises Cancelled when should_stop says so, TrainingError when numbers go bad.
+        """
         self._clock_start += time.perf_counter() - self._left_at
         while self.stage_index < len(self.plan.stages):
             stage = self.plan.stages[self.stage_index]
@@ -87,7 +90,7 @@ class Trainer:
         self._saved_at = self.seconds
 
     def state(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on, as plain values and tensors."""
+        """Return everything that the rest of the run depends on, as plain values and tensors."""
         return {
             "fingerprint": self.fingerprint,
             "stage_index": self.stage_index,
@@ -102,7 +105,10 @@ class Trainer:
         }
 
     def resume(self) -> None:
-        """Go on from the checkpoint. Raises CheckpointError when it is damaged or another run's."""
+        """Restore the run from its checkpoint.
+
+        Raises CheckpointError when it is damaged or another run's.
+        """
         assert self.checkpoint_path is not None
         state = load_checkpoint(self.checkpoint_path, self.fingerprint)
         self.stage_index = state["stage_index"]
@@ -124,7 +130,7 @@ class Trainer:
         return Guard(stage, self.config.watch.check_every, self.incidents)
 
     def _run_stage(self, stage: Stage, begun: float) -> str:
-        """Iterate to the stage's end; returns why it ended."""
+        """Iterate to the stage's end, and return why it ended."""
         reason = "iterations" if self.pace is None else "budget"
         guard = self.guard = self.guard or self._new_guard(stage)
         self._heed_pace(stage)
@@ -152,7 +158,7 @@ class Trainer:
             stage.iterations = self.pace.length(self.plan.stages, self.stage_index, self._counts())
 
     def _hold_trial(self, stage: Stage, trial: Trial) -> None:
-        """Let the stage's trial decide. A run that stops inside it goes on before it."""
+        """Let the stage's trial decide; a run that stops inside it resumes before it."""
         self.save()
         begun = self._done(stage)
 
@@ -179,7 +185,7 @@ class Trainer:
         return Cancelled(what + kept)
 
     def _iterate(self, stage: Stage, guard: Guard) -> tuple[Loss, bool]:
-        """One view: render, compare, step, densify. Returns the loss and whether the stage has converged."""
+        """Render one view, compare, step and densify; return the loss and whether the stage has converged."""
         view = stage.next_view()
         background = pick_background(self.plan.backdrop, stage.cycle.generator)
         step = stage.compute(view, background, stage.iteration)

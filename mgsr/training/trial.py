@@ -1,5 +1,7 @@
-"""The trial that decides what the 3D branch adds to the transmitted light, and how far that light's colour may change
-with the direction: a part must earn its place on photographs that training did not see."""
+"""The trial by which the 3D branch is chosen: a part must earn its place on photographs that training did not see.
+
+It decides what the branch adds to the transmitted light, and how far that light's colour may change with direction.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ Run = Callable[[str, int], None]  # trains the stage on, under a candidate's nam
 
 @dataclass(frozen=True)
 class Candidate:
-    """One of those that were tried, its PSNR, dB, and where it had come to."""
+    """A model that was tried: its reflection, degree, PSNR in dB, and state."""
 
     reflection: Reflection
     sh_degree: int
@@ -34,12 +36,12 @@ class Candidate:
 
 
 class ReflectionTrial:
-    """Lets each candidate go on from one state, on the same views, and leaves the best in place.
+    """A trial that trains each candidate on from one state, on the same views, and leaves the best in place.
 
-    First the reflections, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by one, while
-    that is no worse. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB, on the
-    photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with those it is
-    trained on, it may see once the trial is over.
+    First the reflections are tried, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by
+    one, while that is no worse. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB,
+    on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
+    those it is trained on, it may see once the trial is over.
 
     psnr and degrees: what each reflection, and each lower degree, reached; empty before.
     """
@@ -61,11 +63,14 @@ class ReflectionTrial:
         self.degrees: dict[int, float] = {}
 
     def due(self, stage: Stage) -> bool:
-        """Whether it is the trial's turn; a pace may change the stage's length until then."""
+        """Return whether it is time for the trial; a pace may change the stage's length until then."""
         return self.chosen is None and stage.iteration >= round(self.settings.start * stage.iterations)
 
     def hold(self, stage: Stage, run: Run) -> None:
-        """Try all. Whatever `run` raises leaves the trial undecided."""
+        """Try all candidates, and keep the best.
+
+        Whatever `run` raises leaves the trial undecided.
+        """
         before, highest = copied(self._state(stage)), self.branch.model.sh_degree
         kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
         tried = [self._try(stage, run, before, kind, highest) for kind in kinds]
@@ -88,7 +93,7 @@ class ReflectionTrial:
         return {"chosen": chosen, "psnr": self.psnr, "degrees": self.degrees}
 
     def restore(self, state: dict[str, Any], stage: Stage) -> None:
-        """Take back what `state` gave."""
+        """Restore what `state` returned."""
         self.psnr, self.degrees = state["psnr"], state["degrees"]
         if state["chosen"] is not None:
             self._decide(stage, Reflection(state["chosen"]))
@@ -108,7 +113,7 @@ class ReflectionTrial:
         stage.cycle.count = self.all_views
 
     def _add(self, reflection: Reflection) -> None:
-        """Give the models what the candidate has and they have not."""
+        """Add to the models what the candidate has and they lack."""
         if self.light is not None:
             self.light.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):
@@ -128,7 +133,11 @@ class ReflectionTrial:
 
 
 def simplest(tried: list[Candidate], gain: float) -> Candidate:
-    """Return the first whose PSNR is not exceeded by any later one by more than `gain` dB."""
+    """Choose the candidate of the best PSNR, unless a simpler one comes near it.
+
+    tried: from the simplest on. A later candidate replaces the one chosen so far only where it exceeds it by more than
+    `gain` dB.
+    """
     best = tried[0]
     for candidate in tried[1:]:
         if candidate.psnr > best.psnr + gain:

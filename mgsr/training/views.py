@@ -1,4 +1,4 @@
-"""Photographs made ready for training, and the order in which they come."""
+"""Photographs prepared for training, and the order in which they come."""
 
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class TrainingView:
-    """One photograph, in bytes as it was read, and what is known of it beforehand. Targets are made of it in each
-    iteration: hundreds of large photographs as floats would fill the memory, and in bytes they are the scene's own.
+    """One photograph, in bytes as it was read, and what is known of it beforehand.
+
+    Targets are made of it in each iteration: hundreds of large photographs as floats would fill the memory, and in
+    bytes they are the scene's own.
 
     image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: where the photographic losses look (see
-    Target); off_edge [H,W] bool: what lies off the mask's outline; covered [P] int64: the pixels that the mask touches,
+    Target); off_edge [H,W] bool: what lies off the mask's contour; covered [P] int64: the pixels that the mask touches,
     row x W + column, None without masks; unknown [P] int64: likewise those that the photograph does not show, None
     where it shows all. The mask is 0 there, and the image anything. lit [H,W] uint8: as in `View`.
     """
@@ -41,7 +43,7 @@ class TrainingView:
     off_edge_sum: float | None = None  # pixels where off_edge is True
 
     def light(self) -> Tensor | None:
-        """`lit` for `render_volumes`."""
+        """Return `lit` as [H,W] in 0..1, for `render_volumes`; None where no flash lit the view."""
         return None if self.lit is None else self.lit / 255
 
     def target(self, behind: Tensor) -> Target:
@@ -60,9 +62,9 @@ def prepare_views(
     device: torch.device = CPU,
     reduce: int = 1,
 ) -> list[TrainingView]:
-    """Return the views as tensors on a device; without `masked`, their alpha is ignored.
+    """Convert the views to tensors on a device; without `masked`, their alpha is ignored.
 
-    edge_band: half width in pixels of the strip around the masks' outlines that `off_edge` leaves out.
+    edge_band: half width in pixels of the strip around the masks' contours that `off_edge` leaves out.
     margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
     reduce: how many pixels, along each side, are averaged into one; edge_band and margin are of these.
     """
@@ -92,15 +94,19 @@ def _prepared(
 
 
 def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
-    """Pixels on a device. Kernels of a card read them as they lie, so that they must lie without gaps there; on the
-    processor they stay the scene's own."""
+    """Move pixels to a device; on the processor they stay the scene's own.
+
+    A card's kernels read them as they lie, so there they are made contiguous.
+    """
     moved = torch.from_numpy(pixels).to(device)
     return moved if device == CPU else moved.contiguous()
 
 
 def _reduced(view: View, by: int) -> View:
-    """Return the view with each by x by pixels averaged into one, sides rounded up. `reduced_view` of
-    `mgsr.data.loading` takes any scale, but needs OpenCV, which a bare machine that trains has not."""
+    """Average each by x by pixels of a view into one, with sides rounded up.
+
+    `reduced_view` of `mgsr.data.loading` takes any scale, but needs OpenCV, which a bare machine that trains has not.
+    """
     camera = view.camera.resized(-(-view.camera.width // by), -(-view.camera.height // by))
 
     def mean(pixels: np.ndarray) -> np.ndarray:
@@ -112,8 +118,11 @@ def _reduced(view: View, by: int) -> View:
 
 
 def off_outline(mask: Tensor, band: int, known: np.ndarray | None = None) -> Tensor:
-    """[H,W] bool of a mask's bytes [H,W]: False where its outline (half covered) passes within `band` pixels, diagonals
-    included; no outline passes between a known pixel and others."""
+    """Return the pixels [H,W] bool that lie farther than `band` pixels from the contour of a mask [H,W] uint8.
+
+    The contour is where the mask is half covered; diagonals count as one pixel. No contour passes between a known pixel
+    and others.
+    """
     inside = mask > 127
     outside = ~inside
     if known is not None:
@@ -126,8 +135,10 @@ def off_outline(mask: Tensor, band: int, known: np.ndarray | None = None) -> Ten
 
 
 def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:
-    """(y0, y1, x0, x1), ends excluded, of what an alpha image [H,W] covers and `margin` pixels around it; None where it
-    covers nothing."""
+    """Return the box (y0, y1, x0, x1) of what an alpha image [H,W] covers and `margin` pixels around it.
+
+    Ends are excluded. It is cut off at the image's border; None where the image covers nothing.
+    """
     rows, columns = np.flatnonzero(alpha.any(axis=1)), np.flatnonzero(alpha.any(axis=0))
     if not len(rows):
         return None
@@ -137,7 +148,7 @@ def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int]
 
 
 def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:
-    """Return the colour behind the splats in one iteration; draws from the generator only where it is random."""
+    """Choose the colour behind the splats in one iteration; the generator is used only where it is random."""
     if not backdrop.random:
         return backdrop.color
     red, green, blue = torch.rand(3, generator=generator).tolist()
@@ -145,12 +156,12 @@ def pick_background(backdrop: Backdrop, generator: torch.Generator) -> Color:
 
 
 def color_tensor(color: Color, device: torch.device) -> Tensor:
-    """[3] on a device; the host does not wait for the copy."""
+    """Return a colour as a tensor [3] on a device, without waiting for the copy."""
     return torch.tensor(color).to(device, non_blocking=True)
 
 
 class ViewCycle:
-    """Indices of views, each once an epoch, in an order that the generator shuffles anew for each."""
+    """An endless order of views: each once an epoch, shuffled anew by the generator for each."""
 
     def __init__(self, count: int, generator: torch.Generator) -> None:
         self.count = count
@@ -165,5 +176,5 @@ class ViewCycle:
 
     @property
     def at_epoch_end(self) -> bool:
-        """Whether every view has had its turn in this epoch."""
+        """Return whether every view has come in this epoch."""
         return not self.order

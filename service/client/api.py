@@ -1,5 +1,8 @@
-"""The service's addresses as calls. A server that is away for a while is asked again; nothing is sent twice for that,
-because each submit carries an idempotency key."""
+"""The service's addresses as method calls.
+
+A server that is away for a while is asked again. A repeat submits nothing twice, as each submit carries an idempotency
+key.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class ServiceRefusal(Exception):
 
 
 class DamagedDownload(Exception):
-    """A result file came other than it was sent; the text says which."""
+    """A result file did not arrive as it was sent; the text says which."""
 
 
 class Client:
@@ -51,11 +54,11 @@ class Client:
         self._http.close()
 
     def check(self) -> None:
-        """Ask once whether the service is there."""
+        """Check once that the service is there."""
         _check(self._http.get("/healthz", timeout=10.0))
 
     def submit(self, archive: Path, options: str, sent: Callable[[int], None]) -> Job:
-        """Send an archive with its options (JSON); the job. sent: told of each chunk's size."""
+        """Send an archive with its options (JSON), and return the job. sent: told of each chunk's size."""
         key = uuid.uuid4().hex
         size = str(archive.stat().st_size)
 
@@ -70,21 +73,21 @@ class Client:
         return _again(send).json()
 
     def job(self, job: str) -> Job:
-        """How it stands."""
+        """Return the job's current state."""
         return _again(lambda: self._http.get(f"/jobs/{job}")).json()
 
     def cancel(self, job: str) -> Job:
-        """Ask it to stop."""
+        """Ask the service to cancel the job."""
         return _again(lambda: self._http.delete(f"/jobs/{job}")).json()
 
     def artifacts(self, job: str) -> list[dict[str, Any]]:
-        """The result files: name, size, sha256."""
+        """Return the result files: name, size, sha256."""
         return _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
 
     def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
-        """Write a result file to `path`, whole and checked, or not at all. One that is cut goes on where it was.
+        """Write a result file to `path`, whole and checked, or not at all; a cut download resumes.
 
-        got: told of each chunk's size. Raises DamagedDownload where the SHA-256 is another.
+        got: told of each chunk's size. Raises DamagedDownload where the SHA-256 differs.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.partial")
@@ -104,7 +107,7 @@ class Client:
         os.replace(partial, path)
 
     def _receive(self, address: str, file: BinaryIO, got: Callable[[int], None]) -> None:
-        """Append to the file what it lacks."""
+        """Append the missing bytes to the file."""
         begin = file.tell()
         headers = {"Range": f"bytes={begin}-"} if begin else {}
         plain = _again(lambda: self._http.send(self._http.build_request("GET", address, headers=headers), stream=True))
@@ -116,7 +119,7 @@ class Client:
             _append(_check(other), file, got)
 
     def follow(self, job: str) -> Iterator[Job]:
-        """The job's fields as they change, the whole job last. Goes on where it was if the connection ends."""
+        """Yield the job's fields as they change, the whole job last; resume if the connection ends."""
         last, known = "", self.job(job)
         yield known
         while known["status"] in ("queued", "running"):
@@ -135,7 +138,7 @@ class Client:
 
 
 def _events(lines: Iterator[str]) -> Iterator[tuple[str, Job]]:
-    """Id and data of each event that changes what is shown."""
+    """Yield id and data of each event that changes what is shown."""
     number = kind = data = ""
     for line in lines:
         field, _, value = line.partition(": ")
@@ -162,12 +165,12 @@ def _append(answer: httpx.Response, file: BinaryIO, got: Callable[[int], None]) 
 
 
 def _pause(failures: int) -> float:
-    """Seconds to wait after so many failures in a row."""
+    """Return the seconds to wait after so many failures in a row."""
     return min(0.5 * 2 ** (failures - 1), 8.0)
 
 
 def _again(send: Callable[[], httpx.Response]) -> httpx.Response:
-    """The answer, asked for again while the server is away or busy."""
+    """Return the answer, and ask again while the server is away or busy. Raises the last error."""
     for attempt in range(TRIES):
         try:
             answer = send()

@@ -1,4 +1,4 @@
-"""`mgsr submit` and `mgsr fetch`: zip a scene, send it, follow the job and fetch what came of it."""
+"""`mgsr submit` and `mgsr fetch`: zip a scene, send it, follow the job and fetch its results."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ INTERRUPTED = 130
 
 
 def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions, out: Path | None) -> int:
-    """Send the scene; with `out` also wait for it and put its results there. The program's exit code.
+    """Send the scene and return the program's exit code.
 
-    Raises SetupError where the scene can't be sent or the service refuses it.
+    With `out`, wait for the job and put its results there. Raises SetupError where the scene can't be sent or the
+    service refuses it.
     """
 
     def talk(client: Client, console: Console) -> int:
@@ -37,12 +38,12 @@ def submit_scene(server: str, key: str | None, scene: Path, options: JobOptions,
 
 
 def fetch_job(server: str, key: str | None, job: str, out: Path) -> int:
-    """Follow a job that was sent before, and put its results into `out`. The program's exit code. Raises SetupError."""
+    """Follow an earlier job, put its results into `out`, and return the program's exit code. Raises SetupError."""
     return _talk(server, key, lambda client, console: _wait(client, job, out, console))
 
 
 def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) -> int:
-    """Talk with a service, with its troubles in words."""
+    """Talk with a service and return the exit code. Raises SetupError, in words for the person, where it fails."""
     console = Console(highlight=False)
     try:
         with Client(server, key) as client:
@@ -62,7 +63,7 @@ def _talk(server: str, key: str | None, talk: Callable[[Client, Console], int]) 
 
 @contextmanager
 def _archive(scene: Path) -> Iterator[Path]:
-    """The scene as one file: itself, or a folder's files in a zip, hidden ones left out."""
+    """Yield the scene as one file: itself, or a folder's files in a zip, without hidden ones."""
     if scene.is_file():
         yield scene
         return

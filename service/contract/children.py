@@ -20,7 +20,7 @@ LOOK = 0.2
 
 
 class Stop(Exception):
-    """A signal asks for the end."""
+    """The wish to end, raised by a signal."""
 
 
 @dataclass
@@ -35,7 +35,7 @@ class Child:
     deaths: list[float] = field(default_factory=list)
 
     def start(self) -> None:
-        """Start it, tied to this process, in a session of its own: a terminal's Ctrl-C reaches this process alone."""
+        """Start it, tied to this process and in a session of its own, so that Ctrl-C reaches this process alone."""
         tied = [sys.executable, "-m", "service.contract.lifeline", str(os.getpid()), *self.command]
         self.process = subprocess.Popen(tied, env=os.environ | self.environment, start_new_session=True)
 
@@ -52,7 +52,7 @@ class Child:
         self.start()
 
     def stop(self, at_once: bool) -> None:
-        """Ask it to end, and see to it."""
+        """Ask it to end unless `at_once`, then kill it if it still runs."""
         if self.process is None or self.process.poll() is not None:
             return
         if not at_once:
@@ -64,13 +64,13 @@ class Child:
 
 
 def stop_on_signals() -> None:
-    """From now on SIGTERM and SIGINT raise Stop in the main thread."""
+    """Make SIGTERM and SIGINT raise Stop in the main thread."""
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _ask_to_stop)
 
 
 def keep_alive(children: list[Child]) -> None:
-    """Start again whichever dies, until Stop. Raises SetupError where one keeps dying."""
+    """Restart any child that dies, until Stop. Raises SetupError where one keeps dying."""
     while True:
         for child in children:
             child.revive()

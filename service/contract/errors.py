@@ -1,4 +1,4 @@
-"""What goes wrong around jobs, and how the programs say it."""
+"""Errors around jobs, and how the programs report them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class StoreError(Exception):
 
 @contextmanager
 def refusals() -> Iterator[None]:
-    """Ends the program with exit code 2 and one message where it can't do what it was asked."""
+    """End the program with exit code 2 and one message where it can't do what it was asked."""
     try:
         yield
     except (SetupError, StoreError) as error:

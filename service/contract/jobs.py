@@ -43,7 +43,7 @@ class Jobs:
         self.store = store
 
     def create(self, record: JobRecord) -> JobRecord:
-        """File a new job; the one that was there before, if there is one of this id."""
+        """File a new job; return the job on file, which is the earlier one if the id exists."""
         # Before the record: should this process die in between, recovery finds the job by this mark.
         self.mark_open(record.id, 0)
         if not self.store.create(_path(record.id, "job.json"), record.to_bytes()):
@@ -54,12 +54,12 @@ class Jobs:
         return record
 
     def record(self, job: str) -> JobRecord | None:
-        """What was asked for, or None for an unknown id."""
+        """Return what was asked for, or None for an unknown id."""
         data = self.store.read(_path(job, "job.json"))
         return None if data is None else JobRecord.model_validate_json(data)
 
     def state(self, job: str) -> JobState | None:
-        """The job and its last round, or None for an unknown id."""
+        """Return the job and its last round, or None for an unknown id."""
         record = self.record(job)
         if record is None:
             return None
@@ -68,16 +68,16 @@ class Jobs:
         return JobState(record, last, outcome, outcome is None and self.cancel_asked(job, last))
 
     def last_round(self, job: str) -> int:
-        """The number of the last round that was asked for."""
+        """Return the number of the last round that was asked for."""
         return max((int(name) for name in self.store.names(_path(job, "rounds"))), default=0)
 
     def outcome(self, job: str, number: int) -> Outcome | None:
-        """How a round ended, or None while it has not."""
+        """Return how a round ended, or None while it has not."""
         data = self.store.read(_path(job, f"outcomes/{number}.json"))
         return None if data is None else Outcome.model_validate_json(data)
 
     def finish(self, job: str, number: int, outcome: Outcome) -> bool:
-        """End a round; False, and nothing happens, where it has ended already."""
+        """End a round and return True; return False, and do nothing, where it has ended already."""
         record = self.record(job)
         if record is not None and record.options.webhook is not None:
             self.store.replace(f"webhooks/{job}.{number}", b"")  # before the outcome, so that no death between loses it
@@ -86,12 +86,12 @@ class Jobs:
         return won
 
     def untold_rounds(self) -> list[tuple[str, int]]:
-        """Job and round of each end that an owner is still to be told of by webhook."""
+        """Return job and round of each end that an owner is still to be told of by webhook."""
         found = [name.partition(".") for name in self.store.names("webhooks")]
         return [(job, int(number)) for job, _, number in found]
 
     def told(self, job: str, number: int) -> None:
-        """Note that the owner knows, or can't be told."""
+        """Note that the owner knows of a round's end, or can't be told."""
         self.store.delete(f"webhooks/{job}.{number}")
 
     def ask_cancel(self, job: str, number: int) -> None:
@@ -99,20 +99,20 @@ class Jobs:
         self.store.replace(_path(job, f"cancels/{number}"), b"")
 
     def cancel_asked(self, job: str, number: int) -> bool:
-        """Whether someone wants a round to stop."""
+        """Return whether someone wants a round to stop."""
         return self.store.read(_path(job, f"cancels/{number}")) is not None
 
     def ask_retry(self, job: str, number: int) -> None:
-        """Open round `number`; asking twice is asking once."""
+        """Open round `number`; asking twice has no further effect."""
         self.mark_open(job, number)
         self.store.replace(_path(job, f"rounds/{number}"), b"")
 
     def cancel_now(self, job: str, number: int) -> bool:
-        """End a round that nobody works on as cancelled."""
+        """End a round that nobody works on as cancelled; return whether it was still open."""
         return self.finish(job, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
 
     def begin_attempt(self, job: str, number: int, worker: str) -> int:
-        """Claim the next attempt of a job for a worker; its number, from 1."""
+        """Claim the next attempt of a job for a worker, and return its number, from 1."""
         start = AttemptStart(round=number, worker=worker, started=now()).to_bytes()
         attempt = max(self.attempts(job), default=0) + 1
         while not self.store.create(attempt_path(job, attempt, "start.json"), start):
@@ -120,18 +120,18 @@ class Jobs:
         return attempt
 
     def end_attempt(self, job: str, attempt: int) -> None:
-        """Note that an attempt without an outcome ended in good order: it was handed back, not lost."""
+        """Note that an attempt without an outcome ended properly: it was handed back, not lost."""
         self.store.replace(attempt_path(job, attempt, "end"), b"")
 
     def attempts(self, job: str) -> dict[int, AttemptStart]:
-        """Every attempt of a job, by number."""
+        """Return every attempt of a job, by number."""
         folder = _path(job, "attempts")
         numbers = [int(name.split("/")[0]) for name in self.store.names(folder) if name.endswith("/start.json")]
         found = {number: self.store.read(attempt_path(job, number, "start.json")) for number in sorted(numbers)}
         return {number: AttemptStart.model_validate_json(data) for number, data in found.items() if data is not None}
 
     def lost_attempts(self, job: str, number: int) -> int:
-        """How many attempts of a round died without a word."""
+        """Return how many attempts of a round died without a record of their end."""
         started = [attempt for attempt, start in self.attempts(job).items() if start.round == number]
         return sum(self.store.read(attempt_path(job, attempt, "end")) is None for attempt in started)
 
@@ -140,17 +140,17 @@ class Jobs:
         self.store.replace(f"open/{job}.{number}", b"")
 
     def open_rounds(self) -> Iterator[tuple[str, int, float]]:
-        """Job and round of each open mark, and its age in seconds."""
+        """Yield job and round of each open mark, and its age in seconds."""
         for entry in self.store.entries("open"):
             job, _, number = entry.key.removeprefix("open/").partition(".")
             yield job, int(number), (now() - entry.modified).total_seconds()
 
     def open_of(self, owner: str) -> int:
-        """How many of an owner's jobs are queued or running."""
+        """Return how many of an owner's jobs are queued or running."""
         return len({job for job, _, _ in self.open_rounds()}.intersection(self.owned(owner)))
 
     def index(self, record: JobRecord) -> None:
-        """Enter the job in its owner's list; doing it twice is doing it once."""
+        """Enter the job in its owner's list; entering it twice has no further effect."""
         self.store.replace(_index_path(record), b"")
 
     def remove(self, record: JobRecord) -> None:
@@ -169,11 +169,11 @@ class Jobs:
         self.store.delete_all(f"jobs/{record.id}")
 
     def owned(self, owner: str) -> list[str]:
-        """The ids of an owner's jobs, the newest first."""
+        """Return the ids of an owner's jobs, the newest first."""
         return [name.partition(".")[2] for name in sorted(self.store.names(f"owners/{owner}"))]
 
     def sweep_uploads(self) -> None:
-        """Remove archives that no job names, whole or not, left by services that were killed while they received."""
+        """Remove archives that no job names, whole or not, left by services that were killed during an upload."""
         self.store.delete_unfinished("uploads", STALE_UPLOAD)
         for entry in self.store.entries("uploads"):
             job = entry.key.removeprefix("uploads/").partition(".")[0]
@@ -185,12 +185,12 @@ class Jobs:
 
 
 def attempt_path(job: str, attempt: int, name: str) -> str:
-    """Where an attempt's file lies."""
+    """Return the key of an attempt's file."""
     return _path(job, f"attempts/{attempt}/{name}")
 
 
 def upload_path(job: str, upload: str) -> str:
-    """Where an archive lies."""
+    """Return the key of an archive."""
     return f"uploads/{job}.{upload}"
 
 

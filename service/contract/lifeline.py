@@ -1,4 +1,4 @@
-"""Children that die with their parent, also when that is killed with no time to say goodbye."""
+"""Children that die with their parent, even when it is killed without warning."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PR_SET_PDEATHSIG = 1
 def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
     """Have the kernel send this process `number` when its parent ends; end now if `parent` is gone already.
 
-    Elsewhere than on Linux nothing happens. The setting outlasts exec.
+    On systems other than Linux nothing happens. The setting outlasts exec.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -25,7 +25,10 @@ def die_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> Non
 
 
 def main() -> None:
-    """python -m service.contract.lifeline PARENT PROGRAM ARGUMENT...: become the program, tied to the parent."""
+    """Become the program that the arguments name, tied to the parent.
+
+    python -m service.contract.lifeline PARENT PROGRAM ARGUMENT...
+    """
     parent, program, *arguments = sys.argv[1:]
     die_with_parent(int(parent))
     os.execvp(program, [program, *arguments])

@@ -22,27 +22,27 @@ _RELEASE = "if redis.call('get', KEYS[1]) == ARGV[1] then return redis.call('del
 
 
 def lease_key(job: str) -> str:
-    """Held by the worker that works on a job."""
+    """Return the key of a job's lease, held by the worker that works on it."""
     return f"mgsr:lease:{job}"
 
 
 def progress_key(job: str) -> str:
-    """The job's last progress, JSON."""
+    """Return the key of the job's last progress, JSON."""
     return f"mgsr:progress:{job}"
 
 
 def events_key(job: str) -> str:
-    """The stream of a job's events."""
+    """Return the key of the stream of a job's events."""
     return f"mgsr:events:{job}"
 
 
 def cancel_key(job: str, number: int) -> str:
-    """Set when round `number` should stop."""
+    """Return the key that is set when round `number` should stop."""
     return f"mgsr:cancel:{job}.{number}"
 
 
 class Live:
-    """Writes and reads the above. Every method raises redis.RedisError where the server doesn't answer."""
+    """Writes and reads these keys. Every method raises redis.RedisError where the server doesn't answer."""
 
     def __init__(self, redis: Redis) -> None:
         self.redis = redis
@@ -50,15 +50,18 @@ class Live:
         self._release = redis.register_script(_RELEASE)
 
     def take_lease(self, job: str, holder: str, seconds: float) -> bool:
-        """Take the job's lease if it is free, or `holder`'s already; it then lasts for `seconds` from now."""
+        """Take the job's lease if it is free, or `holder`'s already; return whether it was taken.
+
+        The lease lasts for `seconds` from now.
+        """
         return bool(self._take(keys=[lease_key(job)], args=[holder, round(seconds * 1000)]))
 
     def release_lease(self, job: str, holder: str) -> None:
-        """Give the lease back, if it is the holder's."""
+        """Release the lease, if it is the holder's."""
         self._release(keys=[lease_key(job)], args=[holder])
 
     def leased(self, job: str) -> bool:
-        """Whether a worker works on the job."""
+        """Return whether a worker works on the job."""
         return bool(self.redis.exists(lease_key(job)))
 
     def ask_cancel(self, job: str, number: int) -> None:
@@ -66,25 +69,25 @@ class Live:
         self.redis.set(cancel_key(job, number), 1, ex=LIVE_SECONDS)
 
     def cancel_asked(self, job: str, number: int) -> bool:
-        """Whether the job's worker should stop it."""
+        """Return whether the job's worker should stop it."""
         return bool(self.redis.exists(cancel_key(job, number)))
 
     def progress(self, job: str) -> dict[str, Any]:
-        """What is known of how the job goes."""
+        """Return what is known of the job's progress."""
         found: dict[str, Any] = json.loads(self.redis.get(progress_key(job)) or "{}")
         return found
 
     def keep_progress(self, job: str, whole: dict[str, Any], change: dict[str, Any]) -> None:
-        """Keep how the job goes, and tell whoever listens what has changed, except for the long curve."""
+        """Keep the job's progress, and publish what has changed, except for the long curve."""
         self.redis.set(progress_key(job), json.dumps(whole), ex=LIVE_SECONDS)
         self.publish(job, "progress", {name: value for name, value in change.items() if name != "curve"})
 
     def forget(self, job: str) -> None:
-        """Drop what is known of a job that has been removed."""
+        """Delete what is known of a removed job."""
         self.redis.delete(progress_key(job), events_key(job))
 
     def publish(self, job: str, kind: str, data: dict[str, Any]) -> None:
-        """Tell whoever listens."""
+        """Append an event to the job's stream."""
         entry: dict[FieldT, EncodableT] = {"event": kind, "data": json.dumps(data)}
         self.redis.xadd(events_key(job), entry, maxlen=EVENTS_KEPT, approximate=True)
         self.redis.expire(events_key(job), LIVE_SECONDS)

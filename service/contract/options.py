@@ -1,5 +1,8 @@
-"""What a job may ask for. The library is not loaded for it: `library.json`, which `python -m worker.describe` writes
-and a test compares, says what its settings are. What only the library can judge, the worker refuses as `bad_option`."""
+"""What a job may ask for, checked without loading the library.
+
+`library.json`, which `python -m worker.describe` writes and a test compares, describes the library's settings. What
+only the library can judge, the worker refuses as `bad_option`.
+"""
 
 from __future__ import annotations
 
@@ -81,14 +84,14 @@ class JobOptions(BaseModel):
         return webhook
 
     def overrides(self) -> list[str]:
-        """The settings as the library takes them."""
+        """Return the settings as the library takes them."""
         return [f"{key}={_as_text(value)}" for key, value in self.settings.items()]
 
 
 def find_setting(key: str) -> str:
-    """The full name of the setting that a full name, or its end (`max_side`, `data.max_side`), means.
+    """Return the full name of the setting that a full name, or its end, means (`data.max_side`, `max_side`).
 
-    Raises ValueError for one that is not there, naming what was meant perhaps, or that is ambiguous.
+    Raises ValueError for a setting that does not exist, with similar names, or that is ambiguous.
     """
     hits = [key] if key in SETTINGS else [path for path in SETTINGS if path.endswith("." + key)]
     if len(hits) == 1:
@@ -102,7 +105,7 @@ def find_setting(key: str) -> str:
 
 
 def parse_setting(text: str) -> tuple[str, SettingValue]:
-    """Full name and value of a command line's KEY=VALUE. Raises ValueError."""
+    """Parse a command line's KEY=VALUE into full name and value. Raises ValueError."""
     key, equals, value = text.partition("=")
     if not equals:
         raise ValueError(f"{text}: expected KEY=VALUE, for example masks=off")
@@ -111,7 +114,7 @@ def parse_setting(text: str) -> tuple[str, SettingValue]:
 
 
 def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
-    """The text as the first type that can read it; as it is where none can."""
+    """Return the text as the first type that can read it; the text itself where none can."""
     for schema in schemas:
         try:
             match schema["type"]:
@@ -129,7 +132,7 @@ def _parse(text: str, schemas: list[dict[str, Any]]) -> SettingValue:
 
 
 def _checked(key: str, value: SettingValue) -> SettingValue:
-    """The value, if it fits the setting; raises ValueError with what was expected."""
+    """Return the value, if it fits the setting. Raises ValueError with what was expected."""
     schemas = _alternatives(find_setting(key))
     if any(_fits(value, schema) for schema in schemas):
         return value

@@ -1,4 +1,4 @@
-"""The queue: RQ with its JSON serializer, ids alone as arguments. What is lost here, recovery.py puts back."""
+"""The queue: RQ with its JSON serializer and ids alone as arguments. recovery.py puts back what is lost here."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ANSWER_SECONDS = 5.0
 
 
 def connect(url: str) -> Redis:
-    """A client that gives up on a server that doesn't answer, instead of waiting for ever."""
+    """Return a client that gives up on a server that doesn't answer, instead of waiting forever."""
     retry = Retry(ExponentialBackoff(cap=0.5, base=0.05), 2)
     return Redis.from_url(
         url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=2.0, health_check_interval=15, retry=retry
@@ -27,7 +27,10 @@ def connect(url: str) -> Redis:
 
 
 def queue_for(options: JobOptions) -> str:
-    """Jobs that ask for a card wait for a worker that has one; all others can go anywhere."""
+    """Return the name of a job's queue.
+
+    Jobs that ask for a card wait for a worker that has one; all others can go anywhere.
+    """
     return GPU if options.device is Device.CUDA else CPU
 
 
@@ -39,8 +42,10 @@ class JobQueue:
         self.queues = {name: open_queue(name, redis) for name in QUEUES}
 
     def put(self, job: str, number: int, queue: str, first: bool = False) -> None:
-        """Append a round, or put it first where it has waited before. One that stands in the queue twice is worked on
-        once: leases see to that."""
+        """Append a round, or put it first if it has waited before.
+
+        A round that stands in the queue twice is worked on once: leases ensure that.
+        """
         self.queues[queue].enqueue_call(
             TASK,
             args=(job, number),
@@ -52,7 +57,7 @@ class JobQueue:
         )
 
     def waiting(self) -> dict[tuple[str, int], int]:
-        """Place in its queue, from 1, of each job and round that waits."""
+        """Return the place in its queue, from 1, of each job and round that waits."""
         places: dict[tuple[str, int], int] = {}
         for queue in self.queues.values():
             for place, entry in enumerate(queue.get_job_ids(), start=1):
@@ -61,14 +66,14 @@ class JobQueue:
         return places
 
     def lengths(self) -> dict[str, int]:
-        """How many rounds wait, by queue."""
+        """Return how many rounds wait, by queue."""
         return {name: queue.count for name, queue in self.queues.items()}
 
     def workers(self) -> int:
-        """How many workers have said within the last minutes that they live."""
+        """Return how many workers have reported within the last minutes."""
         return Worker.count(connection=self._redis)
 
 
 def open_queue(name: str, redis: Redis) -> Queue:
-    """An RQ queue as service and workers use it."""
+    """Return an RQ queue as service and workers use it."""
     return Queue(name, connection=redis, serializer=JSONSerializer)

@@ -28,7 +28,7 @@ class Document(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     def to_bytes(self) -> bytes:
-        """As it lies in the store."""
+        """Return the document as it lies in the store."""
         return self.model_dump_json(indent=1).encode()
 
 
@@ -63,8 +63,10 @@ class Artifact(Document):
 
 
 class Outcome(Document):
-    """How one round of a job (a submit or a retry) ended; with status succeeded it is the manifest that publishes the
-    attempt's artifacts."""
+    """How one round of a job (a submit or a retry) ended.
+
+    With status succeeded it is the manifest that publishes the attempt's artifacts.
+    """
 
     status: JobStatus
     attempt: int | None
@@ -83,10 +85,10 @@ class AttemptStart(Document):
 
 
 def now() -> datetime:
-    """The time, in UTC."""
+    """Return the current time, in UTC."""
     return datetime.now(UTC)
 
 
 def new_id() -> str:
-    """A name that nobody can guess."""
+    """Return a new id that nobody can guess."""
     return secrets.token_hex(16)

@@ -1,5 +1,8 @@
-"""Puts back what was lost: jobs whose worker died, whose place in the queue vanished with Redis, or whose service was
-killed between two steps of a submit. Every worker and every service runs this; a lock in Redis lets one at a time."""
+"""Restore what was lost.
+
+That is jobs whose worker died, whose place in the queue vanished with Redis, or whose service was killed between two
+steps of a submit. Every worker and every service runs this; a lock in Redis lets one at a time.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,14 @@ SWEEP_PERIOD = 600.0
 
 
 class Recovery:
-    """One look after the other over the open rounds."""
+    """Repeated checks of the open rounds."""
 
     def __init__(self, jobs: Jobs, live: Live, queue: JobQueue) -> None:
         self.jobs, self.live, self.queue = jobs, live, queue
         self._redis: Redis = live.redis
 
     def look(self) -> None:
-        """Mend what is broken, unless another process has just looked. Raises StoreError and redis.RedisError."""
+        """Repair what is broken, unless another process has just looked. Raises StoreError and redis.RedisError."""
         if not self._redis.set("mgsr:recovery", 1, nx=True, px=round(PERIOD * 900)):
             return
         waiting = self.queue.waiting()

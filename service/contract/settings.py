@@ -14,12 +14,12 @@ GIB = 1 << 30
 
 
 def default_home() -> Path:
-    """Where a person's own service keeps everything: by the XDG rule, ~/.local/share/mgsr."""
+    """Return where a person's own service keeps everything: by the XDG rule, ~/.local/share/mgsr."""
     return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local/share") / "mgsr"
 
 
 def machine_memory() -> int:
-    """Bytes of memory that this process's machine, or its container, has."""
+    """Return the memory, bytes, of this process's machine, or of its container."""
     physical = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
@@ -62,7 +62,7 @@ class Settings(BaseSettings):
     publish_patience: float = 900.0  # that a worker tries to bring results to a store that doesn't answer
 
     def need_redis(self) -> str:
-        """The queue server's address. Raises SetupError where none is set."""
+        """Return the queue server's address. Raises SetupError where none is set."""
         if self.redis_url is None:
             raise SetupError(
                 "MGSR_REDIS_URL is not set: give the address of the Redis server (redis://host:6379/0), or use "
@@ -72,10 +72,10 @@ class Settings(BaseSettings):
 
     @property
     def store_url(self) -> str:
-        """The store's folder or address."""
+        """Return the store's folder or address."""
         return self.store or str(self.home / "store")
 
     @property
     def scratch_folder(self) -> Path:
-        """Where attempts have their files."""
+        """Return the folder for the attempts' files."""
         return self.scratch or self.home / "scratch"

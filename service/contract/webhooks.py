@@ -1,4 +1,4 @@
-"""Webhooks: the secret that an owner's messages are signed with, and which addresses may be called."""
+"""Webhooks: the secret that signs an owner's messages, and which addresses may be called."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TRANSLATED = ipaddress.IPv6Network("64:ff9b::/96")
 
 
 def webhook_secret(store: Store, owner: str) -> str:
-    """The owner's secret (Standard Webhooks: `whsec_` and base64), made when it is first asked for."""
+    """Return the owner's secret (Standard Webhooks: `whsec_` and base64), created when it is first asked for."""
     path = f"webhook-secrets/{owner}"
     if (found := store.read(path)) is None:
         made = "whsec_" + base64.b64encode(secrets.token_bytes(32)).decode()
@@ -25,7 +25,7 @@ def webhook_secret(store: Store, owner: str) -> str:
 
 
 def is_public(address: str) -> bool:
-    """Whether an IP address belongs to the open internet, not to this machine or a network around it."""
+    """Return whether an IP address belongs to the open internet, not to this machine or a network around it."""
     found = ipaddress.ip_address(address.partition("%")[0])
     if isinstance(found, ipaddress.IPv6Address):
         if found in _TRANSLATED:
@@ -35,7 +35,10 @@ def is_public(address: str) -> bool:
 
 
 def names_private_host(url: str) -> bool:
-    """Whether the address is private by its mere text. Names are looked at when they are resolved, at each call."""
+    """Return whether the URL names a private host by its mere text.
+
+    Host names are checked when they are resolved, at each call.
+    """
     host = urlsplit(url).hostname or ""
     try:
         return not is_public(host)

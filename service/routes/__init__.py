@@ -1,1 +1,1 @@
-"""The addresses of the service, one file a family."""
+"""The service's routes, one file for each family."""

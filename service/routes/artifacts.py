@@ -1,4 +1,4 @@
-"""/jobs/{id}/...: what came of a job."""
+"""/jobs/{id}/...: the results of a job."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ArtifactList(BaseModel):
 
 
 def _file(kind: str) -> dict[int | str, dict[str, Any]]:
-    """The documentation of a route that sends a file of a media type."""
+    """Return the documentation of a route that sends a file of a media type."""
     schema = {"type": "object"} if kind == "application/json" else {"type": "string", "format": "binary"}
     content = {kind: {"schema": schema}}
     return {
@@ -64,7 +64,7 @@ Redirect = Annotated[
 
 @router.get("/artifacts", responses=answers(404, 422))
 async def list_artifacts(snapshot: SnapshotDep) -> ArtifactList:
-    """Every result file with its size and SHA-256; each lies at /jobs/{job_id}/artifacts/{name}."""
+    """List every result file with its size and SHA-256; each lies at /jobs/{job_id}/artifacts/{name}."""
     return ArtifactList(artifacts=_published(snapshot))
 
 
@@ -78,7 +78,7 @@ async def get_artifact(
     if_range: IfRange = None,
     redirect: Redirect = True,
 ) -> Response:
-    """A result file by its name in the list."""
+    """Get a result file by its name in the list."""
     return await _send(parts, snapshot, name, wanted, if_none_match, if_range, redirect)
 
 
@@ -91,7 +91,7 @@ async def get_render(
     if_none_match: IfNoneMatch = None,
     if_range: IfRange = None,
 ) -> Response:
-    """A picture of a test view."""
+    """Get a picture of a test view."""
     return await _send(parts, snapshot, f"renders/{name}", wanted, if_none_match, if_range)
 
 
@@ -101,7 +101,7 @@ async def get_render(
     responses={200: {"description": "The log.", "content": {"text/plain": {}}}, **answers(404, 422)},
 )
 async def get_log(snapshot: SnapshotDep, parts: PartsDep) -> Response:
-    """The log of the last attempt, also while it runs."""
+    """Get the log of the last attempt, also while it runs."""
     data = await _from_last_attempt(parts, snapshot, "log.txt")
     return Response(data, media_type="text/plain; charset=utf-8", headers={"Cache-Control": "no-cache"})
 
@@ -121,7 +121,7 @@ async def get_preview(
     name: Annotated[str, Path(pattern="^[a-z_]{1,40}$", examples=["render"])],
     if_none_match: IfNoneMatch = None,
 ) -> Response:
-    """How a view looks now: `render`, `normals`, `transmitted` or `reflected`, refreshed during training."""
+    """Get a preview of a view: `render`, `normals`, `transmitted` or `reflected`, refreshed during training."""
     data = await _from_last_attempt(parts, snapshot, f"previews/{name}.webp")
     headers = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:32]}"', "Cache-Control": "no-cache"}
     if if_none_match is not None and headers["ETag"] in if_none_match:
@@ -130,7 +130,7 @@ async def get_preview(
 
 
 def _add_single(file: str, kind: str) -> None:
-    """A route of its own for a file that people ask for by name."""
+    """Add a route of its own for a file that people ask for by name."""
 
     async def get_file(
         snapshot: SnapshotDep,

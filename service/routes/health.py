@@ -28,19 +28,19 @@ class Readiness(Health):
 
 @router.get("/healthz")
 async def healthz() -> Health:
-    """Whether this process answers."""
+    """Tell whether this process answers."""
     return Health()
 
 
 @router.get("/readyz", responses={503: answers(503)[503]})
 async def readyz(parts: PartsDep) -> Readiness:
-    """Whether store and queue answer."""
+    """Tell whether store and queue answer."""
     return Readiness(workers=await run_in_threadpool(_check, parts))
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def metrics(parts: PartsDep) -> Response:
-    """Figures for Prometheus."""
+    """Get metrics for Prometheus."""
     data, kind = await run_in_threadpool(parts.metrics.render)
     return Response(data, headers={"Content-Type": kind})
 

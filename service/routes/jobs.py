@@ -133,7 +133,7 @@ async def list_jobs(
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[str | None, Query(pattern="^[0-9a-f]{32}$", description="The `next` of the page before.")] = None,
 ) -> JobList:
-    """Your jobs, the newest first, without their curves."""
+    """List your jobs, the newest first, without their curves."""
     ids = await run_in_threadpool(parts.jobs.owned, owner)
     first = ids.index(before) + 1 if before in ids else 0
     page = ids[first : first + limit]
@@ -151,7 +151,7 @@ async def list_jobs(
 async def get_job(
     snapshot: SnapshotDep, if_none_match: Annotated[str | None, Header(max_length=1000)] = None
 ) -> Response:
-    """A job: where it stands, how long it may take, what went wrong."""
+    """Get a job: its status, the time that it may still take, and any error."""
     return poll_answer(snapshot, if_none_match)
 
 
@@ -260,7 +260,7 @@ def _check_webhook(options: JobOptions, parts: Parts) -> None:
 
 
 async def _room_for(request: Request, owner: str, parts: Parts) -> None:
-    """Raise Problem where the upload is too large, the disk too full, or the owner has too many jobs that wait."""
+    """Raise Problem where the upload is too large, the disk too full, or too many of the owner's jobs wait."""
     settings, folder = parts.settings, parts.jobs.store.folder
     text = request.headers.get("content-length", "0")
     length = int(text) if text.isascii() and text.isdigit() else 0
@@ -283,7 +283,10 @@ async def _room_for(request: Request, owner: str, parts: Parts) -> None:
 
 
 def _job_id(owner: str, idempotency_key: str | None) -> str:
-    """A new id; for a key, always the same one, so that the store's create-only write decides between two submits."""
+    """Return a new id; for an idempotency key, always the same one.
+
+    The store's create-only write then decides between two submits.
+    """
     if idempotency_key is None:
         return new_id()
     return hashlib.sha256(f"{owner}\0{idempotency_key}".encode()).hexdigest()[:32]
@@ -310,7 +313,7 @@ async def _enqueue(parts: Parts, record: JobRecord, number: int) -> None:
 
 
 def _cancel(parts: Parts, job: str, number: int) -> None:
-    """In the store for good, in Redis for speed; at once where no worker has it."""
+    """Ask for a cancel, in the store for good and in Redis for speed; cancel at once where no worker has the job."""
     parts.jobs.ask_cancel(job, number)
     try:
         parts.live.ask_cancel(job, number)

@@ -26,7 +26,7 @@ class OptionsView(BaseModel):
 
 @router.get("/options", responses=answers())
 async def get_options(owner: OwnerDep, parts: PartsDep) -> OptionsView:
-    """The options' schema, the presets, every single setting with its default, and how large an archive may be."""
+    """Get the options' schema, the presets, every setting with its default, and the size limit of archives."""
     return OptionsView(
         options=JobOptions.model_json_schema(),
         presets=PRESETS,

@@ -1,4 +1,4 @@
-"""The web page: / and the files that it consists of, as built from service/page/src."""
+"""The web page: / and its files, as built from service/page/src."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ class PageFile:
 
     @property
     def kind(self) -> str:
-        """Its media type."""
+        """Return its media type."""
         ending = "." + self.name.rpartition(".")[2]
         return _TYPES.get(ending) or mimetypes.guess_type(self.name)[0] or "application/octet-stream"
 
     @cached_property
     def etag(self) -> str:
-        """Stands for the content."""
+        """Return its entity tag, a hash of the content."""
         return f'"{hashlib.sha256(self.data).hexdigest()[:32]}"'
 
     @cached_property
     def packed(self) -> bytes:
-        """The content as gzip."""
+        """Return the content as gzip."""
         return gzip.compress(self.data, 6, mtime=0)
 
     def headers(self) -> dict[str, str]:
-        """What goes with it."""
+        """Return its response headers."""
         policy = REPORT_POLICY if self.name == "report.html" else PAGE_POLICY
         return {
             "Cache-Control": "public, max-age=31536000, immutable" if _HASHED.fullmatch(self.name) else "no-cache",
@@ -74,7 +74,7 @@ class PageFile:
 
 
 def _read_files() -> dict[str, PageFile]:
-    """Every file of the page by its name; none where the page was not built."""
+    """Read every file of the page, by its name; none where the page was not built."""
     folder = files("service") / "page" / "built"
     return {item.name: PageFile(item.name, item.read_bytes()) for item in folder.iterdir()} if folder.is_dir() else {}
 
@@ -87,7 +87,7 @@ IfNoneMatch = Annotated[str | None, Header(max_length=1000)]
 
 @router.get("/")
 def get_page(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = None) -> Response:
-    """The page."""
+    """Get the page."""
     return _send("index.html", accept_encoding, if_none_match)
 
 
@@ -95,7 +95,7 @@ def get_page(accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = 
 def get_page_file(
     name: Annotated[str, Path(max_length=100)], accept_encoding: AcceptEncoding = "", if_none_match: IfNoneMatch = None
 ) -> Response:
-    """One of its files."""
+    """Get one of the page's files."""
     return _send(name, accept_encoding, if_none_match)
 
 

@@ -14,12 +14,12 @@ router = APIRouter(tags=["webhooks"])
 
 
 class WebhookSecret(BaseModel):
-    """Of one key, always the same."""
+    """The secret of one key, always the same."""
 
     secret: str = Field(description="`whsec_` and base64, as libraries of Standard Webhooks take it.")
 
 
 @router.get("/webhook-secret", responses=answers())
 async def get_webhook_secret(owner: OwnerDep, parts: PartsDep) -> WebhookSecret:
-    """The secret that signs what your jobs' webhooks send."""
+    """Get the secret that signs the messages of your jobs' webhooks."""
     return WebhookSecret(secret=await run_in_threadpool(webhook_secret, parts.jobs.store, owner))

@@ -8,7 +8,7 @@ MACHINE, VERSIONS = "a processor, 2 cores, avx2 kernels", "mgsr 0.1.0 torch 2.13
 
 
 def sample_row(scene: str, variant: str = "", method: str = "mgsr", preset: str = "standard", **changes: float) -> Row:
-    """A done row of made-up figures with `changes`."""
+    """Build a done row of made-up figures with `changes`."""
     figures: dict[str, float] = {
         "seconds": 300.0, "start_seconds": 20.0, "train_seconds": 220.0, "mesh_seconds": 50.0, "psnr": 34.0,
         "psnr_object": 28.0, "ssim": 0.97, "chamfer": 2.5, "f_score": 0.92, "normal_consistency": 98.0,
@@ -22,7 +22,7 @@ def sample_row(scene: str, variant: str = "", method: str = "mgsr", preset: str 
 
 
 def sample_rows() -> list[Row]:
-    """In the order in which tables keep them."""
+    """Build rows in the order in which tables keep them."""
     rows = []
     for scene in ("apple", "pear"):
         rows += [sample_row(scene, preset="draft", seconds=60.0, psnr=33.0), sample_row(scene)]

@@ -111,7 +111,7 @@ def test_runs_of_different_commits_are_not_compared() -> None:
 
 
 def test_an_older_row_is_held_against_a_run_of_its_commit() -> None:
-    """Of another seed, here."""
+    """Check that an older row is compared with a run of its commit, here of another seed."""
     rows = [replace(row, commit="def") if row.variant == "K" else row for row in sample_rows()]
     rows += [replace(sample_row(scene, psnr=33.0), commit="def", seed=1) for scene in ("apple", "pear")]
     row = next(line for line in page_of(rows).splitlines() if "| K |" in line)

@@ -18,8 +18,11 @@ def rows(*overrides: str) -> list[Row]:
 
 @pytest.mark.parametrize("reflection", ["shared", "both"])
 def test_an_iteration_has_few_operations(reflection: str) -> None:
-    """Counted, so that one that creeps in shows: with both lights 22 in the mutual phase, of which 9 make the tiles'
-    lists. None waits for a number, which would be called item."""
+    """Check the number of torch's operations in an iteration, so that one that creeps in shows.
+
+    With both lights it is 22 in the mutual phase, of which 9 make the tiles' lists. None waits for a number, which
+    would be called item.
+    """
     surfels, volumes, mutual = rows(f"reflection={reflection}")
     assert (surfels.stage, volumes.stage, mutual.stage) == ("warmup_surfels", "warmup_volumes", "mutual")
     assert surfels.operations.total() <= 15 and volumes.operations.total() <= 20 and mutual.operations.total() <= 30

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
-    """All of them, on a scene of the raster folder's form with a reference that is the tests' own."""
+    """Build all cases, on a scene of the raster folder's form with a reference that is the tests' own."""
     torch.manual_seed(0)
     folder, view = tmp_path_factory.mktemp("raster"), camera()
     splats = {name: tensor.float().numpy() for name, tensor in random_splats(40, 3).items()}

@@ -1,4 +1,4 @@
-"""What ending earlier saves and gives away, of made-up rows."""
+"""Tests of what ending earlier saves and gives away, with made-up rows."""
 
 from __future__ import annotations
 

@@ -22,7 +22,10 @@ TINY = Variant(" ".join(SETTINGS), SETTINGS)
 
 
 class Matrix:
-    """A scene with its truth, the same without (which takes half the time), and one that can't be read."""
+    """The scenes of a matrix.
+
+    One has its truth, one is the same without (which takes half the time), and one can't be read.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.truth, self.bare, self.empty, self.out = (folder / name for name in ("truth", "bare", "empty", "out"))

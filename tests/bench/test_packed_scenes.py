@@ -1,4 +1,4 @@
-"""What is packed and unpacked trains as what was read does, and is small."""
+"""Tests that packed scenes are small, and train as the scenes that were read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIG = make_config("draft", overrides=SETTINGS)
 
 
 def littered(view: View) -> View:
-    """Return the view with some colours or other where its mask is zero."""
+    """Return the view with arbitrary colours where its mask is zero."""
     litter = np.random.default_rng(0).integers(0, 256, view.image.shape, np.uint8)
     return replace(view, image=np.where((view.alpha > 0)[..., None], view.image, litter))
 
@@ -77,7 +77,7 @@ def test_everything_comes_back(tmp_path: Path) -> None:
 
 
 def test_a_mask_makes_colours_behind_it_black(tmp_path: Path) -> None:
-    """As they take part in nothing, they need not be carried."""
+    """Check that colours behind a mask, which take part in nothing, are packed as black."""
     scene = ball_scene(size=48, train=4)
     full = packed(replace(scene, train=[littered(view) for view in scene.train]), tmp_path).scene
     for found, expected in zip(full.train, scene.train, strict=True):
@@ -87,7 +87,7 @@ def test_a_mask_makes_colours_behind_it_black(tmp_path: Path) -> None:
 
 
 def test_where_not_every_view_has_a_mask_colours_stay(tmp_path: Path) -> None:
-    """Masks are ignored then, and what lies behind them is trained on."""
+    """Check that colours stay where not every view has a mask: masks are ignored then, and all is trained on."""
     views = [littered(view) for view in ball_scene(size=48, train=4).train]
     views[0] = replace(views[0], alpha=None)
     for found, expected in zip(packed(replace(ball_scene(), train=views), tmp_path).scene.train, views, strict=True):
@@ -104,7 +104,7 @@ def test_views_at_even_distances() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "views"), [("spot_soft", 12), ("bunny_flash", None)])
 def test_a_scene_trains_as_it_was_read(name: str, views: int | None, tmp_path: Path, shared_data: Path) -> None:
-    """bunny_flash: with what its flash makes of each view."""
+    """Check that a packed scene trains as the scene that was read; bunny_flash with its flash's light on each view."""
     content = read(shared_data / "scenes" / name, CONFIG, views)
     assert (content.scene.train[0].lit is not None) is (name == "bunny_flash") is ("flash.npz" in content.findings)
     pack(content, tmp_path / "scene.npz")

@@ -51,7 +51,7 @@ def test_colours_stand_out_on_either_page(page: str) -> None:
 
 
 def contrast(a: str, b: str) -> float:
-    """WCAG 2.1's ratio of two colours."""
+    """Return WCAG 2.1's contrast ratio of two colours."""
     light, dark = sorted((luminance(a), luminance(b)), reverse=True)
     return (light + 0.05) / (dark + 0.05)
 

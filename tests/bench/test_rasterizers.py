@@ -39,7 +39,7 @@ def test_a_mode_that_fails_leaves_the_others(monkeypatch: pytest.MonkeyPatch) ->
 def test_rows_come_size_by_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What was measured before the run was cut off is there."""
+    """Check that what was measured before the run was cut off is written."""
     measure, seen = rasterizers.measure, list[str]()
 
     def cut_off(size: str, *arguments: Any, **more: Any) -> tuple[list[rasterizers.Row], dict[str, str]]:

@@ -148,8 +148,10 @@ def solid(shape: Shape) -> trimesh.Trimesh:
 
 
 def crossings(mesh: trimesh.Trimesh, axis: int, place: tuple[float, float]) -> np.ndarray:
-    """Where a line along an axis, at the two other coordinates, goes through the mesh: barycentric coordinates of its
-    triangles seen along the axis."""
+    """Return where a line along an axis, at the two other coordinates, crosses the mesh.
+
+    The result has barycentric coordinates of the mesh's triangles seen along the axis.
+    """
     a, b, c = np.moveaxis(np.delete(mesh.triangles, axis, axis=2) - place, 1, 0)
     pairs = ((b, c), (c, a), (a, b))
     weights = np.stack([p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0] for p, q in pairs], axis=1)
@@ -171,7 +173,7 @@ def test_shapes_are_closed_and_have_their_handles(shape: Shape, handles: int) ->
 
 @pytest.mark.parametrize("shape", Shape)
 def test_shapes_have_about_the_size_of_a_scene(shape: Shape) -> None:
-    """So a thickness in units of the shape is about one in units of the scene, its bounding sphere's radius."""
+    """Check that a shape's bounding sphere has about radius 1, so that thicknesses are about in units of the scene."""
     mesh = solid(shape)
     assert np.linalg.norm(mesh.vertices - mesh.bounds.mean(axis=0), axis=1).max() == pytest.approx(1, abs=0.06)
 
@@ -200,7 +202,7 @@ def test_shapes_are_as_thick_as_asked(
 
 
 def test_the_mushroom_has_its_gills() -> None:
-    """A line beside the stem goes through seven of them, obliquely, and through the cap before and after."""
+    """Check that a line beside the stem crosses seven gills, obliquely, and the cap before and after."""
     thicknesses = np.diff(crossings(solid(Shape.MUSHROOM), 1, (0.5, 0.25)))[::2]
     turns = np.radians(np.arange(-45, 46, 15))
     assert thicknesses[1:-1] == pytest.approx(GILL_THICKNESS / np.cos(turns), rel=0.04)

@@ -23,19 +23,21 @@ def steady(slowness: float) -> Speed:
 
 
 def wavy(slowness: float, period: float, depth: float) -> Speed:
-    """Slower and faster by a factor of at most 1 + depth, again and again."""
+    """Return a speed that gets slower and faster by a factor of at most 1 + depth, again and again."""
     return lambda at: slowness * (1 + depth) ** math.sin(2 * math.pi * at / period)
 
 
 def stepped(slowness: float, at: float, factor: float) -> Speed:
-    """Suddenly slower by a factor, and so to the end."""
+    """Return a speed that suddenly slows down by a factor, and stays so to the end."""
     return lambda now: slowness * (factor if now >= at else 1.0)
 
 
 @dataclass
 class Machine:
-    """Work takes `speed` times its reference seconds. odd: by how much the steps of this scene cost more or less than
-    is usual."""
+    """A machine on which work takes `speed` times its reference seconds.
+
+    odd: by how much the steps of this scene cost more or less than is usual.
+    """
 
     speed: Speed
     odd: dict[str, float] = field(default_factory=dict)
@@ -46,7 +48,7 @@ class Machine:
         self.random = np.random.default_rng(self.seed)
 
     def work(self, step: str, reference: float) -> float:
-        """Do it; the seconds that it took."""
+        """Do a step, and return the seconds that it took."""
         begun, left = self.now, reference * self.odd.get(step, 1.0)
         piece = max(left / 20, 0.05)
         while left > 1e-9:
@@ -67,8 +69,11 @@ class Stage:
 
 @dataclass(frozen=True)
 class Ran:
-    """How a run went: its seconds, its budget, its stages, the settings of its surface, the share of the rounds of
-    refinement that this had, and the iterations that the budget expected of the last stage."""
+    """The course of a run.
+
+    Its seconds, its budget, its stages, the settings of its surface, the share of the rounds of refinement that this
+    had, and the iterations that the budget expected of the last stage.
+    """
 
     seconds: float
     budget: TimeBudget

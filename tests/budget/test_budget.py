@@ -29,7 +29,7 @@ def any_scene(random: np.random.Generator) -> tuple[Facts, dict[str, float]]:
 
 
 def least(facts: Facts, odd: dict[str, float], slowness: float) -> float:
-    """Seconds of the cheapest run there is on a machine that is always so slow."""
+    """Return the seconds of the cheapest run there is on a machine that is always so slow."""
     return run_on(Machine(steady(slowness), odd), facts, CONFIG, 1.0).seconds
 
 

@@ -22,7 +22,7 @@ SMALL = ["surfels.max_start=1500", "volumes.max_start=1500"]
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Without the truth, whose comparison takes longer than all the rest."""
+    """Build a scene without the truth, whose comparison takes longer than all the rest."""
     folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres")
     (folder / "mesh_gt.ply").unlink()
     return folder
@@ -34,7 +34,7 @@ def processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def run(scene: Path, out: Path, seconds: float, **options: Any) -> dict[str, Any]:
-    """The report of a run with a budget."""
+    """Run with a budget, and return the report."""
     config = make_config(overrides=[*SMALL, f"time_budget={seconds}"])
     report = run_scene(scene, out, config, "cpu", begun=time.perf_counter(), **options)
     found: dict[str, Any] = json.loads(report.read_text())

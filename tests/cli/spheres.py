@@ -21,7 +21,7 @@ SAMPLES = 3
 
 
 def write_spheres(folder: Path, size: int = 64, train: int = 14, test: int = 2) -> Path:
-    """The capture with its `mesh_gt.ply`, in a folder that is made."""
+    """Write the capture with its `mesh_gt.ply` to a new folder, and return the folder."""
     directions = _directions(train + test)
     held_out = set(range(3, train + test, (train + test) // test)[:test])
     for split in ("train", "test"):
@@ -48,7 +48,7 @@ def _write_frame(folder: Path, split: str, number: int, direction: np.ndarray, s
 
 
 def _camera_to_world(direction: np.ndarray) -> np.ndarray:
-    """OpenGL axes: the camera looks along -z, y is up."""
+    """Return the camera's pose [4,4] in the world, OpenGL axes: the camera looks along -z, y is up."""
     right = np.cross([0.1, 0.2, 1.0], direction)
     right /= np.linalg.norm(right)
     pose = np.eye(4)
@@ -58,7 +58,7 @@ def _camera_to_world(direction: np.ndarray) -> np.ndarray:
 
 
 def _photograph(pose: np.ndarray, size: int) -> np.ndarray:
-    """uint8 [size,size,4] with straight alpha, SAMPLES x SAMPLES rays a pixel."""
+    """Ray-cast an image [size,size,4] uint8, alpha not premultiplied, with SAMPLES x SAMPLES rays per pixel."""
     fine = size * SAMPLES
     rows, columns = (np.mgrid[:fine, :fine] + 0.5) / fine * 2 - 1
     reach = np.tan(ANGLE / 2)
@@ -72,7 +72,7 @@ def _photograph(pose: np.ndarray, size: int) -> np.ndarray:
 
 
 def _shade(eye: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The nearest sphere's colour, lit from above, and whether there is one."""
+    """Return the nearest sphere's colour, lit from above, and whether the ray hits one."""
     nearest, color = np.full(rays.shape[:2], np.inf), np.zeros(rays.shape)
     for center, radius, tint in SPHERES:
         along = rays @ (center - eye)

@@ -1,4 +1,4 @@
-"""Torch's allocator extends what it holds of a card's memory, unless the user or the system wants it otherwise."""
+"""Torch's allocator grows its segments of a card's memory, unless the user or the system wants it otherwise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mgsr.cli.allocator import OF_USER, prefer_expandable_segments
 
 @dataclass
 class Card:
-    """In the place of a launcher."""
+    """A stand-in for a launcher."""
 
     maps: bool
 
@@ -31,7 +31,7 @@ MAPS_NOT: Any = Card(maps=False)
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Return the settings that are made; the user's are out of the way, and the system is Linux."""
+    """Return the settings that are made on Linux where the user has set none."""
     for name in OF_USER:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(platform, "release", lambda: "6.8.0-45-generic")
@@ -85,7 +85,7 @@ print(torch._C._accelerator_getAllocatorSettings())
     ("set_by_user", "settings"), [({}, "expandable_segments:True"), ({OF_USER[0]: "backend:native"}, "backend:native")]
 )
 def test_torch_takes_the_settings(set_by_user: dict[str, str], settings: str) -> None:
-    """In a process of its own, since they hold for all of it."""
+    """Check that torch takes the settings, in a process of its own, since they hold for all of it."""
     own = {name: value for name, value in os.environ.items() if name not in OF_USER}
     environment = own | {"PYTHONPATH": os.pathsep.join(sys.path)} | set_by_user
     ran = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True)

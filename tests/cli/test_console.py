@@ -44,7 +44,7 @@ def test_the_log_has_every_line_and_grows_on_resume(tmp_path: Path) -> None:
 
 
 def refused(folder: Path, error: BaseException, *steps: str) -> None:
-    """A run that ends by that error after these steps."""
+    """Make a run that ends by that error after these steps."""
     with pytest.raises(type(error)), RunDisplay(folder / "log.txt", append=False, console=QUIET) as display:
         for step in steps:
             display(Event(step, f"in {step}"))

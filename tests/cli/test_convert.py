@@ -44,8 +44,10 @@ def test_meshes_with_options(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("axis", "sign"), [(1, 1), (1, -1), (2, 1), (2, -1)])
 def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
-    """Level cameras whose pictures have the frame's axis as their upper side; the mesh is a triangle that points
-    there."""
+    """Check that a mesh stands upright under level cameras.
+
+    The upper side of their pictures is the frame's axis, and the mesh is a triangle that points there.
+    """
     up, side = sign * np.eye(3)[axis], np.eye(3)[0]
     pose = np.eye(4)
     pose[:3, :3] = [side, -up, np.cross(side, -up)]

@@ -17,7 +17,7 @@ def test_the_sources_have_the_example() -> None:
 
 
 def _installed(monkeypatch: pytest.MonkeyPatch, package: Path) -> None:
-    """Let the command believe that it was installed in a folder."""
+    """Make the command believe that it was installed in a folder."""
     monkeypatch.setattr(demo_module, "__file__", str(package / "cli" / "demo.py"))
 
 

@@ -1,5 +1,4 @@
-"""Scores of runs: against the reference program's stored figures, without labels of what was seen, and where masks were
-put aside."""
+"""Scores of runs: against the reference program's figures, without visibility labels, and without some masks."""
 
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ def as_mesh(mesh: trimesh.Trimesh) -> SurfaceMesh:
 
 
 def visual_hull(root: Path) -> trimesh.Trimesh:
-    """The hull that the reference program measures, by its own code: the figures are for this very mesh."""
+    """Build the hull that the reference program measures, by its own code: the figures are for this very mesh."""
     path = root.parents[2] / "tools" / "evaluate.py"
     if not path.is_file():
         pytest.skip(f"NEEDS THE REFERENCE PROGRAM: no {path.parent.name}/{path.name} beside the measurement scenes")
@@ -74,7 +73,7 @@ def test_renders_score_what_the_reference_says(scene: Scene) -> None:
 
 
 def altered(view: View, scene: Scene) -> ViewImages:
-    """The blurred photographs that the reference was given, as the renderer would have them."""
+    """Return the blurred photographs that the reference was given, as the renderer would have them."""
     photo = load(scene.root / "test" / f"{view.name}.png")
     color, transmitted = (altered_image(photo, sigma).astype(np.float32) / 255 for sigma in (1.0, 3.0))
     alpha, nothing = color[..., 3:], np.zeros(color.shape[:2], np.float32)
@@ -106,7 +105,7 @@ def test_cameras_stand_in_for_the_labels(tmp_path: Path) -> None:
 
 
 def round_scene(root: Path) -> Scene:
-    """Four cameras at distance 4 around the z axis, looking at the origin."""
+    """Build a scene of four cameras at distance 4 around the z axis, looking at the origin."""
     K, views = np.array([[60.0, 0, 32], [0, 60, 32], [0, 0, 1]]), []
     for angle in np.linspace(0, 2 * np.pi, 4, endpoint=False):
         forward = -np.array([np.cos(angle), np.sin(angle), 0])

@@ -22,7 +22,7 @@ STAGES = ("surfel_iterations", "volume_iterations", "mutual.iterations")
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Spheres, each photograph with up to half as much light."""
+    """Provide a capture of spheres in which photographs have as little as 40 % of the light."""
     folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", train=28, test=4)
     (folder / "mesh_gt.ply").unlink()
     draw = np.random.default_rng(2)

@@ -54,7 +54,7 @@ def move_cameras(folder: Path, away: np.ndarray) -> None:
 
 
 def write_truth(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """A PLY with double positions, written by plyfile."""
+    """Write a PLY with double positions by plyfile."""
     vertex = np.rec.fromarrays(vertices.T, dtype=[(axis, "f8") for axis in "xyz"])
     face = np.empty(len(faces), [("vertex_indices", "i4", (3,))])
     face["vertex_indices"] = faces
@@ -164,8 +164,10 @@ def test_scores_against_a_truth_are_those_of_the_same_scene_at_the_origin(
 
 
 def test_the_pictures_do_not_depend_on_the_frame_in_which_a_scene_is_trained(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same mesh and camera of the user's frame, with and without another frame for the scene: a user's position
-    is scale * position + offset."""
+    """Check that a mesh and camera of the user's frame look the same whatever the scene's frame.
+
+    A user's position is scale * position + offset.
+    """
     monkeypatch.setattr("mgsr.report.shading.OCCLUSION_RAYS", 8)
     scale, offset, place = 0.4, np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
     box = trimesh.creation.box((1.0, 0.5, 0.3))

@@ -51,7 +51,7 @@ def test_the_flash_is_found_and_told(done: Path) -> None:
 
 
 def test_even_light_has_the_paints_alone(done: Path, views: list[View]) -> None:
-    """From the middle of the ball to its rim the photograph darkens, and the render under even light does not."""
+    """Check that the photograph darkens from the ball's middle to its rim, and the render under even light does not."""
     before, after = [], []
     for path in sorted((done / "renders" / "test").glob("*_even.png")):
         even = np.asarray(Image.open(path)).astype(float)

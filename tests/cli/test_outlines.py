@@ -17,7 +17,7 @@ from worker.cli import app as worker_app
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Plain spheres, on which stereo finds little."""
+    """Provide plain spheres, on which stereo finds little."""
     folder = write_spheres(tmp_path_factory.mktemp("capture") / "spheres", train=24)
     (folder / "mesh_gt.ply").unlink()
     return folder
@@ -30,7 +30,7 @@ def run(scene: Path, out: Path, *more: str) -> tuple[dict, trimesh.Trimesh]:
 
 
 def off_by(mesh: trimesh.Trimesh) -> float:
-    """The mean distance of a mesh's vertices to the spheres."""
+    """Return the mean distance of a mesh's vertices to the spheres."""
     distances = [np.linalg.norm(mesh.vertices - center, axis=1) - radius for center, radius, _ in SPHERES]
     return float(np.abs(np.min(distances, axis=0)).mean())
 

@@ -1,4 +1,4 @@
-"""Renders that take the photographs' place."""
+"""Renders that replace the photographs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.training.ball import before
 
 @pytest.mark.parametrize("color", [(0, 0, 0), (90, 120, 60)])
 def test_without_masks_renders_lie_on_the_backdrop(color: tuple[int, int, int]) -> None:
-    """One grey, nearly opaque Gaussian in the middle, and nothing else."""
+    """Check that a render of one grey, nearly opaque Gaussian lies on the backdrop."""
     scene = before(color, noise=0)
     grey = VolumeModel(
         means=torch.zeros(1, 3),

@@ -45,7 +45,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plain_scene(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same without the truth, whose comparison takes longer than all the rest."""
+    """Provide the same scene without the truth, whose comparison takes longer than all the rest."""
     copy = tmp_path_factory.mktemp("plain") / "spheres"
     shutil.copytree(scene, copy, ignore=shutil.ignore_patterns("mesh_gt.ply"))
     return copy
@@ -53,7 +53,7 @@ def plain_scene(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def done(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished run of the method itself."""
+    """Provide a finished run of the method itself."""
     out = tmp_path_factory.mktemp("runs") / "mgsr"
     result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT])
     assert result.exit_code == 0, result.output
@@ -124,7 +124,7 @@ def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method:
 
 
 def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
-    """Every file is larger by the same factor, and is still compared with the truth in the capture's own unit."""
+    """Check that every file is larger by the same factor, and is compared with the truth in the capture's unit."""
     out, like_the_run = tmp_path / "out", ["--preset", "draft", "--set", "poisson_depth=6"]
     shutil.copytree(done, out)
     loaded = load_scene(scene, DataConfig())
@@ -173,7 +173,7 @@ def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path
 
 
 def _centers(scene: Scene) -> np.ndarray:
-    """Where the cameras are in the user's frame."""
+    """Return the cameras' positions in the user's frame."""
     views = [*scene.train, *scene.test]
     return np.array([scene.user_from_scene.camera_to_user(view.camera).center for view in views])
 
@@ -200,7 +200,7 @@ def test_info_tells_what_was_read(scene: Path) -> None:
 
 
 def test_sigterm_leaves_a_checkpoint_and_says_how_to_go_on(scene: Path, tmp_path: Path) -> None:
-    """A process of its own, because signals go to processes."""
+    """Check that SIGTERM leaves a checkpoint, in a process of its own, because signals go to processes."""
     command = [sys.executable, "-m", "worker.cli", "run", str(scene), "-o", str(tmp_path)]
     endless = ["--method", "2dgs", *SHORT, "--set", "surfel_iterations=100000", "--set", "report_every=5"]
     process = subprocess.Popen(
@@ -258,7 +258,7 @@ def read(path: Path) -> str:
 
 
 def wait_for(condition, process: subprocess.Popen, seconds: float = 60) -> None:
-    """Until the condition holds; fails when the process ends or the time is over before."""
+    """Wait until the condition holds; fail when the process ends or the time is over first."""
     end = time.monotonic() + seconds
     while not condition():
         assert process.poll() is None, process.communicate()[1]

@@ -34,7 +34,7 @@ with refusals():
 
 
 def unpacking(folder: Path, ignored: signal.Signals | None = None) -> subprocess.Popen[str]:
-    """A command in the midst of unpacking to `folder`/tmp, which ignores a signal as under nohup."""
+    """Start a command that unpacks to `folder`/tmp, and return it; it may ignore a signal as under nohup."""
     (folder / "tmp").mkdir()
     with zipfile.ZipFile(folder / "a.zip", "w") as out:
         out.writestr("a.png", "x")
@@ -90,7 +90,7 @@ def test_other_threads_leave_signals_alone() -> None:
 
 
 def test_a_lost_card_ends_the_command_at_once(tmp_path: Path) -> None:
-    """What was unpacked goes, and no object is taken down: torch's tensors would abort the process."""
+    """Check that unpacked files go, and that no object is destroyed: torch's tensors would abort the process."""
     program = """
 import sys
 from pathlib import Path

@@ -58,7 +58,7 @@ SHORT = [
 
 
 def with_garbage(scene: Scene, seed: int) -> Scene:
-    """Bright noise, of the mask too, wherever no photograph shows anything."""
+    """Return the scene with bright noise in images and masks wherever no photograph shows anything."""
     random = np.random.default_rng(seed)
 
     def noisy(view: View) -> View:
@@ -72,7 +72,7 @@ def with_garbage(scene: Scene, seed: int) -> Scene:
 
 
 def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
-    """What comes of a scene, stage by stage."""
+    """Yield the results of a scene, stage by stage."""
     config = make_config("draft", overrides=SHORT)
     yield "frame", _frame(scene)
     yield "reduced views", [(view.image[view.known], view.known) for view in map(_halved, scene.train)]
@@ -136,8 +136,10 @@ def test_what_stands_at_unknown_pixels_changes_nothing(masked: bool, tmp_path: P
 
 
 def test_the_hull_is_whole_where_images_cut_the_object_off(tmp_path: Path) -> None:
-    """Unknown pixels carve nothing off the ball, though their masks say that nothing is there, and what the others show
-    carves as much as it should."""
+    """Check that unknown pixels carve nothing off the ball, and that known pixels carve as much as they should.
+
+    The masks say that nothing is at the unknown pixels.
+    """
     scene = load_scene(write_fisheye(tmp_path / "scene"), DataConfig())
     assert scene.user_from_scene.scale == pytest.approx(0.8, rel=0.15)
     cut = [((view.alpha > 127) & view.known & binary_dilation(~view.known)).sum() for view in scene.train]

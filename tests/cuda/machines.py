@@ -20,8 +20,10 @@ from tests.ptx_machine.nvrtc import missing_tools
 
 @dataclass(frozen=True)
 class Machine:
-    """A device for tensors, and the order in which the threads of the shim or of the machine for PTX run, or None on a
-    card."""
+    """A device for tensors, and the order of threads.
+
+    The order is that in which the threads of the shim or of the machine for PTX run, or None on a card.
+    """
 
     name: str
     device: torch.device
@@ -29,8 +31,11 @@ class Machine:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """Within the block, operations on `device` run as CUDA kernels; but on a card, torch.empty gives NaN and the
-        largest integers, so that what reads before it writes comes to light."""
+        """Run operations on `device` as CUDA kernels within the block.
+
+        But on a card, torch.empty gives NaN and the largest integers, so that what reads before it writes comes to
+        light.
+        """
         if self.order is None:
             yield
             return
@@ -53,9 +58,10 @@ class Machine:
 
 @dataclass(frozen=True)
 class PtxMachine(Machine):
-    """Executes what NVRTC emits, and refuses races and stray accesses. Skips, and says so, without NVRTC or g++.
+    """A machine that executes what NVRTC emits, and refuses races and stray accesses.
 
-    sources, noise_ulps: as PtxLauncher takes them."""
+    It skips, and says so, without NVRTC or g++. sources, noise_ulps: as PtxLauncher takes them.
+    """
 
     sources: Path = SOURCES
     noise_ulps: int = 0

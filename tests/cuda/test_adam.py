@@ -48,8 +48,10 @@ def test_more_parameters_than_a_launch_holds(machine: Machine) -> None:
 @on_each_machine
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), float("-inf"), 1e25])
 def test_what_is_bad_is_seen(machine: Machine, bad: float) -> None:
-    """Wherever it stands, also in the last block of the last tensor; large numbers whose squares float32 holds are not
-    bad."""
+    """Check that bad numbers are seen wherever they stand, also in the last block of the last tensor.
+
+    Large numbers whose squares float32 holds are not bad.
+    """
     sizes = (1, 1024, 2500)
     good = [torch.full((size,), 1e15, device=machine.device) for size in sizes]
     with machine.running():
@@ -63,7 +65,7 @@ def test_what_is_bad_is_seen(machine: Machine, bad: float) -> None:
 
 @on_each_machine
 def test_bad_gradients_count_as_zero(machine: Machine) -> None:
-    """As a step along zeros: momentum goes on, and nothing turns bad."""
+    """Check that bad gradients act as a step along zeros: momentum goes on, and nothing turns bad."""
     params = {
         name: [p.detach().to(machine.device).requires_grad_() for _ in range(2)] for name, p in parameters(7).items()
     }

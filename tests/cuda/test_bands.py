@@ -76,7 +76,7 @@ def worked(monkeypatch: pytest.MonkeyPatch) -> list[list[Band]]:
 
 
 def check_rows(worked: list[list[Band]]) -> None:
-    """Each pass has each row of tiles once, in their order, and all pairs."""
+    """Check that each pass has each row of tiles once, in their order, and all pairs."""
     whole = sum(band.pairs for band in worked[0])
     for found in worked:
         assert (found[0].first, found[-1].end) == (0, ROWS)
@@ -88,7 +88,7 @@ def check_same(
     expected: tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]],
     found: tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]],
 ) -> None:
-    """Pixels to the bit; gradients are sums of float32 numbers in another order."""
+    """Check that pixels are the same to the bit, and gradients but for the order of float32 sums."""
     for name, pixels in expected[0].items():
         assert torch.equal(pixels, found[0][name]), name
     for name, gradient in expected[1].items():
@@ -110,7 +110,7 @@ def test_bands_change_no_pixel(
 
 
 class Places:
-    """Where memory may turn out too small, while a band is worked: every launch, every operation of torch's.
+    """The places where memory may turn out too small while a band is worked: every launch, every operation of torch's.
 
     refuses: of a place's number since the band was begun, the band, and whether the pass is the backward one. made:
     what torch made there, held weakly, so that a test sees what still lives.
@@ -127,7 +127,7 @@ class Places:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """As of a Machine: the shim, with these places."""
+        """Run operations under the shim within the block, as a Machine does, with these places."""
         with SHIM.running(), use_launcher(_Launcher(self)):
             yield
 
@@ -145,7 +145,10 @@ class Places:
         return counted
 
     def reach(self) -> None:
-        """Return the next place. Raises torch.OutOfMemoryError."""
+        """Count the next place.
+
+        Raises torch.OutOfMemoryError where it is refused.
+        """
         if self._band is None:
             return
         place, self._place = self._place, self._place + 1
@@ -182,7 +185,10 @@ class _Launcher(ShimLauncher):
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch, worked: list[list[Band]]) -> Callable[..., Places]:
-    """Make Places. When a band is halved, nothing of what was made for it lives, nor the states kept for backward."""
+    """Return a function that builds Places.
+
+    When a band is halved, nothing of what was made for it lives, nor the states kept for backward.
+    """
     attempt, halves, places = bands._try, bands._halves, list[Places]()
 
     def with_places(work: Callable[[Band], Any], band: Band) -> Any:
@@ -211,7 +217,7 @@ def short(monkeypatch: pytest.MonkeyPatch, worked: list[list[Band]]) -> Callable
 def test_memory_that_is_too_small_once(
     kind: str, backward: bool, worked: list[list[Band]], short: Callable[..., Places]
 ) -> None:
-    """At each place in turn, of the whole image."""
+    """Check that an image comes out the same where memory is too small once, at each place in turn."""
     whole = render(SHIM, kind)
     for at in count():
         places = short(lambda *now, at=at: now[1].end - now[1].first == ROWS and (now[0], now[2]) == (at, backward))
@@ -228,7 +234,10 @@ def test_memory_that_is_too_small_once(
 def test_memory_that_is_too_small_again_and_again(
     kind: str, worked: list[list[Band]], short: Callable[..., Places]
 ) -> None:
-    """At each place in turn, of every band that has too many pairs, forward and backward; backward has less memory."""
+    """Check that memory may be too small for every band that has too many pairs, at each place in turn.
+
+    Both passes are tried, and backward has less memory.
+    """
     whole = render(SHIM, kind)
     pairs = sum(band.pairs for band in worked[0])
     for at in count():
@@ -267,7 +276,7 @@ def test_memory_that_does_not_hold_the_counts_is_refused(
 
 
 def test_a_second_backward_pass_blends_again() -> None:
-    """What is kept for backward is given away by the first."""
+    """Check that a second backward pass works, though the first gives away what is kept for backward."""
     splats = {name: t.float().requires_grad_() for name, t in random_splats(60, 3).items()}
     names = ("means", "quats", "scales", "opacities", "colors")
     with SHIM.running():
@@ -296,7 +305,7 @@ def test_a_row_is_tried_where_less_memory_is_free_than_it_is_thought_to_need(
 
 
 class Card:
-    """The memory of a card, in bytes, as torch tells it."""
+    """A pretended card's memory, in bytes, as torch tells it."""
 
     total_memory, free, reserved, allocated, asked = 7_200_000, 450_000, 1_000_000, 550_000, 0
 
@@ -318,7 +327,10 @@ def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[Card]:
 
 
 def test_a_band_is_what_half_of_the_free_memory_holds(card: Card) -> None:
-    """A pair needs 450 bytes; what torch's allocator keeps unused is free too."""
+    """Check that a band has as many pairs, of 450 bytes, as half of the free memory holds.
+
+    What torch's allocator keeps unused is free too.
+    """
     device = torch.device("cuda", 0)
     assert bands.most_pairs(device, 1001) == 1000
     card.allocated = card.reserved
@@ -328,7 +340,7 @@ def test_a_band_is_what_half_of_the_free_memory_holds(card: Card) -> None:
 
 
 def test_the_driver_is_asked_only_for_many_pairs(card: Card) -> None:
-    """More than a sixteenth of the memory is for."""
+    """Check that the driver is asked only where pairs need more than a sixteenth of the memory."""
     device = torch.device("cuda", 0)
     assert bands.most_pairs(device, 1000) == 2**31 - 1 and card.asked == 0
     bands.most_pairs(device, 1001)

@@ -26,7 +26,7 @@ ARCHS = ("sm_75", "sm_80", "sm_90", "sm_100", "sm_120")
 
 @pytest.fixture(scope="session", autouse=True)
 def nvrtc() -> None:
-    """Skips, and says so, where NVRTC is not installed."""
+    """Skip the test, and say so, where NVRTC is not installed."""
     pytest.importorskip("cuda.core", reason="NEEDS NVRTC: pip install 'mgsr[cuda]'")
     try:
         supported_archs()
@@ -73,7 +73,7 @@ print(len(compile_family("adam", "sm_90", Path(sys.argv[1]))))
 
 
 def sizes_in_processes(folder: Path, processes: int) -> list[int]:
-    """How much machine code each of several processes gets that start together."""
+    """Return how much machine code each of several processes gets that start together."""
     command = [sys.executable, "-c", COMPILE, str(folder)]
     started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(processes)]
     return [int(process.communicate()[0]) for process in started]
@@ -98,7 +98,7 @@ def test_processes_replace_a_damaged_file(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_without_a_usable_cache_it_compiles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """As where the folder of MGSR_CUDA_CACHE lies below a file."""
+    """Check that kernels compile without a usable cache, as where the folder of MGSR_CUDA_CACHE lies below a file."""
     (tmp_path / "file").write_text("")
     for _ in range(2):
         assert compile_family("adam", "sm_90", tmp_path / "file" / "cache")[:4] == b"\x7fELF"

@@ -1,4 +1,4 @@
-"""What benchmarks/sass.py and benchmarks/walks.py count, on kernels and lists small enough to count by hand."""
+"""Tests of what benchmarks/sass.py and benchmarks/walks.py count, on kernels and lists that can be counted by hand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_loops_and_their_instructions() -> None:
 
 
 def one_tile(opacity: float, count: int) -> View:
-    """So many equal splats in the middle of the second patch (8 to 15, 0 to 3) of a single tile."""
+    """Return a view of `count` equal splats in the middle of the second patch (8 to 15, 0 to 3) of a single tile."""
     opacities = np.tile(np.array([opacity, 0], np.float32), (count, 1))
     roots = np.tile(np.array([2, 0, 2], np.float32), (count, 1))
     splats = Splats(np.tile([12.0, 2.0], (count, 1)), roots, opacities)
@@ -50,7 +50,10 @@ def one_tile(opacity: float, count: int) -> View:
 
 
 def test_walks_of_faint_splats() -> None:
-    """Forty, none of which closes a pixel: ours walks them in one patch of eight, gsplat's eight warps all of them."""
+    """Check the walks of forty splats, none of which closes a pixel.
+
+    Ours walks them in one patch of eight, gsplat's eight warps all of them.
+    """
     view = one_tile(0.05, 40)
     ours = count_ours(view, dual=False)
     expected = {"batches": 8, "buckets": 16, "steps": 40, "useful": 40, "back_buckets": 2}
@@ -62,7 +65,7 @@ def test_walks_of_faint_splats() -> None:
 
 
 def test_walks_end_where_pixels_are_closed() -> None:
-    """Splats over the whole tile, of which the second closes every pixel."""
+    """Check that walks over splats that cover the whole tile end at the second, which closes every pixel."""
     view = one_tile(0.999, 3)
     view.splats.roots[:] = np.float32(1e-4)
     assert count_ours(view, dual=False)["steps"] == 8 * 3  # a bucket that is begun is walked

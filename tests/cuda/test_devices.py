@@ -28,7 +28,7 @@ META = torch.device("meta")
 
 
 class NoLauncher:
-    """Runs nothing and notes what it was asked for."""
+    """A launcher that runs nothing and notes what it was asked for."""
 
     def __init__(self) -> None:
         self.launched: list[str] = []
@@ -40,7 +40,10 @@ class NoLauncher:
 
 @pytest.fixture
 def launcher(monkeypatch: pytest.MonkeyPatch) -> NoLauncher:
-    """With the one number that a rendering waits for, its count of pairs, put in by hand."""
+    """Return a launcher that runs nothing.
+
+    The count of pairs, the one number that a rendering waits for, is put in by hand.
+    """
     monkeypatch.setattr(tiles, "read_later", lambda scalar: lambda: 1000)
     return NoLauncher()
 
@@ -50,7 +53,7 @@ def plan_on_meta(config: Config, masked: bool) -> Plan:
 
 
 def iterate(stage: Stage) -> None:
-    """As Trainer._iterate and _update do between two densifications."""
+    """Do an iteration as Trainer._iterate and _update do between two densifications."""
     view = stage.views[0]
     step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
     step.loss.backward()
@@ -98,7 +101,7 @@ def test_single_branches_too(launcher: NoLauncher, method: str) -> None:
 
 
 def test_tensors_of_two_devices_are_refused() -> None:
-    """A kernel would read the processor's addresses as the card's."""
+    """Check that tensors of two devices are refused: a kernel would read the processor's addresses as the card's."""
     image, plane, here = torch.zeros(4, 5, 3, device=META), torch.zeros(4, 5, device=META), torch.zeros(4, 5)
     camera = ball_scene(24, train=3, test=1).train[0].camera.resized(5, 4)
     with pytest.raises(TensorError, match="mask: expected device meta"):

@@ -17,7 +17,7 @@ from tests.oracles import tv as tv_oracle
 
 
 def run(machine: Machine, gradients, function, *arguments, **options):
-    """A test's `gradients` on a machine; what it returns comes back to the CPU."""
+    """Run a test's `gradients` on a machine, and bring what it returns back to the CPU."""
     moved = [a.to(machine.device) if isinstance(a, torch.Tensor) else a for a in arguments]
     with machine.running():
         return [t.cpu() for t in gradients(function, *moved, **options)]

@@ -29,7 +29,7 @@ def test_what_is_kept_is_found(tmp_path: Path) -> None:
 
 
 def test_the_code_comes_first_in_the_file(tmp_path: Path) -> None:
-    """So that NVIDIA's tools read it."""
+    """Check that the code comes first in the file, so that NVIDIA's tools read it."""
     KernelCache(tmp_path).put(b"key", CODE)
     assert only_entry(tmp_path).read_bytes().startswith(CODE)
 
@@ -68,7 +68,7 @@ def test_a_file_under_another_name_is_no_hit(tmp_path: Path) -> None:
 
 
 def failing(code: int):
-    """In the place of a function of the system."""
+    """Return a stand-in for a function of the system that fails with an error code."""
 
     def fail(*arguments: object, **named: object) -> None:
         raise OSError(code, os.strerror(code))
@@ -88,7 +88,7 @@ def failing(code: int):
 def test_a_folder_that_can_not_be_written_is_told_of_once(
     module, call: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """And what lies there serves on."""
+    """Check that a folder that can't be written is told of once, and that what lies there serves on."""
     kept = kernel_cache(tmp_path)
     kept.put(b"before", CODE)
     monkeypatch.setattr(module, call, failing(code))

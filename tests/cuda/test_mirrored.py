@@ -12,7 +12,7 @@ from tests.ops.test_mirrored import Scene, assert_close, expected_of, gradients,
 
 
 def run(machine: Machine, parts: Scene, size: tuple[int, int], pixels: torch.Tensor | None = None):
-    """Light and gradients of a machine, on the CPU."""
+    """Return the light and gradients of a machine, on the CPU."""
     there = None if pixels is None else pixels.to(machine.device)
     with machine.running():
         came = gradients(
@@ -59,7 +59,10 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of threads and blocks: a difference would be a race. A cell has many pixels."""
+    """Check that the bytes are the same at every run and in every order of threads and blocks.
+
+    A difference would be a race. A cell has many pixels.
+    """
     parts = scene(40, 50, 3)
     reference = machine.ascending()
     before, after = run(reference, parts, (40, 50)), run(machine, parts, (40, 50))

@@ -58,7 +58,7 @@ def project(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def touched(records: np.ndarray, outlines: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the kernels find for a tile, [N,8] of each patch: by records, and by outlines."""
+    """Return the patches of a tile that the kernels find touched, [N,8]: by records, and by outlines."""
     across = -(-WIDTH // TILE)
     rows = -(-HEIGHT // TILE)
     found = [torch.empty(len(records), dtype=torch.int32) for _ in range(2)]
@@ -71,7 +71,7 @@ def touched(records: np.ndarray, outlines: np.ndarray, tile: int) -> tuple[np.nd
 
 
 def pixel_centers(tile: int) -> tuple[np.ndarray, np.ndarray]:
-    """x and y [8,32] of each patch's pixels."""
+    """Return x and y [8,32] of each patch's pixels."""
     across = -(-WIDTH // TILE)
     patch, place = np.arange(8)[:, None], np.arange(32)[None]
     x = tile % across * TILE + patch % 2 * 8 + place % 8
@@ -80,7 +80,7 @@ def pixel_centers(tile: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def counted(records: np.ndarray, tile: int) -> np.ndarray:
-    """Whether a splat's alpha reaches 1/255 at a pixel [N,8,32], in float64."""
+    """Return whether a splat's alpha reaches 1/255 at a pixel [N,8,32], in float64."""
     x, y = pixel_centers(tile)
     whole = np.ascontiguousarray(records[:, :1]).view(np.int16)
     center = whole + records[:, 1:3].astype(np.float64)

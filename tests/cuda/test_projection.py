@@ -31,7 +31,7 @@ class Params(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Splats:
-    """float32: means [N,3], quats [N,4], scales [N,3], opacities [N]."""
+    """Splats in float32: means [N,3], quats [N,4], scales [N,3], opacities [N]."""
 
     means: Tensor
     quats: Tensor
@@ -41,7 +41,10 @@ class Splats:
 
 @dataclass(frozen=True)
 class Projection:
-    """sights [N], records [N,16] and outlines [N,12] where seen, depths [N], tile_counts [N], radii [N]."""
+    """The projection of splats.
+
+    sights [N], records [N,16] and outlines [N,12] where seen, depths [N], tile_counts [N], radii [N].
+    """
 
     sights: np.ndarray
     records: np.ndarray
@@ -77,7 +80,7 @@ def project(kernel: str, splats: Splats, view: Camera, compensate: bool) -> Proj
 
 
 def ball(count: int) -> Splats:
-    """Round and flat and needle-shaped splats of many sizes, some behind the camera or beside the image."""
+    """Draw round and flat and needle-shaped splats of many sizes, some behind the camera or beside the image."""
     g = torch.Generator().manual_seed(1)
     return Splats(
         torch.randn(count, 3, generator=g) * 1.5,
@@ -88,13 +91,13 @@ def ball(count: int) -> Splats:
 
 
 def around_one(count: int) -> np.ndarray:
-    """Factors that differ from 1 by 1e-8 to 1e-3, either way."""
+    """Draw factors that differ from 1 by 1e-8 to 1e-3, either way."""
     sizes = 10 ** np.linspace(-8, -3, count)
     return 1 + np.where(np.arange(count) % 2, sizes, -sizes)
 
 
 def at_the_near_plane(count: int) -> Splats:
-    """Depths on both sides of the near plane, as near to it as float can say."""
+    """Draw splats with depths on both sides of the near plane, as near to it as float can say."""
     splats = ball(count)
     depth = NEAR * around_one(count)
     view = camera()
@@ -105,7 +108,7 @@ def at_the_near_plane(count: int) -> Splats:
 
 
 def at_the_least_opacity(count: int) -> Splats:
-    """Opacities that the compensation takes to 1/255, nearly."""
+    """Draw splats with opacities that the compensation takes nearly to 1/255."""
     splats = ball(count)
     round_ = Splats(splats.means * 0.2, splats.quats, torch.full((count, 3), 0.01), torch.ones(count))
     compensation = project("in_double", round_, camera(), True).records[:, 6].view(np.float32)
@@ -114,7 +117,7 @@ def at_the_least_opacity(count: int) -> Splats:
 
 
 def at_the_edges_of_tiles(count: int) -> Splats:
-    """Outlines that end a few hundred-thousandths of a pixel from a tile's pixel's centre."""
+    """Draw splats with outlines that end a few hundred-thousandths of a pixel from a tile's pixel's centre."""
     splats = ball(count)
     view = camera()
     mild = Splats(0.2 * splats.means, splats.quats, torch.full((count, 3), 0.03), splats.opacities.clamp(0.1, 1))
@@ -128,7 +131,7 @@ def at_the_edges_of_tiles(count: int) -> Splats:
 
 
 def needles(count: int) -> Splats:
-    """Splats up to ten million times longer than wide on the image."""
+    """Draw splats up to ten million times longer than wide on the image."""
     splats = ball(count)
     lengths = torch.logspace(0, 6, count)
     scales = torch.stack([lengths, torch.full((count,), 1e-3), torch.full((count,), 1e-3)], 1)
@@ -136,7 +139,7 @@ def needles(count: int) -> Splats:
 
 
 def extremes(count: int) -> Splats:
-    """Numbers from 1e-30 to 1e30, zeros, infinities and NaN."""
+    """Draw splats with numbers from 1e-30 to 1e30, zeros, infinities and NaN."""
     g = torch.Generator().manual_seed(2)
 
     def wild(*shape: int) -> Tensor:
@@ -175,14 +178,14 @@ def test_where_unsure_is_float64(scene: Callable[[int], Splats], compensate: boo
 
 @compensated_or_not
 def test_unsure_is_rare(compensate: bool) -> None:
-    """A warp of 32 waits for each of its splats that is done again."""
+    """Check that unsure splats are rare: a warp of 32 waits for each of its splats that is done again."""
     sights = project("in_two_floats", ball(10_000), camera(), compensate).sights
     assert (sights == UNSURE).mean() < 1e-3
 
 
 @pytest.mark.parametrize("scene", [ball, needles], ids=lambda scene: scene.__name__)
 def test_keeps_the_digits_of_a_record(scene: Callable[[int], Splats]) -> None:
-    """Centres far from the image's corner and shapes as long as any, to float's last bit."""
+    """Check that records keep float's last bit, for centres far from the image's corner and shapes as long as any."""
     splats = scene(10_000)
     quick = project("in_two_floats", splats, camera(4000, 3000), False)
     exact = project("in_double", splats, camera(4000, 3000), False)

@@ -17,7 +17,7 @@ NAMES = ("means", "quats", "scales", "opacities", "rgb")
 
 
 def render(machine: Machine, folder: Path, name: str, rasterize, axes: int = 3):
-    """The image and the gradients of the scene's splats, with that many of their scales."""
+    """Return the image, and the gradients of the scene's splats with `axes` of their scales."""
     z = np.load(folder / f"{name}.npz")
     view = Camera(z["K"].astype(float), z["viewmat"].astype(float), int(z["width"]), int(z["height"]))
     tensors = [torch.tensor(z[key]) for key in NAMES]
@@ -46,9 +46,11 @@ def test_volumes(machine: Machine, shared_data: Path, name: str) -> None:
 @pytest.mark.slow
 @on_each_machine
 def test_surfels_agree_with_the_processor(machine: Machine, shared_data: Path) -> None:
-    """As far as its own vector variants agree with one another: on this scene they differ by 6e-4 at two pixels, where
-    a splat stands at the threshold of 1/255, and by 1.2e-2 of the largest gradient of the quaternions, of splats seen
-    from their edge."""
+    """Check that surfels agree with the processor's as far as its own vector variants agree with one another.
+
+    On this scene they differ by 6e-4 at two pixels, where a splat stands at the threshold of 1/255, and by 1.2e-2 of
+    the largest gradient of the quaternions, of splats seen from their edge.
+    """
     folder = shared_data / "raster"
     ours = render(machine, folder, "s5k_128", rasterize_surfels, axes=2)
     theirs = render(Machine("cpu", torch.device("cpu"), CARD.order), folder, "s5k_128", rasterize_surfels, axes=2)

@@ -41,7 +41,7 @@ class Images:
 
 
 def render(machine: Machine, splats, view, options=OPTIONS, images=IMAGES):
-    """As `run`, in float32 on a machine; images and gradients come back to the CPU."""
+    """Render as `run`, in float32 on a machine; images and gradients come back to the CPU."""
 
     def on_machine(*arguments):
         *tensors, view, background, options = arguments
@@ -85,7 +85,10 @@ def test_without_distortion(machine: Machine) -> None:
 @on_each_machine
 @pytest.mark.parametrize("size", [0.01, 0.03, 0.5, 2.0])
 def test_small_splats_and_large(machine: Machine, size: float) -> None:
-    """Under a pixel the low-pass gives the weight; large disks cross the image's border and their planes slant."""
+    """Check splats under a pixel, whose weight the low-pass gives, and large disks.
+
+    The disks cross the image's border, and their planes slant.
+    """
     compare(machine, random_splats(40, 2, seed=3, size=size), camera(), STEEP if size > 1 else TOLERANCE)
 
 
@@ -116,7 +119,7 @@ def test_image_sizes_around_the_tile(machine: Machine, width: int, height: int) 
 
 @on_each_machine
 def test_splats_across_many_tiles(machine: Machine) -> None:
-    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    """Check wide and thin splats over 10 x 6 tiles, some of which reach far outside."""
     splats = random_splats(40, 2, seed=12)
     splats["scales"] *= torch.tensor([6.0, 1.0], dtype=torch.float64)
     compare(machine, splats, camera(150, 90), STEEP)
@@ -124,7 +127,7 @@ def test_splats_across_many_tiles(machine: Machine) -> None:
 
 @on_each_machine
 def test_lists_of_many_buckets(machine: Machine) -> None:
-    """Hundreds of faint splats on each pixel of one tile: more than one batch of 128."""
+    """Check hundreds of faint splats on each pixel of one tile: more than one batch of 128."""
     splats = random_splats(500, 2, seed=9)
     splats["opacities"] *= 0.06
     splats["means"] *= 0.3
@@ -144,7 +147,10 @@ def test_stacked_opaque_layers_stop_and_stay_finite(machine: Machine) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of threads and blocks: a difference would be a race."""
+    """Check that the bytes are the same at every run and in every order of threads and blocks.
+
+    A difference would be a race.
+    """
     splats = random_splats(200, 2, seed=5)
     reference = render(machine.ascending(), splats, camera())
     again = render(machine, splats, camera())

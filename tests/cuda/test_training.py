@@ -45,7 +45,10 @@ def test_training_ends_where_the_processor_does(machine: Machine) -> None:
 
 
 def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only a card reorders; here the processor does too, at every densification."""
+    """Check that reordering changes nothing.
+
+    Only a card reorders; here the processor does too, at every densification.
+    """
     reordered: list[int] = []
     adapt = Branch.adapt
 
@@ -66,7 +69,10 @@ def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_checkpoint_serves_any_device(tmp_path) -> None:
-    """Restoring puts everything where the branch is; with a card, what the processor saved goes on there."""
+    """Check that restoring puts everything where the branch is.
+
+    With a card, what the processor saved goes on there.
+    """
     machine = CARD if torch.cuda.is_available() else SHIM
     scene, points, path = ball_scene(24, train=3, test=1), ball_points(80), tmp_path / "checkpoint.pt"
     Training(scene, points, short("2dgs", *QUICK), checkpoint_path=path).run()

@@ -20,7 +20,7 @@ def compare(machine: Machine, splats, view, dual=False, compensate=False):
 
 
 def render(machine: Machine, splats, view, dual=False, compensate=False):
-    """As `run`, in float32 on a machine; images and gradients come back to the CPU."""
+    """Render as `run`, in float32 on a machine; images and gradients come back to the CPU."""
 
     def on_machine(*arguments):
         *arguments, view, background, reflected, compensate = arguments
@@ -63,7 +63,7 @@ def test_image_sizes_around_the_tile(machine: Machine, width: int, height: int) 
 
 @on_each_machine
 def test_splats_across_many_tiles(machine: Machine) -> None:
-    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    """Check wide and thin splats over 10 x 6 tiles, some of which reach far outside."""
     splats = dual_splats(40, seed=7)
     splats["scales"] *= torch.tensor([8.0, 1.0, 2.0], dtype=torch.float64)
     compare(machine, splats, camera(150, 90), dual=True)
@@ -71,7 +71,7 @@ def test_splats_across_many_tiles(machine: Machine) -> None:
 
 @on_each_machine
 def test_lists_of_many_buckets(machine: Machine) -> None:
-    """Hundreds of faint splats on each pixel of one tile: more than one batch of 256."""
+    """Check hundreds of faint splats on each pixel of one tile: more than one batch of 256."""
     splats = dual_splats(700, seed=9)
     splats["opacities"] *= 0.06
     splats["refl_opacities"] *= 0.06
@@ -92,7 +92,10 @@ def test_stacked_opaque_layers_stop_and_stay_finite(machine: Machine) -> None:
 
 @on_each_machine_and_order
 def test_the_same_bytes_at_every_run(machine: Machine) -> None:
-    """Also in every order of threads and blocks: a difference would be a race."""
+    """Check that the bytes are the same at every run and in every order of threads and blocks.
+
+    A difference would be a race.
+    """
     splats = dual_splats(200, seed=5)
     reference = render(machine.ascending(), splats, camera(), dual=True)
     again = render(machine, splats, camera(), dual=True)
@@ -113,7 +116,10 @@ def test_agrees_with_the_processor(machine: Machine) -> None:
 
 @on_each_machine
 def test_long_keys_list_the_same(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As an image of more than 32768 tiles has them: 4096 x 2160 has 34560."""
+    """Check that long keys give the same lists.
+
+    An image of more than 32768 tiles has them: 4096 x 2160 has 34560.
+    """
     splats = dual_splats(60)
     short = render(machine, splats, camera(), dual=True)
     monkeypatch.setattr(tiles, "SHORT_KEYS", 0)
@@ -174,7 +180,7 @@ def test_statistics_and_rendering_without_gradients(machine: Machine) -> None:
 
 @on_each_machine
 def test_images_without_a_gradient_count_as_zero(machine: Machine) -> None:
-    """Only the reflected image sends one."""
+    """Check that images without a gradient count as zero, where only the reflected image has one."""
     splats = {k: v.float().to(machine.device).requires_grad_() for k, v in dual_splats(30).items()}
     reflected = Reflected(splats["refl_opacities"], splats["refl_colors"], splats["weights"])
     names = ("means", "quats", "scales", "opacities", "colors")

@@ -1,4 +1,4 @@
-"""Runs kernels of CUDA C++ on this machine's processor, under the shim of cuda_shim.h."""
+"""Run kernels of CUDA C++ on this machine's processor, under the shim of cuda_shim.h."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FLAGS = ("-std=c++17", "-O2", "-shared", "-fPIC", "-fno-gnu-unique", "-ffp-contr
 
 
 class Order(IntEnum):
-    """In which order threads run between two barriers, and blocks among each other."""
+    """The order in which threads run between two barriers, and blocks among each other."""
 
     ASCENDING = 0
     DESCENDING = 1
@@ -29,7 +29,10 @@ class Order(IntEnum):
 
 
 class ShimLauncher:
-    """A mgsr.native.cuda.launcher.Launcher over tensors on the CPU. Raises GpuError where a kernel misuses barriers."""
+    """A mgsr.native.cuda.launcher.Launcher over tensors on the CPU.
+
+    Raises GpuError where a kernel misuses barriers.
+    """
 
     def __init__(self, order: Order = Order.ASCENDING, seed: int = 0) -> None:
         self.order, self.seed = order, seed
@@ -51,12 +54,15 @@ class ShimLauncher:
 
 @cache
 def load_library(family: str) -> ctypes.CDLL:
-    """The family's kernels, compiled by g++ unless build/ has them already."""
+    """Return the family's kernels, compiled by g++ unless build/ has them already."""
     return ctypes.CDLL(str(compile_with_shim(SOURCES / "kernels" / family / f"{family}.cu")), mode=os.RTLD_LOCAL)
 
 
 def compile_with_shim(source: Path) -> Path:
-    """A shared library of a .cu file's kernels. The name holds a hash of all that it depends on."""
+    """Compile a .cu file's kernels to a shared library, and return its path.
+
+    The name holds a hash of all that it depends on.
+    """
     digest = hashlib.sha256(headers_digest() + source.read_bytes() + " ".join(FLAGS).encode())
     for header in sorted(HERE.glob("*.h")):
         digest.update(header.read_bytes())

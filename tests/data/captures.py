@@ -13,7 +13,7 @@ SIDE = 64
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """cam_from_world, OpenCV axes, z up in the world."""
+    """Return cam_from_world [4,4], OpenCV axes, z up in the world."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
@@ -41,7 +41,7 @@ class BallCapture:
         return [look_at(eye, self.center) for eye in eyes]
 
     def mask(self, pose: np.ndarray) -> np.ndarray:
-        """Where the rays of the pixels' centres meet the ball, [SIDE,SIDE] bool."""
+        """Return where the rays of the pixels' centres meet the ball, [SIDE,SIDE] bool."""
         y, x = np.mgrid[:SIDE, :SIDE] + 0.5
         rays = np.stack([(x - self.K[0, 2]) / self.K[0, 0], (y - self.K[1, 2]) / self.K[1, 1], np.ones_like(x)], -1)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -17,7 +17,10 @@ SAMPLES = 3  # rays along each side of a pixel
 
 
 def write_fisheye(root: Path, views: int = 16, masked: bool = True) -> Path:
-    """The capture as nerfstudio has it. A third of the cameras look so far beside the ball that their images cut it."""
+    """Write the capture as nerfstudio has it.
+
+    A third of the cameras look so far beside the ball that their images cut it.
+    """
     (root / "images").mkdir(parents=True)
     frames = [_write_frame(root, i, pose, masked) for i, pose in enumerate(poses(views))]
     lens = {"camera_model": "OPENCV_FISHEYE", "fl_x": FOCAL, "fl_y": FOCAL, "cx": SIDE / 2, "cy": SIDE / 2}
@@ -27,7 +30,7 @@ def write_fisheye(root: Path, views: int = 16, masked: bool = True) -> Path:
 
 
 def poses(views: int) -> list[np.ndarray]:
-    """cam_from_world."""
+    """Return the cameras' cam_from_world."""
     i = np.arange(views) + 0.5
     z, turn = 1 - 2 * i / views, i * np.pi * (1 + 5**0.5)
     ring = np.sqrt(1 - z * z)
@@ -38,19 +41,19 @@ def poses(views: int) -> list[np.ndarray]:
 
 
 def rays(places: np.ndarray) -> np.ndarray:
-    """Unit directions [...,3] in the camera's frame of places [...,2] on the photograph, in pixels."""
+    """Return unit directions [...,3] in the camera's frame of places [...,2] on the photograph, in pixels."""
     offsets = (places - SIDE / 2) / FOCAL
     angle = np.linalg.norm(offsets, axis=-1, keepdims=True)
     return np.concatenate([np.sinc(angle / np.pi) * offsets, np.cos(angle)], axis=-1)
 
 
 def ball_color(points: np.ndarray) -> np.ndarray:
-    """0..1."""
+    """Return the ball's colour, 0..1, at points [...,3]."""
     return 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
 
 
 def photograph(pose: np.ndarray) -> np.ndarray:
-    """uint8 [SIDE,SIDE,4], straight alpha."""
+    """Ray-cast a photograph, uint8 [SIDE,SIDE,4], alpha not premultiplied."""
     rows, columns = (np.mgrid[: SIDE * SAMPLES, : SIDE * SAMPLES] + 0.5) / SAMPLES
     directions = rays(np.stack([columns, rows], axis=-1)) @ pose[:3, :3]
     eye = -pose[:3, :3].T @ pose[:3, 3]

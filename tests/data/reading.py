@@ -13,14 +13,14 @@ from mgsr.data.photo_files import SceneFolder
 
 
 def read_capture(root: Path, name: str) -> Capture:
-    """The capture in `root`, which must be recognised as the format of that name before all others."""
+    """Read the capture in `root`, which must be recognised as the format of that name before all others."""
     kind = next(kind for kind in all_formats() if kind.recognises(root))
     assert kind.name == name
     return kind.read(SceneFolder.at(root))
 
 
 def read_strictly(root: Path, name: str) -> Capture:
-    """The capture in `root`, if all of its photographs can be used; else raises the reason of the first that can't."""
+    """Read the capture in `root`; raise the reason of the first photograph that can't be used."""
     capture = read_capture(root, name)
     if capture.lost:
         raise capture.lost[0]
@@ -28,13 +28,13 @@ def read_strictly(root: Path, name: str) -> Capture:
 
 
 def draw(path: Path, width: int = 64, height: int = 64) -> None:
-    """A small picture; what it shows is of no matter."""
+    """Write a small black picture."""
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.zeros((height, width, 3), np.uint8)).save(path)
 
 
 def project(photo, points: np.ndarray) -> np.ndarray:
-    """Pixels [P,2] of world points [P,3] as a photograph's reader describes its camera, lens included."""
+    """Return pixels [P,2] of world points [P,3] as a photograph's reader describes its camera, lens included."""
     local = points @ photo.cam_from_world[:3, :3].T + photo.cam_from_world[:3, 3]
     x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
     if photo.lens is not None:

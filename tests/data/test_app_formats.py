@@ -30,7 +30,7 @@ TERMS |= {"p1": 0.004, "p2": -0.003, "b1": 1.5, "b2": 0.7}
 
 
 def metashape(root, terms=TERMS, kind="frame", chunk="", camera=lambda i: "", aligned=range(4)):
-    """cameras.xml with world-from-camera transforms, OpenCV's axes; `camera` adds attributes."""
+    """Write cameras.xml with world-from-camera transforms, OpenCV axes; `camera` adds attributes."""
     cameras = []
     for i, pose in enumerate(BALL.poses()):
         draw(root / f"photos/IMG_{i}.JPG", 96, 64)
@@ -51,7 +51,7 @@ def metashape(root, terms=TERMS, kind="frame", chunk="", camera=lambda i: "", al
 
 
 def metashape_pixels(pose, points, fisheye=False, **t):
-    """The user manual's formulas, appendix "Camera models", letter by letter."""
+    """Return pixels by the user manual's formulas, appendix "Camera models", letter by letter."""
     t = SimpleNamespace(**t)
     X, Y, Z = (points @ pose[:3, :3].T + pose[:3, 3]).T
     x, y = X / Z, Y / Z
@@ -128,7 +128,7 @@ def test_metashape_slaves_of_multi_camera_systems(tmp_path):
 
 @pytest.mark.parametrize("label", ["cam0", "Rig/cam0", "left"])
 def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path, label):
-    """Groups are called as the folders, or as something else, where nothing tells which folder is meant."""
+    """Check that groups named as the folders find the photographs, and that other names are refused."""
     path = metashape(tmp_path) / "cameras.xml"
     text = path.read_text().replace('<group id="0">', f'<group id="0" label="{label}">')
     text = text.replace('label="IMG_1"', 'label="IMG_2"').replace('label="IMG_0"', 'label="IMG_3"')
@@ -214,8 +214,11 @@ def realitycapture(root, *rows, header=HEADER, first=""):
 
 
 def test_realitycapture_looks_down_with_north_up(tmp_path):
-    """x east, y north, z up: a camera without angles at height 10 has the nadir in its middle and north at the top;
-    heading 90 has east at the top; pitch 90 looks at the horizon, to the north."""
+    """Check the angles of RealityCapture: x is east, y north, z up.
+
+    A camera without angles at height 10 has the nadir in its middle and north at the top; heading 90 has east at the
+    top; pitch 90 looks at the horizon, to the north.
+    """
     rows = ["a.jpg,1,2,10,0,0,0,18,0,0,0,0,0,0,0,0", "b.jpg,1,2,10,90,0,0,18,0,0,0,0,0,0,0,0"]
     rows += ["c.jpg,1,2,10,0,90,0,18,0,0,0,0,0,0,0,0"]
     a, b, c = read_capture(realitycapture(tmp_path, *rows, first="#cameras 3"), "realitycapture").photos
@@ -230,8 +233,11 @@ def test_realitycapture_looks_down_with_north_up(tmp_path):
 
 @pytest.mark.parametrize("header", [HEADER, REALITYSCAN_HEADER])
 def test_realitycapture_lens_and_principal_point(tmp_path, header):
-    """RealityScan's own template for OpenCV writes the terms as k1, k2, t2, t1, k3, and the principal point in pixels
-    as half the image's side and px times the larger side."""
+    """Check the lens and the principal point against RealityScan's own template for OpenCV.
+
+    The template writes the terms as k1, k2, t2, t1, k3. It writes the principal point in pixels as half the image's
+    side and px times the larger side.
+    """
     row = "a.jpg,0,0,10,0,0,0,18,0.01,-0.02,0.1,-0.05,0.01,0,0.002,-0.003"
     (photo,) = read_capture(realitycapture(tmp_path, row, header=header), "realitycapture").photos
     K = np.array([[48, 0, 48 + 0.96], [0, 48, 32 - 1.92], [0, 0, 1]])
@@ -262,7 +268,10 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path):
 
 
 def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path):
-    """Photographs count by their file names. AppleDouble files and tables of another kind hide no good one."""
+    """Check that photographs count by their file names.
+
+    AppleDouble files and tables of another kind hide no good one.
+    """
     realitycapture(tmp_path, "a.jpg,0,0,10,0,0,0,18", header="#name,x,y,alt,heading,pitch,roll,f", first="#cameras 1")
     table = tmp_path / "export.csv"
     table.write_text(table.read_text().replace("a.jpg", r"C:\photos\a.jpg"))

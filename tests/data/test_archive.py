@@ -49,7 +49,7 @@ def test_an_archive_reads_like_its_folder(tmp_path):
 
 
 def tarred(path, *members: tuple[str, bytes]):
-    """A tar whose packing its name tells, of (name, content)."""
+    """Write a tar of (name, content), packed as its file name says."""
     plain = io.BytesIO()
     with tarfile.open(fileobj=plain, mode="w") as out:
         for name, content in members:
@@ -83,7 +83,7 @@ def test_content_and_not_the_name_tells_the_kind(tmp_path):
 
 
 def refuses(path, match, code="archive_unsafe_member", limits=None):
-    """The archive is refused with that message and code, and nothing is left behind."""
+    """Check that the archive is refused with that message and code, and that nothing is left behind."""
     with pytest.raises(ArchiveError, match=match) as refused:
         archive.unpack(path, path.parent / "out", limits)
     assert refused.value.code == code
@@ -248,7 +248,7 @@ def test_other_archives_are_named(tmp_path, head, name):
 
 
 def test_a_tar_of_unix_v7(tmp_path):
-    """As ustar, without all that came after it: the header's last 255 bytes."""
+    """Check that a Unix V7 tar is read: it is a ustar without the header's last 255 bytes."""
     path = tarred(tmp_path / "a.tar", ("a.txt", b"x" * 600))
     data = bytearray(path.read_bytes())
     data[257:512] = bytes(255)
@@ -267,7 +267,7 @@ def test_what_macos_puts_beside_files_is_left_out(tmp_path, suffix):
 
 
 def test_hard_links_of_a_tar_name_the_cure(tmp_path):
-    """GNU tar makes them of files that have two names."""
+    """Check that hard links are refused with the cure; GNU tar makes them of files that have two names."""
     (tmp_path / "s").mkdir()
     (tmp_path / "s/a.png").write_bytes(b"x")
     os.link(tmp_path / "s/a.png", tmp_path / "s/b.png")
@@ -315,7 +315,7 @@ def test_a_bomb(tmp_path, suffix):
 
 
 def test_no_more_than_the_limit_is_ever_written(tmp_path, monkeypatch):
-    """The first member stays under the limit; of the second no byte beyond it reaches the disk."""
+    """Check that the first member stays under the limit, and that no byte of the second reaches the disk beyond it."""
     monkeypatch.setattr(shutil, "rmtree", lambda folder, **how: None)  # what is left to look at
     path = tarred(tmp_path / "bad.tar.gz", ("a", bytes(1 << 19)), ("b", bytes(5 << 20)))
     with pytest.raises(ArchiveError, match="'b' makes it unpack to more than 1048576 bytes"):
@@ -339,7 +339,7 @@ def zeros(folder, suffix, count):
 
 
 def test_sizes_that_lie(tmp_path):
-    """A member that declares ten bytes gives no more of them, whatever follows."""
+    """Check that a member that declares ten bytes gives no more of them, whatever follows."""
     path = zeros(tmp_path, ".zip", 5000)
     data = path.read_bytes()
     assert data.count(struct.pack("<I", 5000)) == 2
@@ -348,7 +348,7 @@ def test_sizes_that_lie(tmp_path):
 
 
 def test_a_tar_header_that_would_fill_the_memory(tmp_path):
-    """A pax header declares its own size, and tarfile reads it whole."""
+    """Check that a long pax header is refused: it declares its own size, and tarfile reads it whole."""
     info = tarfile.TarInfo("a.txt")
     info.pax_headers = {"comment": "x" * (5 << 20)}
     with tarfile.open(tmp_path / "bad.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as out:
@@ -357,7 +357,7 @@ def test_a_tar_header_that_would_fill_the_memory(tmp_path):
 
 
 def test_a_sparse_tar(tmp_path):
-    """Five gigabytes of holes in half a kilobyte."""
+    """Check that five gigabytes of holes in half a kilobyte are refused."""
     with (tmp_path / "holes").open("wb") as file:
         file.truncate(5 << 30)
     subprocess.run(["tar", "-C", tmp_path, "--sparse", "-cf", tmp_path / "bad.tar", "holes"], check=True)
@@ -368,7 +368,7 @@ def test_a_sparse_tar(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".tar.gz", ".tar.zst"])
 def test_memory_stays_bounded(tmp_path, suffix):
-    """Hundreds of megabytes that unpack from a few, and a limit in their midst."""
+    """Check that memory stays bounded where hundreds of megabytes unpack from a few, and exceed the limit."""
     path = zeros(tmp_path, suffix, 300 << 20)
     code = (
         "import sys, resource; from pathlib import Path; from mgsr.data.archive import *\n"
@@ -404,7 +404,7 @@ def test_too_many_members_in_a_zip_that_says_it_has_fewer(tmp_path):
 
 
 def test_a_zip_with_more_members_than_16_bits_count(tmp_path):
-    """It is refused before its names are read, so that they need not be there."""
+    """Check that such a zip is refused before its names are read, so that they need not be there."""
     record = struct.pack("<4sQHHIIQQQQ", b"PK\6\6", 44, 45, 45, 0, 0, *[300_000] * 2, 0, 0)
     locator = struct.pack("<4sIQI", b"PK\6\7", 0, 4, 1)
     end = struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 0xFFFF, 0xFFFF, 0xFFFFFFFF, 0xFFFFFFFF, 7)

@@ -1,4 +1,4 @@
-"""What lies behind everything, told from the photographs' borders."""
+"""The backdrop's colour, found from the photographs' borders."""
 
 from __future__ import annotations
 

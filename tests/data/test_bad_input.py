@@ -1,4 +1,4 @@
-"""Each kind of bad input is one SceneError that names the file and the cure."""
+"""Bad input of each kind raises one SceneError that names the file and the cure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def refuses(root, match, config=DataConfig()):  # noqa: B008 (frozen)
 
 
 def leaves_out(root, match, count=1):
-    """The scene loads without its bad photographs, and a note tells why."""
+    """Check that the scene loads without its bad photographs, and that a note says why."""
     scene = load_scene(root, DataConfig())
     assert len(scene.train) + len(scene.test) == 12 - count
     assert any(re.search(f"^{count} of 12 photographs .*left out: .*({match})", note) for note in scene.notes)
@@ -131,7 +131,7 @@ def test_nan_pose(root):
 
 
 def test_a_uniform_scale_of_poses_is_divided_out(root):
-    """Of points x that a pose takes to 0.01 (R x + t), the photographs are the same."""
+    """Check that photographs stay the same where a pose takes points x to 0.01 (R x + t)."""
     expected = load_scene(root, DataConfig())
     scaled = np.diag([0.01, 0.01, 0.01, 1])
     poses = [(scaled @ pose).tolist() for pose in BallCapture().poses()]
@@ -149,7 +149,7 @@ def test_a_uniform_scale_of_poses_is_divided_out(root):
 
 @pytest.mark.parametrize("count", [1, 12])
 def test_stretched_poses(root, count):
-    """A look-at matrix with axes of unequal lengths."""
+    """Check that a look-at matrix with axes of unequal lengths is refused."""
     stretch = np.diag([1, 1.3, 1, 1])
 
     def edit(content):
@@ -264,7 +264,10 @@ def test_a_few_black_masks_leave_their_views_out(tmp_path):
     ],
 )
 def test_a_mask_that_contradicts_the_others_leaves_its_view_out(tmp_path, focal, change):
-    """Also where the object nearly fills the image, so that most places are outside of most images."""
+    """Check that the view is left out, also where the object nearly fills the image.
+
+    Then most places are outside of most images.
+    """
     ball = BallCapture(K=np.array([[focal, 0, 32.0], [0, focal, 32], [0, 0, 1]]))
     root = ball.write_plain(tmp_path, mode="RGB")
     ball.write_masks(root)
@@ -324,7 +327,7 @@ def test_json_number_without_end(root):
 
 
 def test_json_with_half_a_character(root):
-    """Which Python's strings can hold, and neither file names nor terminals can."""
+    """Check that half a character is refused: Python's strings can hold it, but file names and terminals can't."""
     edit_view(root, image="\ud800.png")
     refuses(root, r"cameras\.json: can't be read as JSON text: .*surrogates not allowed; export it again")
 

@@ -25,8 +25,10 @@ TWELVE = "03_model_elsewhere/dense_0/dense/0/sparse"
 
 @dataclass(frozen=True)
 class Case:
-    """What a folder must give: its format, how many photographs, and what the notes say, one pattern for each. model:
-    COLMAP's model of its cameras, which pycolmap reads as the witness."""
+    """What a folder must give: its format, how many photographs, and the notes, one pattern for each.
+
+    model: COLMAP's model of its cameras, which pycolmap reads as the witness.
+    """
 
     path: str
     format: str
@@ -114,7 +116,7 @@ def test_cases(cases, case):
 
 
 def check_cameras(scene: Scene, model: Path) -> None:
-    """Every view projects points where pycolmap's camera of the same number does."""
+    """Check that every view projects points where pycolmap's camera of the same number does."""
     pycolmap = pytest.importorskip("pycolmap")
     reconstruction = pycolmap.Reconstruction(str(model))
     images = {int(re.search(r"(\d+)\.\w+$", image.name)[1]): image for image in reconstruction.images.values()}
@@ -134,7 +136,7 @@ def test_a_3dgs_output_lacks_its_photographs(cases):
 
 
 def test_masks_that_mean_ignore_change_no_frame(cases):
-    """The black parts of the masks are unknown, and the scene's ball is as without masks."""
+    """Check that the black parts of the masks are unknown, and that the scene's ball is as without masks."""
     root = cases / "01_ignore_masks"
     ignored, off = (load_scene(root, DataConfig(masks=masks)) for masks in (Masks.IGNORE, Masks.OFF))
     assert ignored.user_from_scene.scale == pytest.approx(off.user_from_scene.scale, rel=0.02)
@@ -149,7 +151,7 @@ def test_masks_that_mean_ignore_change_no_frame(cases):
 
 @pytest.mark.parametrize("name", ["float", "diffuse", "ushort"])
 def test_colours_of_point_clouds(cases, name):
-    """As plyfile has them: 0 to 1, bytes, and 0 to 65535."""
+    """Check the colours against plyfile's: 0 to 1, bytes, and 0 to 65535."""
     from plyfile import PlyData
 
     path = cases / "09_ply_colours" / f"{name}.ply"

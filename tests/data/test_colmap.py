@@ -32,8 +32,10 @@ PARAMS = {
 
 
 def paint(camera) -> np.ndarray:
-    """A smooth picture of the rays' directions, as the camera with its lens sees it: the undistorted image is then
-    known in closed form."""
+    """Return a smooth picture of the rays' directions, as the camera with its lens sees it.
+
+    The undistorted image is then known in closed form.
+    """
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     rays = camera.cam_from_img(np.stack([x.ravel(), y.ravel()], axis=1))
     return pattern(rays).reshape(HEIGHT, WIDTH, 3)
@@ -67,7 +69,7 @@ def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -
 
 
 def check_cameras(scene, reconstruction, model: str) -> None:
-    """Undistorted pinholes: the same rays as pycolmap's, on which its lens then acts."""
+    """Check that undistorted pinholes see the same rays as pycolmap's cameras, on which its lens then acts."""
     points = np.random.default_rng(2).normal(size=(30, 3)) * 0.2 + [1, 2, 3]
     images = {Path(image.name).stem: image for image in reconstruction.images.values()}
     for view in scene.train + scene.test:
@@ -99,8 +101,10 @@ def test_cameras_agree_with_pycolmap(tmp_path, model, text):
 
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"])
 def test_images_are_undistorted(tmp_path, model):
-    """Each pixel must show what a pinhole sees along its ray: the pattern in closed form. 2 grey levels are the
-    rounding of both images and the bicubic interpolation."""
+    """Check that each pixel shows what a pinhole sees along its ray: the pattern in closed form.
+
+    2 grey levels are the rounding of both images and the bicubic interpolation.
+    """
     write(tmp_path, model)
     view = load_scene(tmp_path, DataConfig()).train[0]
     height, width = view.image.shape[:2]
@@ -139,7 +143,10 @@ def test_a_lens_that_folds_is_cut_before_the_fold():
 
 
 def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
-    """Newer models keep poses by frame; COLMAP's images file still has each image's, the sensor's place included."""
+    """Check that images of a rig have their own poses.
+
+    Newer models keep poses by frame; COLMAP's images file still has each image's, the sensor's place included.
+    """
     rig = pycolmap.Rig(rig_id=1)
     cameras = [pycolmap.Camera.create_from_model_name(i, "PINHOLE", 100.0, WIDTH, HEIGHT) for i in (1, 2)]
     right = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, 0.1, 0.0, 0.995])), np.array([-0.3, 0.05, 0.02]))
@@ -171,7 +178,7 @@ def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
 
 
 def test_few_registered_photographs(tmp_path):
-    """87 photographs of which COLMAP kept 10 are a failed reconstruction."""
+    """Check that 87 photographs of which COLMAP kept 10 are refused as a failed reconstruction."""
     write(tmp_path, "PINHOLE")
     for i in range(20):
         Image.new("L", (8, 8)).save(tmp_path / f"images/more{i}.png")
@@ -229,7 +236,7 @@ def test_transforms_json_that_was_made_from_a_model_goes_before_it(tmp_path):
 
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
 def test_the_model_with_most_photographs_is_used(tmp_path, text):
-    """The mapper numbers models in the order in which it began them."""
+    """Check that the largest model is used, as the mapper numbers models in the order in which it began them."""
     reconstruction = write(tmp_path, "PINHOLE", text, place="sparse/10")
     for number, kept in ((0, 2), (1, 7)):
         part = pycolmap.Reconstruction(reconstruction)
@@ -246,7 +253,7 @@ def test_the_model_with_most_photographs_is_used(tmp_path, text):
 @pytest.mark.parametrize("points", ["", "1 2 -1", "7 20 -1 9 10 -1 3 4 5 6 7 8", "1.5 2.5 -1 3e1 4 7"])
 @pytest.mark.parametrize("keep", [True, False], ids=["as written", "empty lines left out"])
 def test_lines_of_points_are_no_images(tmp_path, points, keep):
-    """A file by another hand may have no lines of points, or names that are numbers."""
+    """Check that such lines are skipped: another program's file may have none, or names that are numbers."""
     reconstruction = write(tmp_path, "PINHOLE", text=True)
     path = tmp_path / "sparse/0/images.txt"
     lines = path.read_text().replace("photo 03.png", "3").splitlines()

@@ -1,5 +1,8 @@
-"""Record3D and the layouts of research data sets: each written as its documentation says, with the equations written
-out here, and compared in pixels; and the same twelve cameras in several of these forms."""
+"""Record3D and the layouts of research data sets.
+
+Each is written as its documentation says and compared in pixels with its equations, which are written out here. The
+same twelve cameras are also compared in several of these forms.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +33,13 @@ MIDDLE = intrinsics(85.0, 85.0, SIDE / 2, SIDE / 2)  # what formats without a pr
 
 
 def pixels(pose: np.ndarray, K: np.ndarray = BALL.K) -> np.ndarray:
-    """Where a camera (world to camera, OpenCV's axes) sees the points, with pixels' centres at +0.5."""
+    """Return where a camera (world to camera, OpenCV axes) sees the points, with pixels' centres at +0.5."""
     local = POINTS @ pose[:3, :3].T + pose[:3, 3]
     return (local @ K.T)[:, :2] / local[:, 2:]
 
 
 def assert_sees(capture: Capture, K: np.ndarray = BALL.K, tolerance: float = 1e-6) -> None:
-    """All of the ball's cameras are there, in order, and see the points where they are."""
+    """Check that all of the ball's cameras are there, in order, and see the points where they are."""
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
         np.testing.assert_allclose(project(photo, POINTS), pixels(pose, K), atol=tolerance)
 
@@ -143,7 +146,10 @@ def tanks(root: Path, photographs: str = "images/{:06d}.jpg", header: str = "{0}
     ("folder", "name"), [("blendedmvs", "mvsnet"), ("nero_glossy", "nero"), ("record3d", "record3d")]
 )
 def test_the_same_twelve_cameras(shared_data, folder, name):
-    """As NeRO's pickles have them, read without the reader, which were written by another program as single floats."""
+    """Check that all formats have the cameras of NeRO's pickles.
+
+    The pickles are read without the reader; another program wrote them as single floats.
+    """
     cases = shared_data / "cases/04_unread_formats"
     capture = read_capture(cases / folder, name)
     photos, notes = usable_photos(capture, SceneFolder.at(cases / folder))
@@ -190,7 +196,7 @@ def test_record3d_intrinsics_of_each_frame(tmp_path):
 
 
 def test_record3d_frames_that_can_not_be_used(tmp_path):
-    """One frame without a pose costs that frame; a video without any is refused with the cure."""
+    """Check that one frame without a pose costs that frame, and that a video without any is refused with the cure."""
     path = record3d(tmp_path) / "metadata.json"
     content = json.loads(path.read_text())
     content["poses"][1] = [0] * 7
@@ -224,7 +230,7 @@ def test_mvsnet_cameras(tmp_path, cams, photographs):
 
 
 def test_mvsnet_intrinsics_of_the_reduced_training_set(tmp_path):
-    """DTU's are for a quarter of the photographs, which have seven lights."""
+    """Check DTU's training set: its intrinsics are for a quarter of the photographs, which have seven lights."""
     mvsnet(tmp_path, "Cameras/train", "Rectified/scan1_train/rect_{:03d}_3_r5000.png", scale=0.25)
     for path in sorted((tmp_path / "Rectified/scan1_train").iterdir(), reverse=True):
         number = int(path.name[5:8]) + 1  # counted from 1
@@ -266,7 +272,7 @@ def test_llff_cameras(tmp_path):
 
 
 def test_llff_reduced_photographs(tmp_path):
-    """The focal length is for the size in the file; the photographs of images_8 are smaller."""
+    """Check that the focal length is for the size in the file, although the photographs of images_8 are smaller."""
     llff(tmp_path, "images_8/image{:03d}.png")
     photos = read_capture(tmp_path, "llff").photos
     assert [photo.image.name for photo in photos] == [f"image{i:03d}.png" for i in range(4)]
@@ -336,7 +342,7 @@ def test_gaussian_splatting_principal_point_of_its_forks(tmp_path):
 
 
 def test_gaussian_splatting_numbers_without_bounds_lose_one_camera(tmp_path):
-    """JSON's whole numbers may be too large for any float."""
+    """Check that a whole number too large for any float, which JSON may hold, loses one camera."""
     path = gaussians(tmp_path) / "cameras.json"
     cameras = json.loads(path.read_text())
     cameras[1]["rotation"][0][0] = 10**400
@@ -347,7 +353,10 @@ def test_gaussian_splatting_numbers_without_bounds_lose_one_camera(tmp_path):
 
 
 def test_gaussian_splatting_renders_are_no_photographs(tmp_path):
-    """Renders and their references are numbered, in another order than the cameras; the source is only named."""
+    """Check that renders are not taken for photographs.
+
+    Renders and their references are numbered, in another order than the cameras; the source is only named.
+    """
     gaussians(tmp_path, "{:05d}", "train/ours_30000/gt/{:05d}.png")
     with pytest.raises(SceneError, match=r"trained on /data/spot\); put them into images/ beside cameras\.json"):
         read_capture(tmp_path, "gaussians")
@@ -402,7 +411,7 @@ def test_pickled_arrays(tmp_path, value, protocol):
 
 
 def test_arrays_pickled_under_numpys_older_names(tmp_path):
-    """numpy 1 has numpy.core where numpy 2 has numpy._core; Python 2 has bytes as text."""
+    """Check old pickles: numpy 1 has numpy.core where numpy 2 has numpy._core; Python 2 has bytes as text."""
     data = pickle.dumps((np.eye(3), np.eye(3)), protocol=2)
     old = data.replace(b"cnumpy._core.multiarray", b"cnumpy.core.multiarray")
     assert old != data
@@ -411,7 +420,7 @@ def test_arrays_pickled_under_numpys_older_names(tmp_path):
 
 
 class Call:
-    """Pickles to a call of any function."""
+    """An object that pickles to a call of any function."""
 
     def __init__(self, function: object, *arguments: object) -> None:
         self.call = (function, arguments)
@@ -421,7 +430,7 @@ class Call:
 
 
 def bomb(depth: int) -> tuple:
-    """Little in the file, but whoever prints it never ends."""
+    """Return nested tuples that take little space in a file, but that never end when printed."""
     value: tuple = ()
     for _ in range(depth):
         value = (value, value)
@@ -456,7 +465,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_pickles_run_nothing(tmp_path, monkeypatch, name):
-    """Each costs its photograph alone, with a short message, and no time or memory."""
+    """Check that each costs its photograph alone, with a short message, and no time or memory."""
     nero(tmp_path)
     (tmp_path / "1-camera.pkl").write_bytes(HOSTILE[name])
     monkeypatch.chdir(tmp_path)  # where they would write
@@ -469,7 +478,7 @@ def test_hostile_pickles_run_nothing(tmp_path, monkeypatch, name):
 
 
 def test_a_pickle_that_would_run_a_program_runs_none(tmp_path):
-    """The same file does run it where it is unpickled without care."""
+    """Check that reading runs nothing, although unpickling the same file does."""
     nero(tmp_path)
     ran = tmp_path / "ran"
     data = pickle.dumps((Call(os.system, f"touch {ran}"), np.eye(3)))
@@ -555,7 +564,10 @@ def test_scannet_cameras(tmp_path):
 
 @pytest.mark.parametrize("beside", [0.0, -0.25, -0.5])
 def test_scannet_principal_point_is_the_middle(tmp_path, beside):
-    """(W-1)/2 of the photograph, or a half of that of a photograph twice as large: 647.75 for 1296 pixels."""
+    """Check that principal points near the middle are the middle.
+
+    They are (W-1)/2 of the photograph, or a half of that of a photograph twice as large: 647.75 for 1296 pixels.
+    """
     K = intrinsics(85, 85, 32 + beside, 32 + beside)
     assert_sees(read_capture(scannet(tmp_path, K), "scannet"), MIDDLE)
 
@@ -566,7 +578,7 @@ def test_scannet_other_principal_points_count_from_the_middle_of_the_first_pixel
 
 
 def test_scannet_reduced_photographs(tmp_path):
-    """Photographs of 640x480 with the intrinsics of 1296x968, which has nearly the same shape."""
+    """Check photographs of 640x480 with the intrinsics of 1296x968, which has nearly the same shape."""
     K = intrinsics(1170.19, 1170.19, 647.75, 483.75)
     photo = read_capture(scannet(tmp_path, K, size=(640, 480)), "scannet").photos[0]
     np.testing.assert_allclose(photo.K, intrinsics(1170.19 * 640 / 1296, 1170.19 * 480 / 968, 320, 240))
@@ -600,7 +612,10 @@ def test_tanks_log_agrees_with_open3d(tmp_path):
 
 
 def test_tanks_photographs_without_a_pose(tmp_path):
-    """The toolbox writes the identity for what COLMAP left out, and -1 above it."""
+    """Check that photographs without a pose are left out.
+
+    The toolbox writes the identity for what COLMAP left out, and -1 above it.
+    """
     log = tanks(tmp_path) / "Ball_COLMAP_SfM.log"
     lines = log.read_text().splitlines()
     lines[5:10] = ["1 -1 0", *matrix_text(np.eye(4)).splitlines()]
@@ -619,7 +634,7 @@ def test_tanks_photographs_that_were_taken_out(tmp_path):
 
 
 def test_tanks_log_and_photographs_cut_alike(tmp_path):
-    """Every second entry and photograph: their numbers have gaps, but their order is the same."""
+    """Check every second entry and photograph: their numbers have gaps, but their order is the same."""
     log = tanks(tmp_path) / "Ball_COLMAP_SfM.log"
     lines = log.read_text().splitlines()
     log.write_text("\n".join(lines[:5] + lines[10:15]))
@@ -639,7 +654,10 @@ def test_tanks_count_of_photographs(tmp_path):
 
 
 def test_tanks_without_intrinsics(tmp_path):
-    """The 0.7 widths that the benchmark suggests are not what its own models have."""
+    """Check that missing intrinsics are refused.
+
+    The 0.7 widths that the benchmark suggests do not fit its own models.
+    """
     (tanks(tmp_path) / "intrinsics.txt").unlink()
     with pytest.raises(
         SceneError, match=r"Ball_COLMAP_SfM\.log: has poses, but the intrinsics .* into intrinsics\.txt"

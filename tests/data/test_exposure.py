@@ -13,7 +13,7 @@ from tests.training.ball import ball_scene
 
 
 def to_linear(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, float64."""
+    """Return linear light of sRGB values, float64 (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
@@ -22,7 +22,7 @@ def to_srgb(light: np.ndarray) -> np.ndarray:
 
 
 def exposed(view: View, factor: np.ndarray) -> View:
-    """The photograph that a camera takes of the same with this factor [3] of light."""
+    """Return the photograph that a camera takes of the same scene with this factor [3] of light."""
     light = np.clip(to_linear(view.image / 255) * factor, 0, 1)
     return replace(view, image=np.rint(255 * to_srgb(light)).astype(np.uint8))
 

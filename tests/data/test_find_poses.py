@@ -44,7 +44,7 @@ def poses() -> list[np.ndarray]:
 
 
 def picture(pose: np.ndarray) -> np.ndarray:
-    """The nearer sides over the farther ones; they meet in edges, so that their order doesn't matter."""
+    """Draw the nearer sides over the farther ones; they meet in edges, so that their order doesn't matter."""
     image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
     for seed, (origin, across, down) in enumerate(SIDES):
         noise = np.random.default_rng(seed).integers(0, 256, (64, 64, 3), dtype=np.uint8)
@@ -58,7 +58,7 @@ def picture(pose: np.ndarray) -> np.ndarray:
 
 
 def aligned(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, float]:
-    """The rotation and scale that take centred points to others (Kabsch)."""
+    """Return the rotation and scale that take centred points to others (Kabsch)."""
     found, true = found - found.mean(0), true - true.mean(0)
     left, _, right = np.linalg.svd(true.T @ found)
     rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
@@ -106,7 +106,7 @@ def test_pictures_without_texture_leave_nothing_behind(tmp_path, camera_per_imag
 
 
 def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path):
-    """Read by SQLite, in the layout of COLMAP's documentation ("Database Format")."""
+    """Check the database by SQLite, in the layout of COLMAP's documentation ("Database Format")."""
     equivalent = {0xA405: 26}  # Exif 2.32: FocalLengthIn35mmFilm
     real = {0x920A: IFDRational(42, 10)}  # FocalLength; COLMAP knows the sensor's size of 5.76 mm
     for name, tags in (("a.jpg", equivalent), ("b.jpg", equivalent), ("c.heic", equivalent), ("d.jpg", real)):
@@ -170,7 +170,10 @@ def test_without_pycolmap_the_extra_is_named(tmp_path, monkeypatch):
 
 
 def test_sigterm_stays_ours_beside_colmap():
-    """Its log library ends the process otherwise, and leaves a trace of calls and temporary files."""
+    """Check that SIGTERM reaches our handler.
+
+    COLMAP's log library ends the process otherwise, and leaves a call trace and temporary files.
+    """
     code = (
         "import os, signal; from mgsr.data.find_poses import _pycolmap\n"
         "def end(*given): raise SystemExit(143)\n"

@@ -1,4 +1,4 @@
-"""Where a scene lies in what people give, and what is said where there is none."""
+"""Finding the scene in what people give, and the message where there is none."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_scene_some_folders_deeper(tmp_path, root, place):
 
 
 def test_photographs_beside_the_folder_of_the_cameras(tmp_path):
-    """As dense/0/sparse and images/ lie in one capture; masks are found there too."""
+    """Check that photographs and masks are found beside the cameras' folder, as dense/0/sparse and images/ lie."""
     root = BallCapture().write_plain(tmp_path / "vase", mode="RGB")
     BallCapture().write_masks(root)
     (root / "export/0").mkdir(parents=True)
@@ -67,7 +67,7 @@ def test_a_scene_given_by_its_photographs(root):
 @pytest.mark.parametrize("relative", [False, True])
 @pytest.mark.parametrize("moved", [False, True])
 def test_absolute_paths(root, monkeypatch, relative, moved):
-    """The answer is the same whether the folder is given absolutely or relatively, and after it was moved."""
+    """Check that the result does not depend on an absolute or relative folder, nor on a move."""
 
     def absolute(content):
         for view in content["views"]:
@@ -101,7 +101,7 @@ def test_windows_paths(root):
 
 
 def test_reduced_copies(root):
-    """The largest copies are taken where the photographs themselves are gone."""
+    """Check that the largest copies are used where the photographs themselves are gone."""
     for factor in (8, 2, 4):
         shutil.copytree(root / "photos", root / f"photos_{factor}")
     shutil.rmtree(root / "photos")
@@ -177,7 +177,7 @@ def test_an_archive_whose_scene_lies_deeper(root, tmp_path):
 
 
 def test_nan_as_windows_writes_it(root):
-    """Of one view, in JSON that Python writes otherwise."""
+    """Check that one view's NaN, as Windows writes it in JSON, loses that view."""
     text = (root / "cameras.json").read_text()
     text = re.sub(r'(?<="cam_from_world": \[\[)[-\d.e]+', "-nan(ind)", text, count=1)
     (root / "cameras.json").write_text(text)
@@ -198,7 +198,10 @@ def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root,
 
 
 def test_a_file_serves_one_photograph(tmp_path):
-    """Of a rig's two photographs of one name, of which one is missing and the other was converted."""
+    """Check that a file serves one of a rig's two photographs of one name.
+
+    One of them is missing, and the other was converted.
+    """
     for number in range(4):
         save(tmp_path / f"cam0/{number}.png", GREY, "RGB")
         save(tmp_path / f"cam1/{number}.png", GREY, "RGB")
@@ -280,7 +283,7 @@ def test_extensions_in_capitals(root):
 
 @pytest.mark.parametrize("cameras", [True, False], ids=["cameras alone", "photographs alone"])
 def test_a_confined_scene_takes_nothing_from_outside(tmp_path, root, cameras):
-    """What a job of the service is given must not lead to the files of another."""
+    """Check that a job of the service can't reach the files of another."""
     inner = tmp_path / "vase/job"
     inner.mkdir()
     if cameras:

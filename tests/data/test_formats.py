@@ -47,7 +47,7 @@ def test_cameras_come_back_in_the_users_frame(tmp_path, ball, kind):
 
 @pytest.mark.parametrize("kind", ["plain", "blender"])
 def test_projection_agrees_with_the_written_camera(tmp_path, ball, kind):
-    """The independent formula: homogeneous P = K [R|t] of what was written, in the user's frame."""
+    """Check the projection against homogeneous P = K [R|t] of what was written, in the user's frame."""
     root = getattr(ball, f"write_{kind}")(tmp_path)
     scene = load_scene(root, DataConfig(test_every=100))
     points = CENTER + np.random.default_rng(1).normal(size=(50, 3))

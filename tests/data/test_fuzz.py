@@ -55,7 +55,7 @@ def nerfstudio(root: Path) -> Path:
 
 
 def points_with_colors(root: Path, kind: str, rows: tuple[str, ...]) -> Path:
-    """The same scene with points as text, whose colours are numbers of a kind that PLY names."""
+    """Write the same scene with points as text, whose colours are numbers of a kind that PLY names."""
     axes = "".join(f"property double {name}\n" for name in "xyz")
     colors = "".join(f"property {kind} {name}\n" for name in ("red", "green", "blue"))
     head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{axes}{colors}end_header\n"

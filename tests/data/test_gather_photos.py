@@ -36,7 +36,7 @@ def by_openimageio(path, dtype="uint8"):
 
 
 def by_hand_as_psd(path):
-    """Adobe's specification of the format: a header, three empty sections, and planes without compression."""
+    """Write a PSD by Adobe's specification: a header, three empty sections, and planes without compression."""
     header = b"8BPS" + struct.pack(">H6xHIIHH", 1, 3, 24, 32, 8, 3)
     planes = b"".join(bytes([value]) * (32 * 24) for value in COLOR)
     path.write_bytes(header + struct.pack(">III", 0, 0, 0) + struct.pack(">H", 0) + planes)

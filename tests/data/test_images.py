@@ -73,7 +73,7 @@ def test_float_images_that_say_they_are_srgb_are_left_as_they_are(tmp_path, name
 
 
 def write_exr(path, channels: dict[str, float], window=(0, 0, 4, 3), display=None):
-    """Flat channels. window, display: x, y, width and height, by default the same."""
+    """Write an EXR of flat channels. window, display: x, y, width and height, by default the same."""
     import OpenImageIO
 
     _, _, width, height = window
@@ -89,7 +89,7 @@ def write_exr(path, channels: dict[str, float], window=(0, 0, 4, 3), display=Non
 
 
 def as_read(path):
-    """A flat image's colour and alpha."""
+    """Return a flat image's colour and alpha."""
     colors, alpha = read_image(path, "view 3")
     assert (colors == colors[0, 0]).all() and (alpha is None or (alpha == alpha[0, 0]).all())
     return colors[0, 0].tolist(), None if alpha is None else int(alpha[0, 0])
@@ -120,7 +120,10 @@ def layer(name, **channels):
     ],
 )
 def test_channels_of_an_exr_go_by_their_names(tmp_path, channels, colors, alpha):
-    """Colours of an EXR come multiplied by alpha (OpenEXR's technical introduction): 0.09 at 0.5 is 0.18."""
+    """Check the channels, whose colours are premultiplied in an EXR: 0.09 at alpha 0.5 is 0.18.
+
+    Source: OpenEXR's technical introduction.
+    """
     assert as_read(write_exr(tmp_path / "a.exr", channels)) == (colors, alpha)
 
 
@@ -157,7 +160,7 @@ def test_an_exr_whose_second_part_is_the_picture(tmp_path):
 
 
 def test_an_exr_of_which_the_error_is_no_text(tmp_path):
-    """Found by fuzzing: OpenImageIO puts bytes of the file into what it says."""
+    """Check an error that is no text, as OpenImageIO puts bytes of the file into it (found by fuzzing)."""
     path = write_exr(tmp_path / "a.exr", LIGHT)
     path.write_bytes(path.read_bytes().replace(b"chlist", b"ch\xffist"))
     with pytest.raises(
@@ -239,7 +242,7 @@ def test_a_float_tiff_with_values_of_8_bits(tmp_path):
 
 
 def says_srgb(path) -> bool:
-    """Not every file type has a place for it."""
+    """Return whether a file says that it is sRGB; not every file type has a place for it."""
     import OpenImageIO
 
     return str(OpenImageIO.ImageInput.open(str(path)).spec().getattribute("oiio:ColorSpace")).startswith("srgb")
@@ -281,7 +284,7 @@ def test_heic_agrees_with_pillow(tmp_path, mode):
 
 @pytest.mark.parametrize(("written", "named"), [("a.heic", "a.jpg"), ("a.jpg", "b.heic"), ("a.png", "b.heic")])
 def test_content_and_not_the_name_tells_the_kind(tmp_path, written, named):
-    """Phones and messengers rename photographs."""
+    """Check that the content tells the kind, as phones and messengers rename photographs."""
     pillow_heif = pytest.importorskip("pillow_heif")
     image = Image.new("RGB", (96, 64), (200, 100, 50))
     (pillow_heif.from_pillow(image) if written == "a.heic" else image).save(tmp_path / written)
@@ -309,7 +312,7 @@ def test_truncated_heic(tmp_path, cut, message):
 
 
 def test_a_heic_whose_header_lies_about_its_colors(tmp_path):
-    """Found by fuzzing: it opens, and pillow-heif raises SyntaxError when it decodes."""
+    """Check a HEIC that opens, but on which pillow-heif raises SyntaxError when it decodes (found by fuzzing)."""
     pillow_heif = pytest.importorskip("pillow_heif")
     path = tmp_path / "a.heic"
     pillow_heif.from_pillow(Image.new("RGB", (96, 64))).save(path)
@@ -367,7 +370,7 @@ def test_area_reduction_by_whole_factors_is_the_mean():
 
 
 def test_area_reduction_by_fractions():
-    """Five pixels to two: each takes two and a half."""
+    """Check five pixels reduced to two: each takes two and a half."""
     image = np.arange(5, dtype=np.float32)[None, :, None]
     np.testing.assert_allclose(reduce_area(image, 2, 1)[0, :, 0], [(0 + 1 + 1) / 2.5, (1 + 3 + 4) / 2.5], rtol=1e-6)
 
@@ -379,7 +382,7 @@ def test_white():
 
 
 def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
-    """Found by fuzzing: pillow-heif opens such files, and fails on their first image."""
+    """Check that such a file is refused: pillow-heif opens it, and fails on its first image (found by fuzzing)."""
     import pillow_heif
 
     path = tmp_path / "a.heic"
@@ -391,6 +394,9 @@ def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("reason", ["line after line\n" * 5000, "one line " * 5000])
 def test_what_libraries_say_is_cut_short(reason):
-    """Found by fuzzing: a damaged TIFF gave thousands of lines, a damaged zip the bytes of its first file."""
+    """Check that long messages are cut short.
+
+    Fuzzing found that a damaged TIFF gives thousands of lines, and a damaged zip the bytes of its first file.
+    """
     assert len(in_short(reason)) < 210
     assert "\n" not in in_short(reason)

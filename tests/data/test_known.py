@@ -29,13 +29,13 @@ def window() -> np.ndarray:
 
 
 def disc() -> np.ndarray:
-    """Alpha 0..1 of a disc that the window cuts off."""
+    """Return alpha 0..1 of a disc that the window cuts off."""
     y, x = np.mgrid[:48, :60] + 0.5
     return np.clip(12.5 - np.hypot(x - 44, y - 22), 0, 1)
 
 
 def view() -> View:
-    """Colours and alpha are noise outside the window."""
+    """Return a view whose colours and alpha are noise outside the window."""
     image = RNG.integers(0, 256, (48, 60, 3)).astype(np.uint8)
     alpha = np.where(window(), disc() * 255, RNG.integers(0, 256, (48, 60))).astype(np.uint8)
     return View("a", CAMERA, image, alpha, window())
@@ -61,7 +61,7 @@ def test_outlines_end_where_the_known_part_ends():
 
 
 def test_means_are_those_of_the_known_pixels():
-    """Against those of the window alone, which holds whole blocks of 2 x 2 pixels."""
+    """Check against the means of the window alone, which holds whole blocks of 2 x 2 pixels."""
     given = view()
     small = reduced_view(given, 0.5)
     cut = View("a", Camera(CAMERA.K, np.eye(4), 44, 36), given.image[WINDOW], given.alpha[WINDOW])
@@ -94,7 +94,7 @@ def test_what_lies_deep_inside():
 
 
 def test_the_largest_rectangle_of_a_disc():
-    """A square inscribed into a circle, the largest rectangle in it, to a pixel or two."""
+    """Check that a disc's largest rectangle is a square inscribed into the circle, to a pixel or two."""
     y, x = np.mgrid[:200, :200] + 0.5
     known = np.hypot(x - 100, y - 100) < 90
     rows, columns = largest_rectangle(known)
@@ -110,7 +110,7 @@ def test_the_whole_part_keeps_its_rays():
 
 
 def test_a_fisheye_shows_all_that_it_saw(tmp_path):
-    """Each known pixel has the colour of the ball where its own ray meets it; the photograph's corners are there."""
+    """Check that each known pixel has the ball's colour where its own ray meets it, and that the corners are there."""
     scene = load_scene(write_fisheye(tmp_path), DataConfig())
     for view in scene.train:
         camera = scene.user_from_scene.camera_to_user(view.camera)

@@ -73,7 +73,7 @@ def test_lenses_that_change_something_say_so(lens):
 
 
 def test_the_whole_undistorted_image_agrees_with_opencv():
-    """OpenCV's own maps and remapping of the same photograph, for the same window."""
+    """Check against OpenCV's own maps and remapping of the same photograph, for the same window."""
     image = cv2.GaussianBlur(RNG.random((64, 96, 3)).astype(np.float32), (0, 0), 2)
     how = undistortion(Lens(-0.2, 0.05, 0.01, -0.01), K, 96, 64, "test")
     ours = resample(image, how)
@@ -102,8 +102,11 @@ STRONG = [
 @pytest.mark.parametrize("lens", STRONG)
 @pytest.mark.parametrize("focal", [25.0, 60.0])
 def test_what_is_known_is_what_the_photograph_shows(lens, focal):
-    """Of the kept image and the pixels around it exactly those are known whose ray the photograph shows, and they lie
-    where they should; where a rectangle was taken instead, it leaves out no more than a 30th."""
+    """Check that exactly those pixels are known whose ray the photograph shows, and that they lie where they should.
+
+    The kept image and the pixels around it are checked. Where a rectangle was taken instead, it leaves out no more than
+    a 30th.
+    """
     K = np.array([[focal, 0, 47], [0, 1.1 * focal, 31], [0, 0, 1]])
     how = undistortion(lens, K, 96, 64, "test")
     height, width = how.map_x.shape
@@ -121,9 +124,11 @@ def test_what_is_known_is_what_the_photograph_shows(lens, focal):
 
 
 def followed(lens, K, pixels):
-    """Whether the photograph shows what pinhole pixels show up to HALF_ANGLE, where, and which of them lie on no edge,
-    to a thousandth of a pixel, or within a pixel of a fold: OpenCV projects a ray that turns from the axis to the pixel
-    in 400 steps, and must go outwards all the way without leaving the photograph."""
+    """Return whether the photograph shows what pinhole pixels show up to HALF_ANGLE, where, and which are certain.
+
+    Uncertain pixels lie on an edge, to a thousandth of a pixel, or within a pixel of a fold. OpenCV projects a ray that
+    turns from the axis to the pixel in 400 steps, and must go outwards all the way without leaving the photograph.
+    """
     x, y = ((place - K[i, 2]) / K[i, i] for i, place in enumerate(pixels))
     angle = np.degrees(np.arctan(np.hypot(x, y)))
     shown, sure = angle <= HALF_ANGLE, np.abs(angle - HALF_ANGLE) > 1e-3
@@ -154,7 +159,7 @@ def projected(lens, K, rays):
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_bytes_are_resampled_as_floats_are(channels):
-    """Sharp noise, so that bicubic interpolation overshoots both ends of a byte."""
+    """Check sharp noise, on which bicubic interpolation overshoots both ends of a byte."""
     image = RNG.choice(np.array([0, 255], np.uint8), (64, 96, channels))
     how = undistortion(Lens(-0.2), K, 96, 64, "test")
     exact = resample(image.astype(np.float32), how)

@@ -1,4 +1,4 @@
-"""Photographs made into views: turned, their masks fitted, told of while they load, held in memory or in files."""
+"""Loading photographs into views: turning, fitting masks, reporting progress, and memory or files as storage."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def test_a_photograph_is_turned_where_only_its_upright_form_fits_the_camera(side
 
 
 def test_a_photograph_calibrated_as_it_is_stored_stays_so(sideways):
-    """As in COLMAP, which does not look at the orientation."""
+    """Check that the photograph stays as stored, as in COLMAP, which ignores the orientation."""
     (view,) = load(photo(sideways, size=(40, 60)))
     np.testing.assert_array_equal(view.image, np.asarray(Image.open(sideways)))
 
 
 @pytest.mark.parametrize("stored", [True, False])
 def test_the_mask_of_a_turned_photograph(sideways, stored):
-    """Masks have no orientation of their own: the shape tells whether they were drawn on stored or upright pixels."""
+    """Check masks drawn on stored or upright pixels: they have no orientation of their own, so their shape decides."""
     upright = np.zeros((40, 60), np.uint8)
     upright[:10, :25] = 255
     Image.fromarray(np.rot90(upright) if stored else upright).save(sideways.with_name("m.png"))
@@ -172,7 +172,10 @@ def test_photographs_by_label(tmp_path):
 
 @pytest.mark.parametrize("asked", ["Photos/a.JPG", "photos/u\u0308.png", "photos/\u00fc", "photos/b", "photos/B.jpeg"])
 def test_photographs_whose_names_other_systems_write_otherwise(tmp_path, asked):
-    """Windows and macOS don't tell large from small letters, and macOS writes accents as marks of their own."""
+    """Check that names match without regard to case and accent encoding.
+
+    Windows and macOS ignore case, and macOS writes accents as marks of their own.
+    """
     for name in ("photos/A.jpg", "photos/\u00fc.png", "photos/b.png", "photos/b.jpeg"):
         save(tmp_path / name, np.zeros((4, 4), np.uint8), "L")
     expected = {"a": "A.jpg", "u": "\u00fc.png", "\u00fc": "\u00fc.png", "b": "b.png", "B": "b.jpeg"}
@@ -211,7 +214,7 @@ def test_a_bad_photograph_is_told_of_and_loses_no_other(tmp_path):
 
 
 def test_bad_photographs_stop_the_others_once_they_are_the_most(tmp_path, monkeypatch):
-    """Nobody wants to wait for a thousand photographs to hear that they are damaged."""
+    """Check that loading stops early: nobody wants to wait for a thousand photographs to hear that they are damaged."""
     decoded = []
     read = loading.read_picture
 
@@ -240,7 +243,7 @@ def test_photographs_of_one_camera_share_one_map(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("memory", [0, 300, 1 << 20])
 def test_the_store_gives_back_what_it_got(memory):
-    """In memory, in files, and where the one goes over into the other."""
+    """Check images in memory, in files, and where memory runs out in between."""
     store = PixelStore(memory, file=128)
     images = [RNG.integers(0, 256, (RNG.integers(1, 9), RNG.integers(1, 9), 3), dtype=np.uint8) for _ in range(40)]
     images.append(RNG.integers(0, 256, (20, 20, 3), dtype=np.uint8))  # larger than a file

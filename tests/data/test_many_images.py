@@ -29,14 +29,14 @@ STATUS = Path("/proc/self/status")
 
 
 def own_memory() -> int:
-    """Bytes of this process's memory that lie in no file: pages of files can be dropped when memory is short."""
+    """Return the bytes of this process's memory that lie in no file; the system can drop pages of files."""
     line = next(line for line in STATUS.read_text().splitlines() if line.startswith("RssAnon:"))
     return int(line.split()[1]) * 1024
 
 
 @contextmanager
 def most_memory() -> Iterator[list[int]]:
-    """A list whose one number is the most memory that was held inside, beyond what was held before."""
+    """Yield a list whose one number is the peak memory held inside, beyond what was held before."""
     before, most, done = own_memory(), [0], threading.Event()
 
     def watch() -> None:

@@ -27,7 +27,7 @@ def silhouettes(ball: BallCapture) -> list[np.ndarray]:
 
 
 def passers_by(share: float, empty: float = 0.4) -> list[np.ndarray]:
-    """Black rectangles of a share of the image at random places, in most views."""
+    """Return masks with black rectangles of a share of the image at random places, in most views."""
     rng = np.random.default_rng(5)
     masks = []
     for _ in range(BALL.views):
@@ -41,14 +41,14 @@ def passers_by(share: float, empty: float = 0.4) -> list[np.ndarray]:
 
 
 def strip() -> list[np.ndarray]:
-    """The camera's own stand, at the bottom of every image."""
+    """Return masks that are black at the bottom, as of the camera's own stand."""
     mask = np.full((SIDE, SIDE), 255, np.uint8)
     mask[-12:] = 0
     return [mask] * BALL.views
 
 
 def standing_still() -> list[np.ndarray]:
-    """A thing at one place in space, beside what the cameras look at."""
+    """Return masks that hide a thing at one place in space, beside what the cameras look at."""
     masks = []
     for camera in cameras(BALL):
         pixels, depth = camera.project(np.array([[0.7, 0.2, -0.4]]))
@@ -74,7 +74,7 @@ def test_a_thing_that_stands_still_may_be_either():
 
 
 def test_a_ball_that_all_images_cut_off_may_be_either():
-    """It leaves the corners black, and so does a round lens hood."""
+    """Check that such masks are doubtful: the ball leaves the corners black, and so does a round lens hood."""
     close = BallCapture(views=24, K=np.array([[145.0, 0, 32], [0, 145, 32], [0, 0, 1]]))
     with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
         find_mask_use(silhouettes(close), cameras(close))
@@ -117,7 +117,7 @@ def test_photographs_without_a_mask_are_used_whole(tmp_path):
 
 
 def test_instant_ngps_dynamic_masks(tmp_path):
-    """White is ignored: dynamic_mask_NAME.png beside the photograph, as its colmap2nerf.py writes them."""
+    """Check that white is ignored in dynamic_mask_NAME.png beside the photograph, as colmap2nerf.py writes them."""
     masks = [255 - mask for mask in passers_by(0.1)]
     scene = load_scene(capture(tmp_path, masks, "photos/dynamic_mask_{:03d}.png"), DataConfig())
     assert len(scene.train) + len(scene.test) == 24
@@ -129,7 +129,10 @@ def test_instant_ngps_dynamic_masks(tmp_path):
 
 @pytest.mark.parametrize("top", [0.15, 0.3])
 def test_skies_are_no_silhouettes(tmp_path, top):
-    """Black above, as sky lies behind every object: either they are ignored, or the two meanings are named."""
+    """Check masks that are black above, where sky lies behind every object.
+
+    Either they are ignored, or the two meanings are named.
+    """
     masks = [np.full((SIDE, SIDE), 255, np.uint8) for _ in range(BALL.views)]
     for i, mask in enumerate(masks):
         mask[: int(SIDE * top) + i % 5] = 0

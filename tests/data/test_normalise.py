@@ -36,8 +36,11 @@ def test_masks_give_the_ball(tmp_path, scale):
 @pytest.mark.parametrize("views", [8, 12, 20, 40])
 @pytest.mark.parametrize("focal", [60, 80, 105])
 def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path, views, focal):
-    """Where it fills them (105: nine tenths of the side), what lies beside them is not its either. The witness is the
-    hull of all masks, worked out point by point: nothing is in it that any view has outside its mask or its image."""
+    """Check the ball against the hull of all masks, worked out point by point.
+
+    No point is in it that any view has outside its mask or its image. Where the ball fills the images (105: nine tenths
+    of the side), what lies beside them is not its either.
+    """
     K = np.array([[focal, 0, 32.0], [0, focal, 32], [0, 0, 1]])
     ball = BallCapture(views=views, center=CENTER, K=K)
     scene = load_scene(ball.write_plain(tmp_path), DataConfig(test_every=1000))
@@ -56,7 +59,7 @@ def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path, views, 
 
 
 def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path):
-    """Half the views are close-ups that show a part of it; they must not carve the rest."""
+    """Check that close-ups, half the views, which show a part of the object, do not carve the rest."""
     ball, near = (BallCapture(views=16, K=np.array([[f, 0, 32.0], [0, f, 32], [0, 0, 1]])) for f in (80, 200))
     root = ball.write_plain(tmp_path)
     content = json.loads((root / "cameras.json").read_text())

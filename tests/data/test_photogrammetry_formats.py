@@ -1,5 +1,7 @@
-"""Cameras of photogrammetry programs, held to the equations of their documentation, which are written out here, and to
-other forms of the same cameras."""
+"""Cameras of photogrammetry programs, held to their documented equations, which are written out here.
+
+Other forms of the same cameras are compared too.
+"""
 
 from __future__ import annotations
 
@@ -47,12 +49,12 @@ def words(*values) -> str:
 
 
 def local(i: int, points: np.ndarray = POINTS) -> np.ndarray:
-    """World points in the axes of camera i: x right, y down, z forward."""
+    """Return world points in the axes of camera i: x right, y down, z forward."""
     return points @ ROTATIONS[i].T + POSES[i][:3, 3]
 
 
 def agree(capture: Capture, pixels: Callable[[int], np.ndarray], points: np.ndarray = POINTS) -> None:
-    """Every photograph projects the points to the pixels that are expected of it."""
+    """Check that every photograph projects the points to the pixels expected of it."""
     assert len(capture.photos) == 4 and not capture.lost
     for i, photo in enumerate(capture.photos):
         assert photo.image.name == f"{i:03d}.jpg" and photo.size == (WIDTH, HEIGHT)
@@ -60,7 +62,7 @@ def agree(capture: Capture, pixels: Callable[[int], np.ndarray], points: np.ndar
 
 
 def brown(xy: np.ndarray, k: tuple[float, ...], wide: float = 0.0, tall: float = 0.0) -> np.ndarray:
-    """Brown's equations. wide: the factor of r^2 + 2 x^2 in x; tall: that of r^2 + 2 y^2 in y."""
+    """Return Brown's distortion. wide: the factor of r^2 + 2 x^2 in x; tall: that of r^2 + 2 y^2 in y."""
     x, y = xy.T
     r2 = x * x + y * y
     radial = 1 + sum(term * r2 ** (i + 1) for i, term in enumerate(k))
@@ -74,7 +76,7 @@ def brown(xy: np.ndarray, k: tuple[float, ...], wide: float = 0.0, tall: float =
 
 
 def fails(root: Path, name: str, *parts: str) -> None:
-    """Reading raises an error that has all these parts."""
+    """Check that reading raises an error that has all these parts."""
     with pytest.raises(SceneError) as caught:
         usable_photos(read_capture(root, name), SceneFolder.at(root))
     for part in parts:
@@ -82,7 +84,7 @@ def fails(root: Path, name: str, *parts: str) -> None:
 
 
 def loses(root: Path, name: str, *parts: str) -> None:
-    """One photograph alone is lost, with an error that has all these parts."""
+    """Check that one photograph alone is lost, with an error that has all these parts."""
     capture = read_capture(root, name)
     assert len(capture.photos) == 3 and len(capture.lost) == 1
     for part in parts:
@@ -129,7 +131,7 @@ def bundler(root: Path, k1: float = 0.2, k2: float = -0.1, edit: Edit = same, ed
 
 
 def bundler_pixels(i: int, k1: float = 0.2, k2: float = -0.1) -> np.ndarray:
-    """P = R X + t; p = -P / P.z; p' = f r(p) p, from the middle, with y up."""
+    """Return pixels by Bundler's equations: P = R X + t; p = -P / P.z; p' = f r(p) p, from the middle, with y up."""
     P = local(i) @ OPENGL
     p = -P[:, :2] / P[:, 2:]
     r2 = (p**2).sum(axis=1, keepdims=True)
@@ -233,7 +235,7 @@ def nvm(root: Path, r: float = 0.3, header: str = "NVM_V3 ", edit: Edit = same) 
 
 
 def undistorted(pixels: np.ndarray, r: float, f: float = F) -> np.ndarray:
-    """What multicore bundle adjustment makes of a measurement, in pixels from the principal point."""
+    """Return what multicore bundle adjustment makes of a measurement, in pixels from the principal point."""
     measured = pixels - [WIDTH / 2, HEIGHT / 2]
     return measured * (1 + r / f**2 * (measured**2).sum(axis=1, keepdims=True))
 
@@ -331,14 +333,14 @@ OPENMVG_LENSES = {
 
 
 def fisheye(xy: np.ndarray, k: tuple[float, ...]) -> np.ndarray:
-    """The ray's angle t becomes t (1 + k1 t^2 + k2 t^4 + ...)."""
+    """Return rays whose angle t becomes t (1 + k1 t^2 + k2 t^4 + ...)."""
     r = np.linalg.norm(xy, axis=1, keepdims=True)
     t = np.arctan(r)
     return xy / r * t * (1 + sum(term * t ** (2 * i + 2) for i, term in enumerate(k)))
 
 
 def openmvg(root: Path, model: str = "pinhole_brown_t2", nested: bool = False, absolute: bool = False) -> Path:
-    """Photographs 0 and 1 have an intrinsic each, which cereal writes as one object; 2 and 3 share a third one."""
+    """Write four photographs: 0 and 1 have an intrinsic each, which cereal writes as one object; 2 and 3 share one."""
     base = {"width": WIDTH, "height": HEIGHT, "focal_length": F, "principal_point": [31.0, 23.5]}
     terms = OPENMVG_LENSES[model][0]
     data = {"value0": base, **terms} if nested else {**base, **terms}
@@ -640,7 +642,7 @@ def blocksexchange(
     edit: Edit = same,
     poses: list[str] | None = None,
 ) -> Path:
-    """axes: the camera's axes as rows, in OpenCV's axes."""
+    """Write a BlocksExchange file. axes: the camera's axes as rows, in OpenCV's axes."""
     axes = np.eye(3) if axes is None else axes
     photos = ""
     for i, (name, rotation, center) in enumerate(zip(NAMES, ROTATIONS, CENTERS, strict=True)):
@@ -667,7 +669,7 @@ def blocksexchange(
 
 
 def block_pixels(i: int, cx: float = 31, cy: float = 23.5) -> np.ndarray:
-    """Brown's equations as Wikipedia has them, to which Bentley refers: P1 goes with r^2 + 2 x^2."""
+    """Return pixels by Brown's equations as Wikipedia has them, to which Bentley refers: P1 goes with r^2 + 2 x^2."""
     rays = local(i)
     return F * brown(rays[:, :2] / rays[:, 2:], RADIAL, 0.01, -0.02) + [cx, cy]
 
@@ -968,7 +970,7 @@ def test_one_bad_xmp_is_lost_alone(tmp_path):
 
 
 def kapture(root: Path, files: dict[str, Edit] | None = None) -> Path:
-    """Photographs 0 to 2 have poses of their own, 3 that of its rig."""
+    """Write photographs of which 0 to 2 have poses of their own, and 3 that of its rig."""
     place = POSES[0]
     rig = np.linalg.inv(place) @ POSES[3]
     rows = {
@@ -1080,7 +1082,7 @@ def pix4d(root: Path, edit: Edit = same) -> Path:
 @pytest.mark.parametrize("edit", [same, lambda text: "\ufeff" + text.replace("\n", "\r\n")])
 def test_pix4d_projects_as_its_head_says(tmp_path, edit):
     def pixels(i: int) -> np.ndarray:
-        """m = K [R | -R t] X, with Brown's terms between."""
+        """Return pixels by m = K [R | -R t] X, with Brown's terms between."""
         seen = POINTS @ ROTATIONS[i].T - ROTATIONS[i] @ CENTERS[i]
         bent = brown(seen[:, :2] / seen[:, 2:], RADIAL, -0.02, 0.01)
         return bent * [F, 75] + [31, 23.5]

@@ -1,4 +1,4 @@
-"""Middlebury's and NeuS's scenes: the real dino, and projection matrices taken apart by OpenCV too."""
+"""Scenes of Middlebury and NeuS: the real dino, and projection matrices decomposed by OpenCV too."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ DINO_BOX = np.array([[-0.041897, 0.001126, -0.037845], [0.030897, 0.088227, 0.03
 
 
 def test_the_real_dino_lies_in_its_bounding_box(shared_data):
-    """In every photograph, what is well brighter than the README's threshold lies in the projected box, and fills
-    much of it."""
+    """Check that in every photograph what exceeds the README's threshold well lies in the projected box.
+
+    It also fills much of the box.
+    """
     capture = read_capture(shared_data / "real/middlebury_dino48", "middlebury")
     assert len(capture.photos) == 48
     assert len(capture.photos) == 48 and len(capture.missing) == 363 - 48

@@ -31,7 +31,7 @@ def exif(main: dict[int, Any], more: dict[int, Any]) -> Image.Exif:
 
 
 def write(path: Path, tags: Image.Exif | None = None, size: tuple[int, int] = (40, 30)) -> Path:
-    """HEIC by pillow-heif, which turns it by its orientation; all else by Pillow."""
+    """Write a HEIC by pillow-heif, which turns it by its orientation, or any other kind by Pillow."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = Image.new("RGB", size, (200, 100, 50))
     data = b"" if tags is None else tags.tobytes()
@@ -140,6 +140,6 @@ def test_damaged_exif_is_no_error(tmp_path, suffix):
 
 
 def test_focal_length_in_pixels_by_the_diagonal():
-    """A frame of 36 x 24 mm has a diagonal of 43.27 mm, and 3000 x 4000 pixels one of 5000."""
+    """Check a frame of 36 x 24 mm, whose diagonal is 43.27 mm, against 3000 x 4000 pixels, whose diagonal is 5000."""
     assert CameraTags(focal_35mm=43.27).focal_pixels((3000, 4000)) == pytest.approx(5000)
     assert CameraTags(focal=4.2).focal_pixels((3000, 4000)) is None

@@ -1,4 +1,4 @@
-"""Photographs that were moved while they were taken, among sharp ones, and captures of too few photographs."""
+"""Photographs that were blurred by motion, among sharp ones, and captures of too few photographs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COUNT = 30
 
 
 def texture(seed: int) -> np.ndarray:
-    """Smooth noise of many sizes, sharp to the pixel."""
+    """Return smooth noise of many sizes, sharp to the pixel."""
     rng = np.random.default_rng(seed)
     image = np.zeros((96, 128, 3))
     for size in (4, 8, 16, 32, 128):
@@ -27,7 +27,7 @@ def texture(seed: int) -> np.ndarray:
 
 
 def moved(image: np.ndarray, length: int, angle: float) -> np.ndarray:
-    """An image of a camera that moved by so many pixels."""
+    """Return an image blurred as if the camera moved by `length` pixels."""
     steps = np.linspace(-0.5, 0.5, 4 * length)[:, None] * length * np.array([np.cos(angle), np.sin(angle)])
     shifts = [np.float32([[1, 0, x], [0, 1, y]]) for x, y in steps]
     copies = [cv2.warpAffine(image, shift, (128, 96), borderMode=cv2.BORDER_REFLECT) for shift in shifts]
@@ -35,7 +35,7 @@ def moved(image: np.ndarray, length: int, angle: float) -> np.ndarray:
 
 
 def views(blurred: set[int], change=lambda image, i: image) -> list[View]:
-    """A walk around an object; the photographs named show other parts of one texture."""
+    """Return views of a walk around an object; the photographs show other parts of one texture."""
     rng = np.random.default_rng(1)
     found = []
     for i, pose in enumerate(BallCapture(views=COUNT).poses()):

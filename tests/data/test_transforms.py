@@ -55,7 +55,7 @@ def test_a_frames_own_intrinsics_and_lens_overrule_the_files(root):
 
 
 def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
-    """tan(45 degrees) is 1: half of 64 pixels."""
+    """Check the frame's own angle: tan(45 degrees) is 1, half of 64 pixels."""
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=math.pi / 2))
     edit_json(root / "transforms.json", lambda content: content["frames"][3].update(camera_angle_x=1, fl_x=70, fl_y=75))
     photos = read_capture(root, "nerfstudio").photos
@@ -110,7 +110,7 @@ def test_fisheyes(root, way):
 
 
 def test_results_go_back_to_the_frame_before_the_applied_transform(root):
-    """The point that a camera sees in its middle is the ball's centre in the original frame."""
+    """Check that the point a camera sees in its middle is the ball's centre in the original frame."""
     scale, pad = 0.5, np.vstack([APPLIED, [0, 0, 0, 1]])
 
     def apply(content):
@@ -145,7 +145,7 @@ def test_named_masks(root):
 
 
 def test_instant_ngp_leaves_out_extensions_and_photographs(root):
-    """Its own loader skips frames without an image; more than half missing is a wrong folder."""
+    """Check that a missing photograph is left out, as instant-ngp's loader does, and that too many are refused."""
 
     def as_ngp(content):
         content.update(aabb_scale=4, camera_angle_x=0.7)
@@ -194,7 +194,7 @@ def test_refusals(root, values, message):
 
 @pytest.mark.parametrize("name", ["./", "images/.."])
 def test_the_folder_itself_is_no_photograph(root, name):
-    """Found by fuzzing: what lies beside the folder, with its name and an image's suffix, was taken for it."""
+    """Check that a file named as the folder, with an image's suffix, is not taken for it (found by fuzzing)."""
     draw(root.with_name(root.name + ".png"))
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(file_path=name))
     capture = read_capture(root, "nerfstudio")

@@ -21,7 +21,7 @@ def scene(cameras: int = 1, frames: int = 12):
 
 
 def zoom(image, factor: float) -> None:
-    """What a longer focal length does to the pixels of points, about the principal point."""
+    """Move the points' pixels as a longer focal length does, about the principal point."""
     camera = image.camera
     middle = [camera.principal_point_x, camera.principal_point_y]
     for point in image.points2D:

@@ -71,7 +71,7 @@ def test_a_bright_reflection_keeps_a_faint_splat() -> None:
 
 @pytest.mark.parametrize("axes", [2, 3])
 def test_halves_follow_the_splats_own_shape(axes: int) -> None:
-    """Drawn centres have the splat's covariance R S S^T R^T, built here by torch's own products."""
+    """Check that drawn centres have the splat's covariance R S S^T R^T, built here by torch's own products."""
     parameters = {name: tensor.expand(20000, *tensor.shape[1:]) for name, tensor in splats(1, axes).items()}
     sizes = torch.tensor([0.5, 0.1, 0.02])[:axes]
     parameters["log_scales"] = sizes.log().expand(20000, axes)

@@ -1,4 +1,4 @@
-"""What each splat carries of the pictures, and which can go."""
+"""Tests of each splat's contribution to images, and of which splats can go."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ COUNT = 12
 
 
 def some_surfels() -> SurfelModel:
-    """Surfels that hide each other, in front of all cameras of the ball."""
+    """Build surfels that hide each other, in front of all cameras of the ball."""
     draw = noise()
     return SurfelModel(0.4 * draw(3), draw(4), 0.3 * draw(2) - 2.0, 2 * draw(), draw(1, 3))
 
 
 def some_volumes(split: bool) -> VolumeModel:
-    """Gaussians that do."""
+    """Build Gaussians that hide each other, in front of all cameras of the ball."""
     draw = noise()
     half = (draw(), draw(), draw(1, 3)) if split else ()
     return VolumeModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half, low_pass=0.1)
 
 
 def noise() -> Callable[..., torch.Tensor]:
-    """Draws [COUNT,...], always the same in the same order."""
+    """Return a function that draws [COUNT,...], always the same in the same order."""
     generator = torch.Generator().manual_seed(3)
     return lambda *shape: torch.randn(COUNT, *shape, generator=generator)
 
@@ -47,14 +47,14 @@ def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
 
 
 def added_by_surfel(model: SurfelModel, camera: Camera, index: int) -> float:
-    """The light in the oracle's image where one surfel is white and all others are black."""
+    """Return the light in the oracle's image where one surfel is white and all others are black."""
     geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
     view = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world), camera.width, camera.height
     return float(surfels.render(*geometry, *view, torch.zeros(3)).color[..., 0].sum())
 
 
 def added_by_volume(model: VolumeModel, camera: Camera, index: int) -> float:
-    """The same for a Gaussian, whose reflected half is white too."""
+    """Return the light in the oracle's image where one Gaussian, in both halves, is white and all others are black."""
     geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
     reflected = None
     if model.split:
@@ -65,7 +65,7 @@ def added_by_volume(model: VolumeModel, camera: Camera, index: int) -> float:
 
 
 def white(index: int) -> torch.Tensor:
-    """Colours of which one is white and all others are black."""
+    """Return colours of which one is white and all others are black."""
     return torch.eye(COUNT)[:, index, None].expand(-1, 3)
 
 

@@ -1,4 +1,4 @@
-"""Where Gaussians are added by the errors of renderings, how many, and which make room."""
+"""Tests of error-driven growth: where Gaussians are added, how many, and which make room."""
 
 from __future__ import annotations
 
@@ -121,7 +121,10 @@ def test_fewer_pixels_than_asked_for_give_fewer_points() -> None:
 
 
 def test_other_views_confirm_what_the_surface_lacks_and_contradict_a_highlight() -> None:
-    """A camera and others of the same place, on a wall that faces them all."""
+    """Check that views of the same place confirm what the surface lacks, and contradict a highlight.
+
+    They are a camera and others on a wall that faces them all.
+    """
     first, second, third = with_patch(0.9), with_patch(0.8), with_patch(0.45)
     drawn = new_points([first], [visible_error(first, 0.04)], 10_000, torch.Generator())
     in_patch = drawn.rows(drawn.lacking[:, 0] > 0.3)

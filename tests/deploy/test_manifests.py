@@ -90,7 +90,7 @@ def test_the_last_stage_runs_as_nobody_and_has_a_health_check(image: str) -> Non
 
 
 def test_the_wheels_stage_is_the_same_in_all_images() -> None:
-    """Docker then builds it once."""
+    """Check that the wheels' stage is the same in all images, so that Docker builds it once."""
     texts = [(ROOT / f"deploy/Dockerfile.{image}").read_text(encoding="utf-8") for image in IMAGES]
     wheels = [next(stages(read_dockerfile(text))) for text in texts]
     assert wheels[0] == wheels[1] == wheels[2]

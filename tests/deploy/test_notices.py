@@ -1,4 +1,4 @@
-"""What of others is passed on is named, with its licence."""
+"""Tests that what is passed on of others is named, with its licence."""
 
 from __future__ import annotations
 

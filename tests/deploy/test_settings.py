@@ -21,7 +21,10 @@ def _read_by_settings() -> set[str]:
 
 
 def _named_in_code() -> set[str]:
-    """Every MGSR_... that stands as a string of its own in the programs: what is read without the settings class."""
+    """Return every MGSR_... that stands as a string of its own in the programs.
+
+    These are read without the settings class.
+    """
     found: set[str] = set()
     for folder in ("mgsr", "service", "worker", "program"):
         for path in (ROOT / folder).rglob("*.py"):
@@ -42,7 +45,7 @@ def test_the_example_lists_each_variable_once_and_no_other() -> None:
 
 @pytest.mark.parametrize("name", _listed(EXAMPLE))
 def test_each_is_explained(name: str) -> None:
-    """By a comment above it, or above the group that it ends."""
+    """Check that a comment above each variable, or above the group that it ends, explains it."""
     block = next(block for block in re.split(r"\n(?=# )", EXAMPLE) if re.search(rf"^#?{name}=", block, re.M))
     assert block.startswith("# ") and len(block.split("\n", 1)[0]) > 20
 

@@ -16,7 +16,7 @@ FAMILIES = ("adam", "harmonics", "image", "mirrored", "surfels", "volumes")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from what git tracks, in a folder of its own: nothing of this checkout's builds gets in."""
+    """Build the wheel from what git tracks, in a folder of its own: nothing of this checkout's builds gets in."""
     folder = tmp_path_factory.mktemp("wheel")
     tracked = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True).stdout
     source = folder / "source"

@@ -22,7 +22,7 @@ _FENCE = re.compile(r"(?:<!-- (?P<comment>[^\n]*?) -->\n)?^```(?P<language>\w*)\
 
 @dataclass(frozen=True)
 class Block:
-    """One block; how: the comment above it."""
+    """A fenced block; how: the comment above it."""
 
     page: Path
     language: str
@@ -30,24 +30,24 @@ class Block:
     how: str
 
     def argument(self, kind: str) -> str | None:
-        """What the comment says behind `kind: `, if it is of that kind."""
+        """Return what the comment says behind `kind: `, if it is of that kind."""
         head, _, rest = self.how.partition(": ")
         return rest if head == kind else None
 
 
 def blocks(page: Path) -> list[Block]:
-    """A page's blocks in order."""
+    """Return a page's blocks in order."""
     text = page.read_text(encoding="utf-8")
     return [Block(page, f["language"], f["text"], f["comment"] or "") for f in _FENCE.finditer(text)]
 
 
 def program(page: Path, name: str) -> str:
-    """The Python program that a page's blocks of a name make up."""
+    """Return the Python program that a page's blocks of a name make up."""
     return "\n".join(block.text for block in blocks(page) if block.argument("run") == name)
 
 
 def script(page: Path) -> str:
-    """A page's commands as one program of bash, which ends at the first that fails."""
+    """Return a page's commands as one program of bash, which ends at the first that fails."""
     parts = ["set -euo pipefail"]
     for block in blocks(page):
         if block.language != "sh" or block.argument("not run") or block.argument("run in"):

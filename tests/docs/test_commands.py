@@ -42,7 +42,7 @@ def test_few_blocks_are_left_out() -> None:
 
 
 def _named() -> list[str]:
-    """Commands of ours in the running text and in all blocks."""
+    """Return the commands of ours in the running text and in all blocks."""
     found: set[str] = set()
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
@@ -73,7 +73,7 @@ def test_a_command_that_is_named_exists_with_its_options(text: str) -> None:
 
 @pytest.fixture
 def programs(tmp_path: Path) -> dict[str, str]:
-    """An environment in which our programs are on the path, and whose home is a scratch folder."""
+    """Return an environment in which our programs are on the path, and whose home is a scratch folder."""
     folder = tmp_path / "bin"
     folder.mkdir()
     for name, module in PROGRAMS.items():
@@ -89,7 +89,7 @@ def programs(tmp_path: Path) -> dict[str, str]:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_the_commands_of_a_page(page: Path, programs: dict[str, str], tmp_path: Path) -> None:
-    """In one folder, in their order, with a small capture as photos/ and scene.zip."""
+    """Run a page's commands in one folder, in their order, with a small capture as photos/ and scene.zip."""
     if "127.0.0.1:8000" in script(page):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 8000))  # the pages' own port: nothing else may listen there
@@ -106,7 +106,7 @@ def test_the_commands_of_a_page(page: Path, programs: dict[str, str], tmp_path: 
 
 @pytest.mark.slow
 def test_the_commands_for_the_repository(programs: dict[str, str], tmp_path: Path) -> None:
-    """In a copy of the sources; they leave what git tracks as it is."""
+    """Run the repository's commands in a copy of the sources; they leave what git tracks as it is."""
     copy = tmp_path / "repository"
     shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", ".venv", "build", "out"))
     for page in PAGES:

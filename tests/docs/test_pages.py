@@ -26,7 +26,7 @@ EXAMPLES = {"decided_weight=0.1", "key=value"}
 
 
 def _settings() -> list[str]:
-    """Every KEY=VALUE that a page gives to --set, or shows as a setting."""
+    """Return every KEY=VALUE that a page gives to --set, or shows as a setting."""
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     given = re.findall(r"--set ([\w.]+=[\w.]+)", text)
     shown = re.findall(r"`((?:masks|extractor|stop_rule|depth_unit|close_holes|max_side|mesh\.\w+)=[\w.]+)`", text)
@@ -66,7 +66,7 @@ def test_the_first_loss_is_a_loss() -> None:
 
 
 def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The spheres, with their cameras as the example's file has them, give the scene that their own format gives."""
+    """Check that the spheres, with cameras in the example's file, give the scene that their own format gives."""
     spheres = write_spheres(tmp_path / "spheres", size=32, train=8, test=1)
     theirs = json.loads((spheres / "transforms_train.json").read_text())
     known = load_scene(spheres, DataConfig())
@@ -96,7 +96,7 @@ def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The documentation, built strictly: a dead link or anchor is an error."""
+    """Build the documentation strictly: a dead link or anchor is an error."""
     folder = tmp_path_factory.mktemp("site")
     ran = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "-q", "--strict", "-d", str(folder)],

@@ -48,7 +48,7 @@ def test_meshes(tmp_path, before, after):
 
 @pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
 def test_vertices_take_the_colours_of_a_picture(tmp_path, after):
-    """A square with a texel at each corner."""
+    """Check a square with a texel at each corner."""
     vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
     uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]]) * 0.9 + 0.05
     picture = np.array([[[200, 10, 20], [30, 220, 40]], [[1, 2, 250], [120, 130, 140]]], np.uint8)
@@ -86,7 +86,7 @@ def test_the_scale_of_splats(tmp_path):
 
 
 def test_splats_keep_what_their_header_says(tmp_path):
-    """`mgsr evaluate` needs the unit and the low-pass; the numbers themselves stay to the bit."""
+    """Check that the unit and the low-pass survive, which `mgsr evaluate` needs; the numbers stay exact."""
     write_splats(tmp_path / "a.ply", splats(), unit=0.3, low_pass=0.1)
     convert(tmp_path / "a.ply", tmp_path / "b.ply")
     convert(tmp_path / "b.ply", tmp_path / "c.ply", scale=10)

@@ -35,7 +35,7 @@ PACKED = [".ply", ".compressed.ply", ".spz"]
 
 
 def write_far(path: Path, frame: Similarity, unit: float = 1.0) -> tuple[Splats, np.ndarray]:
-    """Splats within the frame's unit ball, written as a run does; they and their places in the file's unit."""
+    """Write splats of the frame's unit ball as a run does; return them and their places in the file's unit."""
     given = splats()
     given["means"] = (given["means"] / 4).astype(np.float32)
     given["log_scales"] += np.float32(2 - np.log(frame.scale * unit))  # of sizes that SPZ holds
@@ -50,7 +50,7 @@ def named_origin(data: bytes) -> np.ndarray:
 
 
 def places(path: Path) -> np.ndarray:
-    """As plyfile and a reader of the comment find them."""
+    """Return the places as plyfile and a reader of the comment find them."""
     vertex = PlyData.read(str(path))["vertex"]
     stored = np.stack([vertex[axis] for axis in "xyz"], axis=1)
     assert stored.dtype == np.float32
@@ -58,7 +58,7 @@ def places(path: Path) -> np.ndarray:
 
 
 def nearest(found: np.ndarray, given: np.ndarray) -> float:
-    """The largest distance of a given place to the nearest found one."""
+    """Return the largest distance of a given place to the nearest found one."""
     return float(cKDTree(found - given[0]).query(given - given[0])[0].max())
 
 
@@ -102,7 +102,7 @@ def test_near_frames_keep_their_origin(tmp_path: Path, offset: tuple[float, floa
 
 
 def test_near_files_are_the_same_to_the_byte(tmp_path: Path) -> None:
-    """Without an origin and with that of the frame; SPZ's golden file was written without any."""
+    """Check files without an origin and with the frame's own; SPZ's golden file has none."""
     for write, name in ((write_splats, "a.ply"), (write_compressed_ply, "a.compressed.ply"), (write_spz, "a.spz")):
         write(tmp_path / name, splats())
         write(tmp_path / f"zero.{name}", splats(), origin=np.zeros(3))
@@ -137,7 +137,7 @@ def test_scaling_scales_the_origin(tmp_path: Path, suffix: str) -> None:
 
 
 def test_other_programs_doubles(tmp_path: Path) -> None:
-    """A PLY with double positions and no comment keeps them, about an origin that it gets."""
+    """Check that a PLY with double positions and no comment keeps them, about an origin that it gets."""
     _, given = write_far(tmp_path / "near.ply", Similarity())
     vertex = PlyData.read(str(tmp_path / "near.ply"))["vertex"].data
     wide = np.empty(len(vertex), [(name, "<f8" if name in "xyz" else "<f4") for name in vertex.dtype.names])

@@ -1,4 +1,4 @@
-"""Damaged files of splats, meshes and light: a reader gives what is in them or one error of ours."""
+"""Damaged files of splats, meshes and light: a reader gives their content or one error of ours."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
 
 
 def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
-    """A square whose upper left corner, seen from z, is red: trimesh's uvs begin at the lower left instead."""
+    """Check a square whose upper left corner, seen from z, is red; trimesh's uvs begin at the lower left instead."""
     vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
     uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]])
     normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
@@ -124,7 +124,7 @@ def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:
     ],
 )
 def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float, float]) -> None:
-    """A triangle whose third corner is its top, right-handed as before: its face's side follows."""
+    """Check a triangle whose third corner is its top; it stays right-handed, so its face's side follows."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], top])
     arrays = (vertices, np.array([[0, 1, 2]]), np.tile(np.cross([1, 0, 0], top) / 3, (3, 1)), np.ones((3, 3)))
     write_glb(tmp_path / "mesh.glb", *arrays, up)
@@ -135,7 +135,7 @@ def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float,
 
 @pytest.mark.parametrize("up", [(1, 0, 0), (-1, 0, 0), (0.68, 0.09, 0.727), (0.1, -0.99, 0.1), (-0.3, 0.5, -0.8)])
 def test_glb_stands_upright_for_any_direction(tmp_path: Path, up: tuple[float, float, float]) -> None:
-    """The node's matrix takes it to y by the shortest way, about the axis that is normal to both."""
+    """Check that the node's matrix takes it to y by the shortest way, about the axis that is normal to both."""
     direction = np.array(up) / np.linalg.norm(up)
     vertices, faces, normals, colors = ball(4e6)
     write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors, direction)

@@ -28,7 +28,7 @@ SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 def write_square(
     path: Path, attributes: dict[str, np.ndarray], material: dict[str, Any] | None = None, **document: Any
 ) -> None:
-    """A glb of a square with a picture, by glTF's specification."""
+    """Write a glb of a square with a picture, by glTF's specification."""
     png = io.BytesIO()
     Image.fromarray(TEXELS).save(png, "PNG")
     arrays = [FACES, CORNERS, *attributes.values()]

@@ -39,7 +39,7 @@ def splats(count: int = 40, coefficients: int = 16, axes: int = 3) -> Splats:
 
 
 def log_ellipsoids(arrays: Splats) -> np.ndarray:
-    """The matrices R diag(log_scales) R^T [N,3,3], which do not depend on the axes' order."""
+    """Return the matrices R diag(log_scales) R^T [N,3,3], which do not depend on the axes' order."""
     axes = Rotation.from_quat(arrays["quats"], scalar_first=True).as_matrix()
     log_scales = arrays["log_scales"]
     if log_scales.shape[1] == 2:
@@ -48,7 +48,7 @@ def log_ellipsoids(arrays: Splats) -> np.ndarray:
 
 
 def check_close(found: Splats, given: Splats, steps: dict[str, float]) -> None:
-    """The same splats in any order, each field within its step."""
+    """Check that the splats are the same in any order, each field within its step."""
     which = cKDTree(given["means"]).query(found["means"])[1]
     assert len(set(which)) == len(given["means"]) == len(found["means"])
     given, found = ({**arrays, "ellipsoids": log_ellipsoids(arrays)} for arrays in (given, found))
@@ -70,13 +70,16 @@ def test_another_program_reads_our_spz_as_we_do(tmp_path):
 
 
 def test_we_read_another_programs_spz_of_version_3():
-    """Its quaternions have nine bits and a sign up to the root of a half: half a step is 0.0007 in three parts."""
+    """Check another program's file; half a step of its quaternions is 0.0007 in three parts.
+
+    They have nine bits and a sign up to the root of a half.
+    """
     found = load_spz(GOLDEN / "theirs.spz")
     check_close(found, splats(), {"means": 1.3e-4, "quats": 2.1e-3, "log_scales": 0.032, "sh": 0.07})
 
 
 def test_spz_keeps_rotations(tmp_path):
-    """Half a step in each of three parts of a quaternion, and what w is off for it."""
+    """Check rotations to half a step in each of three parts of a quaternion, and what w is off for it."""
     given = splats(2000, coefficients=1)
     given["log_scales"][:] = (-6, -4, -2)
     write_spz(tmp_path / "a.spz", given)
@@ -143,7 +146,7 @@ def test_we_read_another_programs_compressed_ply():
 
 
 def test_our_compressed_ply_is_the_same_as_another_programs(tmp_path):
-    """Its reading of its own file is that of ours: both hold the same numbers, in each program's order."""
+    """Check that our file and another program's hold the same numbers, in each program's order."""
     write_compressed_ply(tmp_path / "a.compressed.ply", splats())
     ours = load_compressed_ply(tmp_path / "a.compressed.ply")
     steps = {"means": 1e-6, "quats": 1e-6, "log_scales": 1e-6, "sh": 1e-6, "opacity_logits": 1e-5}
@@ -174,7 +177,7 @@ def test_spz_far_from_the_origin(tmp_path):
 
 
 def packed_header(*fields: int) -> bytes:
-    """An SPZ file that ends after its header."""
+    """Return an SPZ file that ends after its header."""
     return gzip.compress(struct.pack("<IIIBBBB", *fields))
 
 

@@ -24,7 +24,7 @@ FRAME = Similarity(2.5, np.array([5.0, -2, 1]))
 
 @pytest.fixture
 def scene() -> Scene:
-    """Two test views, which have the names of training views, as in NeRF-synthetic scenes."""
+    """Build a scene with two test views, which have the names of training views, as in NeRF-synthetic scenes."""
     views = []
     for i, pose in enumerate(BALL.poses()):
         rgba = BALL.rgba(pose)
@@ -37,7 +37,7 @@ def scene() -> Scene:
 
 
 def _left_out(scene: Scene) -> list[str]:
-    """What the notes say but for the few photographs."""
+    """Return the scene's notes without that on few photographs."""
     return [note for note in scene.notes if not note.startswith("too few photographs")]
 
 
@@ -88,8 +88,10 @@ def test_our_readers_get_back_what_was_written(tmp_path, scene, name):
 
 
 def test_nerfstudio_finds_split_points_and_masks(tmp_path, scene):
-    """What nerfstudio 1.1.5's dataparser asks for: a list for each of its three splits, and points in the file's
-    own frame."""
+    """Check what nerfstudio 1.1.5's dataparser asks for: a list for each of its three splits, and points.
+
+    The points are in the file's own frame.
+    """
     write_scene(tmp_path, scene, 10.0)
     content = json.loads((tmp_path / "transforms.json").read_text())
     files = [frame["file_path"] for frame in content["frames"]]

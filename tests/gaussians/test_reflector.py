@@ -1,4 +1,4 @@
-"""What cameras see of a surface that mirrors, against a ball and a corner of two mirrors worked out by hand."""
+"""Tests of what cameras see of a mirroring surface, against a ball and a corner of two mirrors worked out by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ def ball() -> Triangles:
 
 
 def corner() -> Triangles:
-    """Two square mirrors at a right angle, which meet at the y axis: on z = 0 facing +z, and on x = 0 facing +x."""
+    """Build two square mirrors at a right angle: on z = 0 facing +z, and on x = 0 facing +x.
+
+    They meet at the y axis.
+    """
     floor = np.array([[0, -1, 0], [SIZE, -1, 0], [SIZE, 1, 0], [0, 1, 0.0]])
     wall = np.array([[0, -1, 0], [0, 1, 0], [0, 1, SIZE], [0, -1, SIZE]])
     return np.concatenate([floor, wall]), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])

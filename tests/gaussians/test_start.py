@@ -18,7 +18,7 @@ def generator() -> torch.Generator:
 
 
 def rotate(quats: np.ndarray, vector: list[float]) -> np.ndarray:
-    """scipy's rotation, which orders xyzw."""
+    """Rotate a vector by quaternions, with SciPy's rotation, which orders xyzw."""
     return Rotation.from_quat(quats[:, [1, 2, 3, 0]]).apply(vector)
 
 

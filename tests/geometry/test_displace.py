@@ -66,7 +66,10 @@ def test_bending_a_flat_sheet_to_the_normals_of_a_wave_gives_the_wave() -> None:
 
 
 def test_a_surface_whose_normals_are_right_stays_as_it_is() -> None:
-    """Half a pipe beside a flat strip: where they meet, edges do not lie across the mean of their ends' normals."""
+    """Check that half a pipe beside a flat strip stays as it is.
+
+    Where they meet, edges do not lie across the mean of their ends' normals.
+    """
     turn = np.concatenate([np.zeros(8), np.linspace(0, np.pi, 9)])
     across = np.concatenate([np.linspace(-1.6, -0.2, 8), np.sin(turn[8:])])
     height = np.concatenate([np.zeros(8), 1 - np.cos(turn[8:])])

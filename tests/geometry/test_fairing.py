@@ -19,13 +19,13 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def tilt(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> float:
-    """The facets' mean angle, in degrees, to the unit normals [F,3]."""
+    """Return the faces' mean angle, in degrees, to the unit normals [F,3]."""
     cosines = (unit(face_crosses(vertices, faces)) * normals).sum(1)
     return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean())
 
 
 def written_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The same as `smooth_noise`, facet by facet and vertex by vertex."""
+    """Compute what `smooth_noise` does, face by face and vertex by vertex."""
     crosses, middles = face_crosses(vertices, faces), vertices[faces].mean(axis=1)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     edge = np.mean([np.linalg.norm(vertices[face[i]] - vertices[face[i - 1]]) for face in faces for i in range(3)])
@@ -78,7 +78,7 @@ def test_it_takes_the_noise_and_leaves_the_ball() -> None:
 
 
 def test_creases_stay() -> None:
-    """A Laplacian of the same effect on the sides takes the edges of a box off."""
+    """Check that a box keeps its edges, which a Laplacian of the same effect on the sides takes off."""
     box = trimesh.creation.box((1, 1, 1))
     for _ in range(5):
         box = box.subdivide()
@@ -96,7 +96,10 @@ def test_creases_stay() -> None:
 
 
 def test_needles_are_not_turned_over() -> None:
-    """Marching cubes makes such facets; numbers as coarse as a file's must come to an end too."""
+    """Check that needle-shaped faces, such as marching cubes makes, are not turned over.
+
+    Numbers as coarse as a file's must come to an end too.
+    """
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=0.7)
     ends = mesh.edges_unique[::7]
     pulled = mesh.vertices.astype(np.float32)

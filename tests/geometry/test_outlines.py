@@ -19,7 +19,7 @@ FINE = 8
 
 @cache
 def covered(radius: float, count: int = 48) -> list[Silhouette]:
-    """Silhouettes of the ball from the share of each pixel that it covers."""
+    """Return silhouettes of the ball from the share of each pixel that it covers."""
     mesh = ball(radius)
     caster, found = RayCaster(mesh.vertices, mesh.faces), []
     for camera in cameras_around(count):
@@ -54,7 +54,10 @@ def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
 
 @pytest.mark.parametrize("off", [-0.0024, -0.0007, 0.0, 0.0007, 0.0024])
 def test_gaps_are_told_to_a_small_part_of_a_pixel(off: float) -> None:
-    """A pixel is 0.024; rays a quarter of it apart alone would make 0.003 of the least gap."""
+    """Check that gaps are told to a small part of a pixel, which is 0.024.
+
+    Rays a quarter of it apart alone would make 0.003 of the least gap.
+    """
     mesh = ball(RADIUS + off)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     gaps, touched = outline_gaps(mesh.vertices, mesh.faces, normals, [find_outline(one) for one in covered(RADIUS)])

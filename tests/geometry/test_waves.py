@@ -18,7 +18,7 @@ RADIUS = 0.7
 
 
 def waved(vertices: np.ndarray, length: float, slope: float) -> np.ndarray:
-    """Moved outwards and inwards in waves of this length, which tilt it by so many degrees at most."""
+    """Move vertices outwards and inwards in waves of this length, which tilt the surface by at most `slope` degrees."""
     phases = 2 * np.pi / length * vertices
     heights = np.radians(slope) * length / (2 * np.pi) * np.sin(phases[:, 0]) * np.sin(phases[:, 1])
     return vertices + heights[:, None] * unit(vertices)
@@ -29,7 +29,7 @@ def off_the_ball(vertices: np.ndarray) -> float:
 
 
 def fitted(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """The same as `_fitted_normals`, by least squares at each vertex."""
+    """Compute what `_fitted_normals` does, by least squares at each vertex."""
     areas = np.zeros(len(places))
     for face, area in zip(faces, trimesh.Trimesh(places, faces, process=False).area_faces, strict=True):
         areas[face] += area / 3

@@ -92,7 +92,7 @@ def test_a_term_without_weight_is_not_computed() -> None:
 
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
 def test_who_is_taught(teaching: str) -> None:
-    """One way, the 2D branch's terms leave C_tran alone and the depth loss the 2D branch's depth."""
+    """Check that one way the 2D branch's terms leave C_tran alone, and the depth loss the 2D branch's depth."""
     config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
     flat, full = surfels(), volumes()
     terms = mutual_terms(flat, full, target(), config)
@@ -105,7 +105,7 @@ def test_who_is_taught(teaching: str) -> None:
 
 
 def test_the_total_is_the_weighted_sum() -> None:
-    """Weights 0.5, 0.5, 0.01 and lambda_6 act on the terms as in Algorithm 2."""
+    """Check that weights 0.5, 0.5, 0.01 and lambda_6 act on the terms as in Algorithm 2."""
     flat, full = surfels(), volumes()
     base = make_config(overrides=["photo_weight=0.8"]).train
     terms = mutual_terms(flat, full, target(), base)
@@ -129,8 +129,11 @@ def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
 @pytest.mark.parametrize("kind", AlphaLoss)
 @pytest.mark.parametrize("masked", [True, False])
 def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
-    """Whatever stands there, losses and gradients are the same, and colour and alpha get none; far from them, beyond
-    any window, the gradients are those of a photograph that shows all."""
+    """Check that losses and gradients are the same whatever stands at unknown pixels.
+
+    Colour and alpha get no gradient there; far from them, beyond any window, the gradients are those of a photograph
+    that shows all.
+    """
     config = replace(make_config().train, alpha_loss=kind)
     config = replace(config, volumes=replace(config.volumes, transmitted_tv_weight=0.0))
     unknown = torch.arange(SIZE) * SIZE + 1  # the second column
@@ -151,7 +154,7 @@ def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
 
 
 def _gradients(photograph: Target, config: TrainConfig) -> tuple[list[float], list[torch.Tensor]]:
-    """The terms, and what comes to both branches' colours and, with masks, their alphas."""
+    """Return the terms, and the gradients of both branches' colours and, with masks, their alphas."""
     flat, full = surfels(), volumes()
     loss = total(mutual_terms(flat, full, photograph, config))
     wanted = [flat.color, full.color, *([] if photograph.alpha is None else [flat.alpha, full.alpha])]

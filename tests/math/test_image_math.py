@@ -47,7 +47,7 @@ def test_harmonics(degree: int) -> None:
 
 
 def central_differences(function, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
-    """[inputs, outputs]"""
+    """Return the derivatives [inputs, outputs] of a function by central differences."""
     rows = []
     for i in range(len(x)):
         at = np.eye(len(x))[i] * step

@@ -13,7 +13,7 @@ TURN = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0].copy()
 
 
 def places(normal: np.ndarray, ray: np.ndarray, v: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """On both maps [4], and the gradient of the normal."""
+    """Return the places on both maps [4], and the gradient of the normal."""
     came, v_normal = np.empty(4), np.empty(3)
     _mirrored.places_double(TURN.ravel(), ray, normal, np.zeros(4) if v is None else v, came, v_normal)
     return came, v_normal

@@ -23,7 +23,7 @@ def project(splat, camera):
 
 
 def to_pixels(splat, camera, u, v):
-    """Pixel coordinates and camera depths of the splat's points (u, v), from the definition."""
+    """Return pixel coordinates and camera depths of the splat's points (u, v), from the definition."""
     mean, quat, scale = splat
     w, x, y, z = quat / np.linalg.norm(quat)
     tu = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])

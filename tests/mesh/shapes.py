@@ -14,7 +14,10 @@ from mgsr.mesh.views import SurfaceView
 
 
 def looking_at_origin(center: np.ndarray, side: int = 96, focal: float = 1.3) -> Camera:
-    """A camera at `center`; its principal point lies off the middle and its focal lengths differ."""
+    """Return a camera at `center` that looks at the origin.
+
+    Its principal point lies off the middle, and its focal lengths differ.
+    """
     forward = -center / np.linalg.norm(center)
     right = np.cross(forward, [0.1, 0.2, 1.0])
     right /= np.linalg.norm(right)
@@ -26,7 +29,7 @@ def looking_at_origin(center: np.ndarray, side: int = 96, focal: float = 1.3) ->
 
 
 def cameras_around(count: int, distance: float = 3.0, side: int = 96) -> list[Camera]:
-    """Cameras spread over a sphere (a Fibonacci lattice)."""
+    """Return cameras spread over a sphere (a Fibonacci lattice)."""
     heights = 1 - (2 * np.arange(count) + 1) / count
     angles = np.arange(count) * np.pi * (3 - 5**0.5)
     flat = np.sqrt(1 - heights**2)
@@ -35,12 +38,12 @@ def cameras_around(count: int, distance: float = 3.0, side: int = 96) -> list[Ca
 
 
 def position_color(points: np.ndarray) -> np.ndarray:
-    """The colour that every shape has at a place."""
+    """Return the colour that every shape has at places [...,3]."""
     return np.clip(0.5 + 0.4 * points, 0, 1)
 
 
 def views_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[SurfaceView]:
-    """What the cameras see of a mesh, without any error."""
+    """Return what the cameras see of a mesh, without any error."""
     caster = RayCaster(mesh.vertices, mesh.faces)
     views = []
     for camera in cameras:

@@ -58,7 +58,7 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
     noisy = [replace(view, depth=view.depth + random.normal(scale=0.004, size=view.depth.shape)) for view in views]
 
     def tilt(angle: float | None) -> float:
-        """Mean angle to the ball's own normal, over the surface."""
+        """Return the mean angle to the ball's own normal, over the surface."""
         mesh = extract_mesh(noisy, replace(CONFIG, extractor=extractor, smoothing_angle=angle))
         crosses, middles = face_crosses(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces].mean(axis=1)
         areas = np.linalg.norm(crosses, axis=1)

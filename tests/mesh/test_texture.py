@@ -21,13 +21,13 @@ def ball() -> trimesh.Trimesh:
 
 
 def surface(mesh: trimesh.Trimesh) -> SurfaceMesh:
-    """With grey vertices, so that what a picture shows can only come from the views."""
+    """Return a mesh with grey vertices, so that what a texture shows can only come from the views."""
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     return SurfaceMesh(vertices, faces, vertex_normals(vertices, faces), np.full(vertices.shape, GREY, np.float32))
 
 
 def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Places [P,3] on the mesh and the picture's bilinear colours 0..1 there, read as a renderer does."""
+    """Return places [P,3] on the mesh and the texture's bilinear colours 0..1 there, read as a renderer does."""
     random = np.random.default_rng(1)
     faces = textured.faces[random.integers(0, len(textured.faces), count)]
     shares = random.dirichlet([1, 1, 1], count)
@@ -58,7 +58,10 @@ def test_a_ball_has_its_own_colours_everywhere():
 
 
 def test_nothing_is_painted_through_the_object():
-    """A red ball hides half of a green wall from the only cameras: the wall behind it must not become red."""
+    """Check that the wall behind a red ball does not become red.
+
+    The ball hides half of a green wall from the only cameras.
+    """
     ball_, wall = trimesh.creation.icosphere(3, 0.4), trimesh.creation.box((3, 3, 0.1))
     wall.apply_translation([0, 0, -1])
     both = trimesh.util.concatenate([ball_, wall])
@@ -86,7 +89,10 @@ def test_a_mesh_with_many_faces_is_reduced():
 
 
 def test_no_texel_is_left_dark_beside_a_chart():
-    """Bright everywhere: a background of another colour would be mixed in at the charts' edges in smaller copies."""
+    """Check that the texture is bright everywhere.
+
+    A background of another colour would be mixed in at the charts' edges in smaller copies.
+    """
     shape = ball()
     views = [
         type(view)(view.camera, view.depth, view.normal, view.alpha, np.ones_like(view.color))

@@ -17,7 +17,7 @@ SCENE = "bunny_flash"  # it has views without specular light
 
 
 def altered_mesh(scene: Path) -> trimesh.Trimesh:
-    """The true mesh with waves on it, a piece cut off, a far patch added, and some faces turned round."""
+    """Return the true mesh with waves on it, a piece cut off, a far patch added, and some faces turned round."""
     mesh = trimesh.load_mesh(scene / "mesh_gt.ply", process=False)
     vertices, faces = np.array(mesh.vertices), np.array(mesh.faces)
     vertices += 0.01 * np.sin(20 * vertices[:, [1, 2, 0]])
@@ -31,13 +31,13 @@ def altered_mesh(scene: Path) -> trimesh.Trimesh:
 
 
 def frames(scene: Path) -> list[Path]:
-    """The test photographs."""
+    """Return the paths of the test photographs."""
     listed = json.loads((scene / "transforms_test.json").read_text())["frames"]
     return [scene / f"{frame['file_path']}.png" for frame in listed]
 
 
 def altered_image(image: np.ndarray, sigma: float) -> np.ndarray:
-    """An RGBA photograph, uint8, blurred and darkened."""
+    """Blur and darken an RGBA photograph, uint8."""
     return np.rint(0.9 * gaussian_filter(image.astype(np.float64), (sigma, sigma, 0))).astype(np.uint8)
 
 

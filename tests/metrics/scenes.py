@@ -11,7 +11,7 @@ from mgsr.data.camera import Camera
 
 
 def blender_cameras(scene: Path, split: str) -> list[Camera]:
-    """The cameras of transforms_{split}.json."""
+    """Read the cameras of transforms_{split}.json."""
     listed = json.loads((scene / f"transforms_{split}.json").read_text())
     width, height = listed["w"], listed["h"]
     focal = 0.5 * width / np.tan(listed["camera_angle_x"] / 2)

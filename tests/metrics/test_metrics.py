@@ -24,7 +24,7 @@ def ball(radius: float = 1.0) -> trimesh.Trimesh:
 
 
 def camera(distance: float = 3.0, side: int = 96) -> Camera:
-    """On the negative z axis, looking at the origin; off-centre and with unequal focal lengths."""
+    """Return a camera on the negative z axis that looks at the origin; off-centre and with unequal focal lengths."""
     pose = np.eye(4)
     pose[2, 3] = distance
     return Camera(np.array([[110.0, 0, 45], [0, 100, 52], [0, 0, 1]]), pose, side, side)

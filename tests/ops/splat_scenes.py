@@ -10,7 +10,10 @@ from mgsr.data.camera import Camera
 
 
 def camera(width: int = 40, height: int = 28, off_center: bool = True) -> Camera:
-    """A camera two units before the origin, turned a little; non-square pixels and an off-centre principal point."""
+    """Return a camera two units before the origin, turned a little.
+
+    It has non-square pixels and, unless told otherwise, an off-centre principal point.
+    """
     cx, cy = (17.3, 15.1) if off_center else (width / 2, height / 2)
     K = np.array([[45.0, 0, cx], [0, 52.0, cy], [0, 0, 1]])
     angle = 0.2
@@ -21,7 +24,7 @@ def camera(width: int = 40, height: int = 28, off_center: bool = True) -> Camera
 
 
 def random_splats(count: int, scale_dims: int, seed: int = 0, size: float = 0.12) -> dict[str, Tensor]:
-    """float64 splats around the origin; the depths differ enough for float32 and float64 to sort alike."""
+    """Draw float64 splats around the origin; the depths differ enough for float32 and float64 to sort alike."""
     g = torch.Generator().manual_seed(seed)
 
     def uniform(*shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:

@@ -64,7 +64,7 @@ def test_extreme_logits(machine: Machine) -> None:
 
 
 def test_gradients_of_gradients_are_refused() -> None:
-    """Torch would else take them for zero."""
+    """Check that gradients of gradients are refused; torch would else take them for zero."""
     leaf = torch.zeros(3, requires_grad=True)
     with pytest.raises(TensorError, match="create_graph: expected False, got True"):
         torch.autograd.grad(shares(leaf).sum(), leaf, create_graph=True)

@@ -22,7 +22,7 @@ def parameters(n: int) -> dict[str, torch.Tensor]:
 
 
 def gradients(n: int, step: int) -> dict[str, torch.Tensor]:
-    """Some as small as 1e-12, which an epsilon of 1e-8 would swallow."""
+    """Draw gradients, some as small as 1e-12, which an epsilon of 1e-8 would swallow."""
     generator = torch.Generator().manual_seed(1000 + step)
     scale = {"means": 1e-12, "quats": 1e-3, "opacity_logits": 1.0, "sh": 1e-5}
     return {name: scale[name] * torch.randn(n, *shape, generator=generator) for name, shape in SHAPES.items()}

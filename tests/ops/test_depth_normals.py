@@ -15,7 +15,7 @@ from tests.oracles import depth_normals as oracle
 
 
 def turned_camera(height: int, width: int) -> Camera:
-    """Off-centre, non-square pixels, a general pose."""
+    """Return a camera that is off-centre, in a general pose, with non-square pixels."""
     rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     pose = np.eye(4)
     pose[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
@@ -71,7 +71,7 @@ def test_a_plane_facing_the_camera() -> None:
 
 
 def test_a_sphere() -> None:
-    """Centre at the world's origin, radius 0.5: the normals are the directions of the points."""
+    """Check that the normals of a sphere about the origin, of radius 0.5, are the directions of its points."""
     camera = turned_camera(200, 200)
     y, x = np.mgrid[:200, :200] + 0.5
     rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(camera.K).T

@@ -15,7 +15,7 @@ CENTER = torch.tensor([0.1, 0.2, -3.0])
 
 
 def scene(n: int, stored: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Coefficients, means and a gradient of the colours; a quarter of the channels are cut at 0."""
+    """Draw coefficients, means and a gradient of the colours; a quarter of the channels are cut at 0."""
     generator = torch.Generator().manual_seed(n)
     coeffs = torch.randn(n, stored, 3, generator=generator) * 0.4
     return coeffs, torch.randn(n, 3, generator=generator), torch.randn(n, 3, generator=generator)

@@ -37,7 +37,10 @@ def gradients(function, image, target, *args, **kwargs):
 
 
 def assert_gradients_close(came: torch.Tensor, expected: torch.Tensor) -> None:
-    """Within 1e-5 of the largest: float32 rounding grows by E[x^2] / C2 where a window is nearly flat."""
+    """Check that gradients agree within 1e-5 of the largest.
+
+    float32 rounding grows by E[x^2] / C2 where a window is nearly flat.
+    """
     assert (came.double() - expected).abs().max() <= 1e-5 * expected.abs().max()
 
 

@@ -25,7 +25,7 @@ def assert_close(ours: Tensor, theirs: Tensor | None) -> None:
 @pytest.mark.parametrize("added", [False, True])
 @pytest.mark.parametrize("lights", [("own",), ("mirrored",), ("own", "mirrored")], ids="+".join)
 def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], added: bool) -> None:
-    """added: as where the loss looks at the parts too."""
+    """Check that reflected light is added; `added`: as where the loss looks at the parts too."""
     inputs = random((5, 7, 3), (5, 7), *((5, 7, 3) for _ in lights))
     v_color, *v_parts = random((5, 7, 3), (5, 7, 3), (5, 7), (5, 7, 3), seed=1)
     on_machine = [each.to(machine.device) for each in inputs]
@@ -79,7 +79,10 @@ def to_srgb(light: np.ndarray) -> np.ndarray:
 
 
 def test_paint_times_light_in_linear_light() -> None:
-    """Of an object that half covers its pixels, too: what lies behind is not lit."""
+    """Check that the image is paint times light in linear light.
+
+    This holds for an object that half covers its pixels, too: what lies behind is not lit.
+    """
     generator = np.random.default_rng(0)
     paint, light = generator.uniform(0.05, 1, (6, 8, 3)), generator.uniform(0.1, 1, (6, 8))
     alpha, behind = generator.choice([0, 0.5, 1], (6, 8)), np.array([0.2, 0.5, 0.9])

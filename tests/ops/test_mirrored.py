@@ -18,7 +18,7 @@ Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  # maps, normals, gradie
 
 
 def scene(height: int, width: int, side: int) -> Scene:
-    """Noise on the maps; normals of all directions and lengths."""
+    """Draw noise for the maps, and normals of all directions and lengths."""
     generator = torch.Generator().manual_seed(1000 * height + width)
     maps = torch.rand(2, side, side, 3, generator=generator)
     normals = torch.randn(height, width, 3, generator=generator) * torch.rand(height, width, 1, generator=generator)
@@ -26,7 +26,7 @@ def scene(height: int, width: int, side: int) -> Scene:
 
 
 def some_pixels(height: int, width: int) -> torch.Tensor:
-    """About 40% of them, in any order."""
+    """Draw about 40% of the pixels, in any order."""
     chosen = np.flatnonzero(np.random.default_rng(0).random(height * width) < 0.4)
     return torch.from_numpy(np.random.default_rng(1).permutation(chosen))
 
@@ -39,15 +39,18 @@ def gradients(function, maps, normals, v_light):
 
 
 def expected_of(scene: Scene, camera: Camera, pixels: torch.Tensor | None = None):
-    """Of the oracle, in float64."""
+    """Return the light and gradients of the oracle, in float64."""
     K, pose = torch.from_numpy(camera.K), torch.from_numpy(camera.cam_from_world)
     doubles = [t.double() for t in scene]
     return gradients(lambda m, n: oracle.look_up_mirrored(m, n, K, pose, pixels), *doubles)
 
 
 def assert_close(came, expected) -> None:
-    """A float32 direction is off by some 3e-7, which is that times the side in texels, and so much of a step between
-    texels of noise; gradients of short normals are as much larger as those are short."""
+    """Check light and gradients against the expected ones, with tolerances from float32's rounding.
+
+    A float32 direction is off by some 3e-7, which is that times the side in texels, and so much of a step between
+    texels of noise; gradients of short normals are as much larger as those are short.
+    """
     for name, a, b in zip(("light", "maps", "normals"), came, expected, strict=True):
         assert (a.double() - b).abs().max() <= 2e-5 * b.abs().max(), name
 
@@ -66,7 +69,7 @@ def test_matches_the_oracle(isa: str, size: tuple[int, int], side: int, chosen: 
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_a_large_map(isa: str) -> None:
-    """More texels than pixels, and several parts of the backward pass."""
+    """Check a map of more texels than pixels, and several parts of the backward pass."""
     maps, normals, v_light = scene(70, 90, 200)
     smooth = torch.sin(torch.linspace(0, 6, 200))[:, None, None] + torch.linspace(0, 3, 200)[:, None]
     maps = torch.stack([smooth.expand(200, 200, 3), smooth.flip(0).expand(200, 200, 3)]).contiguous()
@@ -80,7 +83,7 @@ def test_a_large_map(isa: str) -> None:
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_normals_across_and_along_the_sight(isa: str) -> None:
-    """Seen edge on, straight on, and from behind; at the octahedron's seams, too."""
+    """Check surfaces seen edge on, straight on, and from behind; at the octahedron's seams, too."""
     camera = turned_camera(6, 40)
     rows, columns = torch.meshgrid(torch.arange(6) + 0.5, torch.arange(40) + 0.5, indexing="ij")
     pixels = torch.stack([columns, rows, torch.ones(6, 40)], dim=-1)

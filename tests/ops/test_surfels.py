@@ -30,7 +30,7 @@ OPTIONS = SurfelOptions(near=0.2, far=5.0, distortion=True)
 
 
 def run(renderer, splats, view, dtype, options=OPTIONS, images=IMAGES):
-    """Render and differentiate a fixed random combination of the named images; images, gradients, stats."""
+    """Render, differentiate a fixed random combination of the named images, and return images, gradients and stats."""
     leaves = {k: v.to(dtype).clone().requires_grad_() for k, v in splats.items()}
     background = BACKGROUND.to(dtype).clone().requires_grad_()
     out = renderer(*(leaves[k] for k in SPLATS), view, background, options)
@@ -79,7 +79,7 @@ def compare(splats, view, tolerance=TOLERANCE, options=OPTIONS, images=IMAGES):
 
 
 def edge_on_splats(count: int, sine: float) -> dict[str, torch.Tensor]:
-    """Splats whose planes the rays through their centres meet under (about) the given sine."""
+    """Draw splats whose planes the rays through their centres meet under (about) the given sine."""
     splats = random_splats(count, 2, seed=11)
     view = camera()
     rays = torch.nn.functional.normalize(splats["means"] - torch.tensor(view.center), dim=1)
@@ -93,14 +93,17 @@ def edge_on_splats(count: int, sine: float) -> dict[str, torch.Tensor]:
 
 
 def held_camera() -> Camera:
-    """`camera` in numbers that float32 holds, for rounding them changes what is seen from the side by a thousandth."""
+    """Return `camera` in numbers that float32 holds.
+
+    To round them changes what is seen from the side by a thousandth.
+    """
     view = camera()
     K, pose = (numbers.astype(np.float32).astype(float) for numbers in (view.K, view.cam_from_world))
     return Camera(K, pose, view.width, view.height)
 
 
 def slanted_part(path: Path, side: int) -> tuple[dict[str, torch.Tensor], Camera]:
-    """Of a raster scene, the splats that are seen nearly from the side, and a camera for the middle of its image."""
+    """Return the splats of a raster scene that are seen nearly from the side, and a camera for the image's middle."""
     data = np.load(path)
     names = ("means", "quats", "scales", "opacities", "rgb")
     splats = dict(zip(SPLATS, (torch.tensor(data[name]).double() for name in names), strict=True))
@@ -146,7 +149,10 @@ def test_without_distortion():
 
 @pytest.mark.parametrize("size", [0.01, 0.03, 0.5, 2.0])
 def test_small_splats_and_large(size):
-    """Under a pixel the low-pass gives the weight; large disks cross the image's border and their planes slant."""
+    """Check splats under a pixel, whose weight the low-pass gives, and large disks.
+
+    The disks cross the image's border, and their planes slant.
+    """
     compare(random_splats(40, 2, seed=3, size=size), camera(), STEEP if size > 1 else TOLERANCE)
 
 
@@ -159,8 +165,10 @@ def test_edge_on(isa, sine):
 
 @pytest.mark.parametrize("isa", _surfels.isas())
 def test_the_slanted_splats_of_a_large_scene(shared_data, isa):
-    """Those of 20,000 seen under a sine of 1e-3 to 0.05, to which the largest gradients belong: by the middle of the
-    image, which is as much as the oracle has memory for."""
+    """Check the slanted splats of 20,000, seen under a sine of 1e-3 to 0.05, to which the largest gradients belong.
+
+    They are checked by the middle of the image, which is as much as the oracle has memory for.
+    """
     splats, view = slanted_part(shared_data / "raster" / "s20k_256.npz", side=96)
     assert len(splats["means"]) > 50
     with variant(_surfels, isa):
@@ -186,7 +194,7 @@ def test_image_sizes_around_the_tile(width, height):
 
 @pytest.mark.parametrize("isa", _surfels.isas())
 def test_splats_across_many_tiles(isa):
-    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    """Check wide and thin splats over 10 x 6 tiles, some of which reach far outside."""
     splats = random_splats(40, 2, seed=12)
     splats["scales"] *= torch.tensor([6.0, 1.0], dtype=torch.float64)
     with variant(_surfels, isa):
@@ -195,7 +203,10 @@ def test_splats_across_many_tiles(isa):
 
 @pytest.mark.parametrize("isa", _surfels.isas())
 def test_more_splats_than_a_chunk(isa):
-    """Both the splats and their depth order are cut into chunks; a third of the splats is culled in between."""
+    """Check more splats than a chunk: both they and their depth order are cut into chunks.
+
+    A third of the splats is culled in between.
+    """
     splats = random_splats(2500, 2, seed=13, size=0.03)
     splats["means"][::3, 2] -= 10
     with variant(_surfels, isa):

@@ -30,7 +30,7 @@ def random(*shape: int, seed: int = 0) -> Tensor:
 
 
 def some(*shape: int, seed: int = 0) -> Tensor:
-    """Zeros and ones."""
+    """Draw zeros and ones."""
     return (random(*shape, seed=seed) > 0.4).float()
 
 
@@ -141,7 +141,10 @@ def test_a_clipped_image_costs_nothing_over_white(machine: Machine) -> None:
 
 @on_every_kernel
 def test_many_terms_of_one_image_add_up(machine: Machine) -> None:
-    """More than a kernel takes at once, some of a region and some of one number a pixel; and images in none of them."""
+    """Check that more terms of one image add up than a kernel takes at once.
+
+    Some are of a region and some of one number a pixel; and some images are in none of them.
+    """
     image, weight, target = random(HEIGHT, WIDTH, 3), random(HEIGHT, WIDTH, seed=1), random(HEIGHT, WIDTH, 3, seed=2)
     region = (3, 12, 4, 20)
     inside = torch.zeros(HEIGHT, WIDTH, 1)

@@ -87,7 +87,7 @@ def test_image_sizes_around_the_tile(width, height):
 
 
 def test_splats_across_many_tiles(isa):
-    """Wide and thin splats over 10 x 6 tiles, and some that reach far outside."""
+    """Check wide and thin splats over 10 x 6 tiles, some of which reach far outside."""
     splats = dual_splats(40, seed=7)
     splats["scales"] *= torch.tensor([8.0, 1.0, 2.0], dtype=torch.float64)
     view = camera(150, 90)
@@ -98,7 +98,10 @@ def test_splats_across_many_tiles(isa):
 
 
 def test_more_splats_than_a_chunk(isa):
-    """Both the splats and their depth order are cut into chunks; a third of the splats is culled in between."""
+    """Check more splats than a chunk: both they and their depth order are cut into chunks.
+
+    A third of the splats is culled in between.
+    """
     splats = dual_splats(2500, seed=9)
     splats["scales"] *= 0.2
     splats["means"][::3, 2] -= 10

@@ -12,7 +12,7 @@ def steps(
     betas: tuple[float, float] = (0.9, 0.999),
     epsilon: float = 1e-15,
 ) -> torch.Tensor:
-    """The value after one step for each gradient."""
+    """Return the value after one step for each gradient."""
     first, second = torch.zeros_like(value), torch.zeros_like(value)
     for t, gradient in enumerate(gradients, 1):
         first = betas[0] * first + (1 - betas[0]) * gradient

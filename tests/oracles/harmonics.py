@@ -8,7 +8,10 @@ from scipy.special import assoc_legendre_p, factorial
 
 
 def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
-    """Real harmonics [N, (degree+1)^2] of unit directions [N, 3], in order m = -l..l, with Condon-Shortley phase."""
+    """Return real harmonics [N, (degree+1)^2] of unit directions [N, 3].
+
+    They are in the order m = -l..l, with Condon-Shortley phase.
+    """
     powers = [_polynomial(level, m) for level in range(degree + 1) for m in range(-level, level + 1)]
     x, y, z = directions.unbind(1)
     columns = []
@@ -18,7 +21,7 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
 
 
 def _polynomial(level: int, m: int) -> dict[tuple[int, int, int], float]:
-    """The harmonic as a homogeneous polynomial, fitted to the definition at points of the sphere."""
+    """Return the harmonic as a homogeneous polynomial, fitted to the definition at points of the sphere."""
     exponents = [(i, j, level - i - j) for i in range(level + 1) for j in range(level + 1 - i)]
     points = np.random.default_rng(level).normal(size=(60, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)

@@ -13,7 +13,7 @@ def window() -> torch.Tensor:
 
 
 def ssim_map(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """[H, W, 3]"""
+    """Return the structural similarity [H, W, 3] of two images [H, W, 3] at each pixel."""
 
     def blur(x: torch.Tensor) -> torch.Tensor:
         return conv2d(x.permute(2, 0, 1)[None], window(), padding=5, groups=3)[0].permute(1, 2, 0)

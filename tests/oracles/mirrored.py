@@ -10,8 +10,10 @@ from torch.nn.functional import grid_sample
 def look_up_mirrored(
     maps: Tensor, normals: Tensor, K: Tensor, cam_from_world: Tensor, pixels: Tensor | None = None
 ) -> Tensor:
-    """Light [H,W,3] of maps [2,S,S,3] where normals [H,W,3] throw the sight of a camera (K [3,3], cam_from_world [4,4])
-    to; at pixels [P] alone, where they are given."""
+    """Return the light [H,W,3] of maps [2,S,S,3] that a surface with normals [H,W,3] mirrors towards a camera.
+
+    The camera has K [3,3] and cam_from_world [4,4]. The light is at pixels [P] alone, where they are given.
+    """
     height, width = normals.shape[:2]
     every, rotation = normals.reshape(-1, 3), cam_from_world[:3, :3]
     pixels = torch.arange(height * width) if pixels is None else pixels
@@ -27,7 +29,7 @@ def look_up_mirrored(
 
 
 def octahedral(directions: Tensor) -> Tensor:
-    """Places [P,2] in -1..1 of directions [3,P]."""
+    """Return the places [P,2] in -1..1 of directions [3,P]."""
     x, y, z = directions / directions.abs().sum(dim=0).clamp_min(1e-9)
     across, along = torch.where(x >= 0, 1.0, -1.0), torch.where(y >= 0, 1.0, -1.0)
     folded = (1 - y.abs()) * across, (1 - x.abs()) * along
@@ -35,7 +37,7 @@ def octahedral(directions: Tensor) -> Tensor:
 
 
 def towards_camera(K: Tensor, width: int, pixels: Tensor) -> Tensor:
-    """Unit directions [3,P] from the surface to the camera, in its axes."""
+    """Return unit directions [3,P] from the surface to the camera, in its axes."""
     across = ((pixels % width).to(K) + (0.5 - K[0, 2])) / K[0, 0]
     along = (torch.div(pixels, width, rounding_mode="floor").to(K) + (0.5 - K[1, 2])) / K[1, 1]
     rays = torch.stack([across, along, torch.ones_like(across)])

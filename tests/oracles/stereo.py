@@ -17,8 +17,11 @@ COVER, ROUNDING, BORDER = 0.03, 1e-4, 0.3
 
 @dataclass(frozen=True)
 class Judged:
-    """scores [P]; seen [P]: neighbours that show the patch; clear [P] bool: each rule that leaves out a neighbour or a
-    plane is decided by more than rounding, or a patch that is bent a little, could change."""
+    """The scores of planes.
+
+    scores [P]; seen [P]: neighbours that show the patch; clear [P] bool: each rule that leaves out a neighbour or a
+    plane is decided by more than rounding, or a patch that is bent a little, could change.
+    """
 
     scores: np.ndarray
     seen: np.ndarray
@@ -59,8 +62,11 @@ def judge(
 
 
 def mean_of_best(scores: np.ndarray, seen: np.ndarray, best: int) -> np.ndarray:
-    """Return the mean [P] of the best of the neighbours' scores [N,P], of no more than show the patch (`seen` [P],
-    which beat those that don't); -1 where fewer than two do, or than `best` if that is one."""
+    """Return the mean [P] of the best of the neighbours' scores [N,P].
+
+    The mean is of no more than show the patch (`seen` [P], which beat those that don't); -1 where fewer than two do, or
+    than `best` if that is one.
+    """
     counts = np.minimum(seen, best)
     descending = np.sort(scores, axis=0)[::-1]
     taken = np.arange(len(scores))[:, None] < counts
@@ -88,7 +94,7 @@ def homographies(first: Camera, other: Camera, planes: np.ndarray) -> np.ndarray
 
 
 def carried(maps: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Pixels [P,S,2] carried by homographies [P,3,3]."""
+    """Map pixels [P,S,2] by homographies [P,3,3]."""
     there = np.concatenate([pixels, np.ones_like(pixels[..., :1])], axis=-1) @ maps.transpose(0, 2, 1)
     return np.asarray(there[..., :2] / there[..., 2:])
 
@@ -125,13 +131,15 @@ def correlate(
 
 
 def decided(slack: float, *shares: np.ndarray) -> np.ndarray:
-    """Where [P] none of the shares [P] of a limit is within `slack` of 1."""
+    """Return where [P] none of the shares [P] of a limit is within `slack` of 1."""
     return np.asarray(np.all([np.abs(share - 1) > slack for share in shares], axis=0))
 
 
 def bilinear(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the image's values [...,4] at pixel coordinates [...,2], centres at +0.5, and which lie between centres
-    [...]."""
+    """Return the image's bilinear values [...,4] at pixel coordinates [...,2], and which lie between centres [...].
+
+    Centres are at +0.5.
+    """
     height, width = image.shape[:2]
     places = pixels - 0.5
     inside = ((places >= 0) & (places < (width - 1, height - 1))).all(axis=-1)

@@ -19,7 +19,10 @@ EDGE_ON_SINE = 1e-3
 
 @dataclass
 class SurfelImages:
-    """color [H,W,3] with background, alpha [H,W], depth, median_depth, distortion [H,W], normal [H,W,3] (world)."""
+    """The images of a rendering.
+
+    color [H,W,3] with background, alpha [H,W], depth, median_depth, distortion [H,W], normal [H,W,3] (world).
+    """
 
     color: torch.Tensor
     alpha: torch.Tensor
@@ -30,7 +33,7 @@ class SurfelImages:
 
 
 def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
-    """[N,3,3] from unnormalised wxyz quaternions [N,4]."""
+    """Return rotations [N,3,3] from unnormalised wxyz quaternions [N,4]."""
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
@@ -41,7 +44,7 @@ def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
 
 
 def pixel_rays(K: torch.Tensor, width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Pixel centres [P,2] and the camera-frame rays through them with z = 1, [P,3]; rows first."""
+    """Return pixel centres [P,2] and the camera-frame rays through them with z = 1, [P,3]; rows first."""
     y, x = torch.meshgrid(
         torch.arange(height, dtype=K.dtype) + 0.5, torch.arange(width, dtype=K.dtype) + 0.5, indexing="ij"
     )
@@ -65,7 +68,10 @@ def render(
     far=100.0,
     shift=None,
 ) -> SurfelImages:
-    """All outputs. `shift` [N,2] moves each splat's weights in the image plane (pixels), keeping their shape."""
+    """Render all outputs.
+
+    `shift` [N,2] moves each splat's weights in the image plane (pixels), keeping their shape.
+    """
     local = means @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
     order = torch.argsort(local[:, 2].detach(), stable=True)
     order = order[(local[order, 2] > near) & (opacities[order] >= MIN_ALPHA)]
@@ -123,5 +129,5 @@ def render(
 
 
 def _exclusive_product(factors: torch.Tensor) -> torch.Tensor:
-    """Along the splats: the product of all factors before each one."""
+    """Return the product of all factors before each one, along the splats."""
     return torch.cumprod(torch.cat([torch.ones_like(factors[:, :1]), factors], 1), 1)[:, :-1]

@@ -20,7 +20,7 @@ class Images:
 
 
 def rotation(quats: Tensor) -> Tensor:
-    """[N,3,3] of wxyz quaternions of any length, from the axis-angle form of the sandwich product."""
+    """Return rotations [N,3,3] of wxyz quaternions of any length, from the axis-angle form of the sandwich product."""
     q = quats / quats.norm(dim=1, keepdim=True)
     w, v = q[:, :1, None], q[:, 1:]
     cross = torch.zeros(len(q), 3, 3, dtype=q.dtype)
@@ -42,7 +42,7 @@ def render(
     near=0.01,
     compensate=False,
 ) -> Images:
-    """All tensors float64 as in mgsr.ops.volumes; differentiable by autograd."""
+    """Render Gaussians in float64, with tensors as in mgsr.ops.volumes; differentiable by autograd."""
     K, pose = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world)
     H, W = camera.height, camera.width
     local = means @ pose[:3, :3].T + pose[:3, 3]
@@ -84,7 +84,7 @@ def render(
 
 
 def _blend(raw: Tensor) -> tuple[Tensor, Tensor]:
-    """Blending weights [P,N] and what is left [P], splats in order, for o*G [P,N]."""
+    """Return blending weights [P,N] and the final transmittance [P], splats in order, for o*G [P,N]."""
     alpha = torch.where(raw >= MIN_ALPHA, raw.clamp(max=MAX_ALPHA), 0.0)
     with torch.no_grad():
         after = torch.cumprod(1 - alpha, 1)

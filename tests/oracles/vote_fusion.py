@@ -1,5 +1,7 @@
-"""What depth maps vote on points, one by one, and votes fused under total variation, as convex programs in float64 for
-a general solver."""
+"""Oracles of vote fusion, in float64.
+
+Depth maps vote on points one by one, and votes are fused under total variation as convex programs for a general solver.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ def total_variation(field: np.ndarray) -> float:
 
 
 def energy(field: np.ndarray, votes: np.ndarray, strength: float) -> float:
-    """Return what the fused field [X,Y,Z] has the least of; votes [X*Y*Z,B]."""
+    """Return the energy of a field [X,Y,Z], of which the fused field has the least; votes [X*Y*Z,B]."""
     return float(misfit(field.ravel(), votes).sum()) + strength * total_variation(field)
 
 
@@ -59,8 +61,10 @@ def best_row(votes: np.ndarray, strength: float, pieces: int = 24) -> np.ndarray
 
 
 def least_energy(votes: np.ndarray, shape: tuple[int, int, int], strength: float) -> float:
-    """Return the least energy of a field of this shape, from a quasi-Newton search whose total variation is rounded
-    less and less."""
+    """Return the least energy of a field of this shape.
+
+    It comes from a quasi-Newton search whose total variation is rounded less and less.
+    """
     field = np.zeros(int(np.prod(shape)))
 
     def rounded(values: np.ndarray, size: float) -> float:

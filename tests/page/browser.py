@@ -1,4 +1,4 @@
-"""A browser that keeps watch: over requests to other hosts, breaches of the page's policy, and errors."""
+"""A browser that watches for requests to other hosts, breaches of the page's policy, and errors."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ NETWORK_NOTE = "Failed to load resource"
 
 
 def find_chromium() -> str | None:
-    """The installed Chromium or Chrome."""
+    """Return the installed Chromium or Chrome; None without one."""
     names = ("chromium", "chromium-browser", "google-chrome", "chrome")
     return next((path for name in names if (path := shutil.which(name)) is not None), None)
 
 
 @dataclass
 class Watch:
-    """What happened that must not."""
+    """A record of what must not happen."""
 
     host: str
     foreign: list[str] = field(default_factory=list)
@@ -56,8 +56,10 @@ class Watch:
 
 
 def until(page: Page, expression: str, seconds: float = 10.0) -> Any:
-    """The value of an expression once it is true. (Playwright's own waiting evaluates inside of the page, whose policy
-    forbids that.)"""
+    """Wait until an expression is true, and return its value.
+
+    Playwright's own waiting evaluates inside the page, whose policy forbids that.
+    """
     ends = time.monotonic() + seconds
     while not (value := page.evaluate(expression)):
         assert time.monotonic() < ends, expression
@@ -66,14 +68,14 @@ def until(page: Page, expression: str, seconds: float = 10.0) -> Any:
 
 
 def keep_picture(page: Page, name: str) -> None:
-    """A screenshot of the whole page for people to look at, in the folder MGSR_SCREENSHOTS, where that is set."""
+    """Save a screenshot of the whole page for people to look at, in the folder MGSR_SCREENSHOTS, where that is set."""
     if folder := os.environ.get("MGSR_SCREENSHOTS"):
         page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
 
 
 @contextmanager
 def watched_page(browser: Browser, url: str, **context: Any) -> Iterator[Page]:
-    """A page in a profile of its own, at `url`; in the end nothing may have happened that must not."""
+    """Open a page in a profile of its own, at `url`, and check in the end that nothing forbidden happened."""
     held = browser.new_context(**{"viewport": {"width": 1280, "height": 900}, **context})
     page = held.new_page()
     page.set_default_timeout(20_000)

@@ -20,7 +20,7 @@ Opener = Callable[..., AbstractContextManager[Page]]
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """Headless Chromium, as the system has it."""
+    """Yield headless Chromium, as the system has it."""
     chromium = find_chromium()
     if chromium is None:
         pytest.skip("the page is not tested: no Chromium on the path (apt install chromium)")
@@ -32,14 +32,14 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """API and queue; tests play the worker."""
+    """Yield a service of API and queue; tests play the worker."""
     with Stack(tmp_path_factory.mktemp("page"), workers=0, MGSR_ALLOWED_HOSTS=OTHER_NAME) as running:
         yield running
 
 
 @pytest.fixture
 def visit(browser: Browser, service: Stack) -> Opener:
-    """Opens the page at an address behind the service's."""
+    """Provide a function that opens the page at an address of the service."""
 
     def opened(address: str = "/", url: str = service.url, **context: object) -> AbstractContextManager[Page]:
         return watched_page(browser, url + address, **context)
@@ -49,13 +49,13 @@ def visit(browser: Browser, service: Stack) -> Opener:
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """Result files of a small made-up job with a light split, by name."""
+    """Provide the result files of a small made-up job with a light split, by name."""
     return make_results(tmp_path_factory.mktemp("results"))
 
 
 @pytest.fixture
 def capture_folder(tmp_path: Path) -> Path:
-    """A folder as people have them: photographs in a folder of their own, long and foreign names, litter."""
+    """Build a folder as people have them: photographs in a subfolder, long and foreign names, litter."""
     folder = tmp_path / "Teekanne"
     (folder / "images").mkdir(parents=True)
     (folder / "transforms.json").write_text("{}")

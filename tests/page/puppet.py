@@ -1,4 +1,4 @@
-"""Plays a worker: takes a job and tells what a test wants told, without training anything."""
+"""A puppet worker that takes a job and reports what a test wants, without training anything."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Puppet:
         self._known: dict[str, Any] = {}
 
     def tell(self, **change: Any) -> None:
-        """Progress, as the worker's reporter sends it."""
+        """Report progress, as the worker's reporter sends it."""
         change |= {"status": "running"}
         self._known |= change | {"round": self.round, "attempt": self.attempt}
         self.live.keep_progress(self.job, self._known, change)
 
     def train(self, share: float, stage: str = "mutual", previews: dict[str, bytes] | None = None) -> None:
-        """A point of training, with pictures; `share` 0..1 of it is done."""
+        """Report a point of training, with pictures; `share` 0..1 of it is done."""
         iteration = round(1000 * share)
         for name, data in (previews or {}).items():
             self.jobs.store.replace(attempt_path(self.job, self.attempt, f"previews/{name}.webp"), data)
@@ -79,7 +79,7 @@ class Puppet:
         self._end(Outcome(status=JobStatus.CANCELLED, attempt=self.attempt, finished=now()))
 
     def asked_to_stop(self) -> bool:
-        """Whether someone wants the round to stop."""
+        """Return whether someone wants the round to stop."""
         return self.live.cancel_asked(self.job, self.round)
 
     def _publish(self, name: str, data: bytes) -> Artifact:

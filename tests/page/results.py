@@ -33,7 +33,7 @@ REPORT = (
 
 
 def make_results(folder: Path, middle: np.ndarray = MIDDLE, origin: np.ndarray | None = None) -> dict[str, bytes]:
-    """Every result file by its name; the splats about an origin [3] that their file names, if there is one."""
+    """Return every result file by its name; the splats are about an origin [3] that their file names, if given."""
     box = trimesh.creation.box((2.0, 1.0, 1.0))
     arrays = (box.vertices + middle, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
     write_ply(folder / "mesh.ply", *arrays)
@@ -48,7 +48,7 @@ def make_results(folder: Path, middle: np.ndarray = MIDDLE, origin: np.ndarray |
 
 
 def _splats(middle: np.ndarray) -> dict[str, np.ndarray]:
-    """Opaque red blobs inside of the box around a place [3]."""
+    """Return opaque red blobs inside the box around a place [3]."""
     random = np.random.default_rng(0)
     count = 400
     sh = np.zeros((count, 4, 3))
@@ -63,7 +63,7 @@ def _splats(middle: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _view() -> RenderedView:
-    """A grey square with a reflection on its right half; brighter under even light."""
+    """Return a grey square with a reflection on its right half, brighter under even light."""
     flat = np.ones((SIZE, SIZE, 3))
     right = np.zeros((SIZE, SIZE))
     right[:, SIZE // 2 :] = WEIGHT

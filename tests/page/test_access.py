@@ -22,7 +22,7 @@ PHONE = {"width": 360, "height": 740}
 
 @pytest.fixture(scope="module")
 def addresses(service: Stack, results: dict[str, bytes]) -> dict[str, str]:
-    """The page in each of its states."""
+    """Provide the page's address in each of its states."""
     jobs = {name: submitted(service, name) for name in ("done", "failed", "running")}
     Puppet(service, jobs["done"]).succeed(results, METRICS)
     Puppet(service, jobs["failed"]).fail("empty_mesh", "nothing came out", retryable=True)
@@ -31,7 +31,7 @@ def addresses(service: Stack, results: dict[str, bytes]) -> dict[str, str]:
 
 
 def ready(page: Page, state: str) -> None:
-    """Wait until the state is whole, with everything that opens open."""
+    """Wait until the state is complete, with everything that can be opened open."""
     signs = {"home": "Your jobs", "done": "Downloads"}
     if state in signs:
         expect(page.get_by_role("heading", name=signs[state])).to_be_visible()
@@ -49,7 +49,7 @@ def ready(page: Page, state: str) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("state", ["home", "done", "failed", "running"])
 def test_axe_finds_nothing(visit: Opener, addresses: dict[str, str], state: str, scheme: str) -> None:
-    """Witness: axe-core's rules, with contrast, names, landmarks and order of headings."""
+    """Check the page by axe-core's rules, with contrast, names, landmarks and order of headings."""
     with visit(addresses[state], color_scheme=scheme) as page:
         ready(page, state)
         keep_picture(page, f"{state}-{scheme}")

@@ -1,4 +1,4 @@
-"""What the API has for the page's sake, without a browser."""
+"""What the API offers for the page, without a browser."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.worker.archives import zip_of
 
 @pytest.fixture
 def job(service: Stack) -> str:
-    """A job that waits."""
+    """Provide the id of a waiting job."""
     return service.submitted(zip_of(("image.png", b"x")), {"name": "asked"})
 
 
@@ -39,7 +39,7 @@ def test_options_tell_how_large_an_archive_may_be(service: Stack) -> None:
 
 
 def test_a_report_has_no_origin_wherever_it_is_opened(service: Stack, job: str, results: dict[str, bytes]) -> None:
-    """Its script could read the key otherwise."""
+    """Check that a report's policy denies it an origin: its script could read the key otherwise."""
     Puppet(service, job).succeed(results, {})
     service.finished(job)
     for address in ("report.html", "artifacts/report.html"):

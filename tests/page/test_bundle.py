@@ -22,7 +22,7 @@ CODE = re.compile(r"""(?:Problem\(\s*\d+,\s*|code=|_failed\(\s*|_unavailable\(|_
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
-    """The app without a queue: the page needs none."""
+    """Provide a client of the app without a queue: the page needs none."""
     folder = tmp_path_factory.mktemp("bundle")
     app = create_app(Settings(redis_url="redis://127.0.0.1:1", store=str(folder)))
     return TestClient(app, base_url="http://127.0.0.1")
@@ -30,7 +30,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> TestClient:
 
 @pytest.mark.slow
 def test_the_committed_bundle_is_what_the_sources_give() -> None:
-    """Also checks the types. `make page-check` does the same, and installs what it needs."""
+    """Check the bundle and the types, as `make page-check` does, which also installs what it needs."""
     if shutil.which("npm") is None or not (PAGE / "node_modules").is_dir():
         pytest.skip("the bundle is not checked: no npm, or no node_modules (run `make page-check`)")
     ran = subprocess.run(["npm", "run", "--silent", "check"], cwd=PAGE, capture_output=True, text=True, timeout=200)
@@ -89,7 +89,7 @@ def test_licences_of_all_that_is_bundled(client: TestClient) -> None:
 
 
 def test_every_error_has_words() -> None:
-    """Codes as the Python sources say them, against those that the page knows."""
+    """Check that the page knows every code in the Python sources."""
     sources = [*(ROOT / "service").rglob("*.py"), *(ROOT / "worker").rglob("*.py")]
     said = {code for path in sources for code in CODE.findall(path.read_text(encoding="utf-8"))}
     documented = re.findall(r"^\| (`[a-z_`, ]+`) \|", (ROOT / "docs/service.md").read_text(encoding="utf-8"), re.M)

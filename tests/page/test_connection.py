@@ -21,7 +21,7 @@ GONE = "The service does not answer. Trying again"
 
 @pytest.fixture
 def own(tmp_path: Path) -> Iterator[Stack]:
-    """A service of the test's own, to stop."""
+    """Yield a service of the test's own, to stop."""
     with Stack(tmp_path, workers=0) as running:
         yield running
 

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, str]]:
-    """A service with one key, and the key."""
+    """Yield a service with one key, and the key."""
     folder = tmp_path_factory.mktemp("guarded")
     store = Store(Settings(home=folder, redis_url="redis://unused").store_url, 5.0)
     token, _ = Keys(store).create("tests")
@@ -53,7 +53,10 @@ def test_a_wrong_key_is_told_and_the_right_one_opens(visit: Opener, guarded: tup
 
 
 def test_everything_works_with_a_key(visit: Opener, guarded: tuple[Stack, str], results: dict[str, bytes]) -> None:
-    """What browsers load by themselves (pictures, frames, links) can't carry the key: none of it may be used."""
+    """Check that the page loads nothing without the key.
+
+    Browsers can't send it with what they load themselves (pictures, frames, links), so none of that may be used.
+    """
     stack, token = guarded
     job = stack.submitted(zip_of(("image.png", b"x")), {"name": "kept"})
     Puppet(stack, job).succeed(results, METRICS)

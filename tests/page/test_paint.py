@@ -1,4 +1,4 @@
-"""How long it takes until something is to be seen."""
+"""The time until the page shows something."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROMISED_MS = 1000.0  # on loopback
 
 @pytest.mark.slow
 def test_first_paint(browser: Browser, service: Stack) -> None:
-    """Each time in a new profile, with nothing kept from before."""
+    """Check the first paint, each time in a new profile, with nothing kept from before."""
     times = []
     for _ in range(5):
         with watched_page(browser, service.url) as page:

@@ -1,4 +1,4 @@
-"""What came of a job: the viewer, the light split, the report, the files."""
+"""The results of a job: the viewer, the light split, the report, the files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ RED_AND_ALPHA = """canvas => {
 
 @pytest.fixture(scope="module")
 def done(service: Stack, results: dict[str, bytes]) -> str:
-    """The address of a job that succeeded."""
+    """Provide the address of a job that succeeded."""
     job = service.submitted(zip_of(("image.png", b"x")), {"name": "red box"})
     Puppet(service, job).succeed(results, METRICS)
     return f"/#/jobs/{job}"
@@ -52,7 +52,7 @@ def done(service: Stack, results: dict[str, bytes]) -> str:
 
 @pytest.fixture(scope="module")
 def far(service: Stack, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """The address of such a job whose frame's origin lies far away."""
+    """Provide the address of such a job whose frame's origin lies far away."""
     job = service.submitted(zip_of(("image.png", b"x")), {"name": "far red box"})
     results = make_results(tmp_path_factory.mktemp("far"), FAR_MIDDLE, FAR_ORIGIN)
     assert b"comment mgsr origin 512344 4501236 433\n" in results["splats_3d.ply"]
@@ -68,7 +68,7 @@ def open_viewer(page: Page) -> Locator:
 
 
 def settled(page: Page, part: Locator) -> np.ndarray:
-    """Pixels [H,W,3] 0..1 of a part of the page, once two pictures of it are the same."""
+    """Return pixels [H,W,3] 0..1 of a part of the page, once two pictures of it are the same."""
     before = b""
     for _ in range(40):
         now = part.screenshot()
@@ -84,7 +84,7 @@ def stage(page: Page) -> np.ndarray:
 
 
 def red(pixels: np.ndarray) -> np.ndarray:
-    """Where the picture has the box's colour, bool [H,W]."""
+    """Return where the picture has the box's colour, bool [H,W]."""
     return np.abs(pixels - RED).max(axis=2) < 0.08
 
 
@@ -112,7 +112,7 @@ def test_the_viewer_is_loaded_only_when_asked_for(visit: Opener, done: str) -> N
 
 @pytest.mark.parametrize("job", ["done", "far"])
 def test_mesh_and_splats_lie_at_the_same_place(visit: Opener, job: str, request: pytest.FixtureRequest) -> None:
-    """The box is red and off the origin, the splats inside of it are red too."""
+    """Check a red box away from the origin, with red splats inside it."""
     with visit(request.getfixturevalue(job)) as page:
         open_viewer(page)
         mesh = red(stage(page))
@@ -169,7 +169,7 @@ def test_a_still_viewer_draws_nothing(visit: Opener, done: str) -> None:
 
 
 def test_the_light_split_is_the_sum_of_its_halves(visit: Opener, done: str) -> None:
-    """Pixels of the left half, where nothing is reflected, and of the right, against the numbers put in."""
+    """Check pixels of the left half, where nothing is reflected, and of the right, against the numbers put in."""
     added, halfway = WEIGHT * REFLECTED, (EVEN + TRANSMITTED) / 2
     expected = {
         -200: (EVEN, EVEN),

@@ -30,7 +30,7 @@ def zip_file(name: str = "kettle.zip", size: int = 2000) -> FilePayload:
 
 
 def start(page: Page) -> dict[str, object]:
-    """Press Start, wait for the job's page, and say what the service knows of the job."""
+    """Press Start, wait for the job's page, and return what the service knows of the job."""
     page.get_by_role("button", name="Start", exact=True).click()
     page.wait_for_url(re.compile("#/jobs/"))
     expect(page.locator("main").get_by_text("queue").first).to_be_visible()
@@ -39,7 +39,7 @@ def start(page: Page) -> dict[str, object]:
 
 
 def sent(service: Stack, job: str) -> bytes:
-    """The archive as it lies in the store."""
+    """Return the archive as it lies in the store."""
     store = Store(Settings(home=service.folder, redis_url=service.server.url).store_url, 5.0)
     (key,) = [entry.key for entry in store.entries("uploads") if job in entry.key]
     data = store.read(key)
@@ -90,7 +90,7 @@ def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
 
 
 def test_a_wrong_value_is_shown_wherever_it_is(visit: Opener, service: Stack) -> None:
-    """Also in a part of the form that has been closed, and where the search hides it."""
+    """Check a wrong value in a closed part of the form, and where the search hides it."""
     before = len(service.http.get("/jobs?limit=200").json()["jobs"])
     with visit() as page:
         page.set_input_files(ARCHIVE, zip_file())
@@ -108,7 +108,7 @@ def test_a_wrong_value_is_shown_wherever_it_is(visit: Opener, service: Stack) ->
 
 
 def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
-    """A setting and an option of the job that the page has never heard of, with their meaning."""
+    """Check that a setting and a job option unknown to the page appear with their meaning."""
 
     def newer(route: Route) -> None:
         known = route.fetch().json()
@@ -138,7 +138,7 @@ def test_what_a_newer_service_knows_shows_up_by_itself(visit: Opener) -> None:
 
 
 def test_a_folder_arrives_as_it_is(visit: Opener, service: Stack, capture_folder: Path) -> None:
-    """Witness: Python's own tarfile."""
+    """Check a sent folder by Python's own tarfile."""
     with visit() as page:
         page.set_input_files(FOLDER, capture_folder)
         expect(page.locator("main").get_by_text("4 files")).to_be_visible()

@@ -1,4 +1,4 @@
-"""A job as it goes: waiting, training, stopped, taken up again, failed, deleted."""
+"""A job in each state: waiting, training, stopped, retried, failed, deleted."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Access:
 
 
 def load(instruction: Instruction, scope: Scope) -> str:
-    """ld.global.nc.v4.f32 {a, b, c, d}, [address]."""
+    """Translate a load, such as ld.global.nc.v4.f32 {a, b, c, d}, [address]."""
     access = Access.of(instruction)
     place = access.place(instruction, scope.address(instruction, instruction.operands[1]), "kRead")
     cpp = CPP[access.kind]
@@ -55,7 +55,7 @@ def load(instruction: Instruction, scope: Scope) -> str:
 
 
 def store(instruction: Instruction, scope: Scope) -> str:
-    """st.shared.v2.f32 [address], {a, b}."""
+    """Translate a store, such as st.shared.v2.f32 [address], {a, b}."""
     access = Access.of(instruction)
     place = access.place(instruction, scope.address(instruction, instruction.operands[0]), "kWrite")
     writes = [
@@ -66,7 +66,10 @@ def store(instruction: Instruction, scope: Scope) -> str:
 
 
 def convert_address(instruction: Instruction, scope: Scope) -> str:
-    """cvta.to.shared.u64 d, a, and without `to` the other way. All spaces but shared memory have generic addresses."""
+    """Translate cvta.to.shared.u64 d, a, and without `to` the other way.
+
+    All spaces but shared memory have generic addresses.
+    """
     space = instruction.modifiers[1] if instruction.modifiers[0] == "to" else instruction.modifiers[0]
     if space not in SPACES:
         raise instruction.refuse(f"the space .{space} is not known")

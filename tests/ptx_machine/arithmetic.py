@@ -15,7 +15,7 @@ FLOAT_TYPES = ("f32", "f64", "f32x2")
 
 @dataclass(frozen=True)
 class Integer:
-    """Types of the operands and of the result: T the instruction's own, U u32, W twice T's width."""
+    """The types of an instruction's operands and of its result: T its own, U u32, W twice T's width."""
 
     operands: str
     result: str = "T"
@@ -89,7 +89,7 @@ def assign(instruction: Instruction, scope: Scope, kind: str, value: str) -> str
 
 
 def arithmetic(instruction: Instruction, scope: Scope) -> str:
-    """add, mul, fma, min and the like, of whichever type."""
+    """Translate add, mul, fma, min and the like, of whichever type."""
     handler = floating if instruction.modifiers[-1] in FLOAT_TYPES else integer
     return handler(instruction, scope)
 
@@ -131,7 +131,7 @@ def floating(instruction: Instruction, scope: Scope) -> str:
 
 
 def multiply_add(instruction: Instruction, scope: Scope) -> str:
-    """mad of floats is fma by another name."""
+    """Translate mad, which of floats is fma by another name."""
     if instruction.modifiers[-1] not in FLOAT_TYPES:
         return integer(instruction, scope)
     fma = Instruction(
@@ -141,7 +141,7 @@ def multiply_add(instruction: Instruction, scope: Scope) -> str:
 
 
 def funnel_shift(instruction: Instruction, scope: Scope) -> str:
-    """shf.l.wrap.b32 d, low, high, amount."""
+    """Translate shf.l.wrap.b32 d, low, high, amount."""
     direction, mode, _ = instruction.modifiers
     values = [scope.value(instruction, operand, "u32") for operand in instruction.operands[1:]]
     wrap = "true" if mode == "wrap" else "false"
@@ -149,7 +149,7 @@ def funnel_shift(instruction: Instruction, scope: Scope) -> str:
 
 
 def bit_mask(instruction: Instruction, scope: Scope) -> str:
-    """bmsk.clamp.b32 d, position, length."""
+    """Translate bmsk.clamp.b32 d, position, length."""
     values = [scope.value(instruction, operand, "u32") for operand in instruction.operands[1:]]
     wrap = "true" if instruction.modifiers[0] == "wrap" else "false"
     return assign(instruction, scope, "u32", f"bmsk({', '.join(values)}, {wrap})")

@@ -13,7 +13,7 @@ def label_name(name: str) -> str:
 
 
 def branch(instruction: Instruction, scope: Scope) -> str:
-    """bra target, and brx.idx index, table."""
+    """Translate bra target, and brx.idx index, table."""
     if instruction.modifiers != ("idx",) and instruction.opcode == "bra":
         return f"goto {label_name(instruction.operands[0])};"
     index, name = instruction.operands[:2]
@@ -25,7 +25,7 @@ def branch(instruction: Instruction, scope: Scope) -> str:
 
 
 def leave(instruction: Instruction, scope: Scope) -> str:
-    """ret and exit."""
+    """Translate ret and exit."""
     return "return false;"
 
 
@@ -34,12 +34,12 @@ def trap(instruction: Instruction, scope: Scope) -> str:
 
 
 def active_mask(instruction: Instruction, scope: Scope) -> str:
-    """Each lane is on its own here, as lanes may be anywhere on a card."""
+    """Translate activemask: each lane is on its own here, as lanes may be anywhere on a card."""
     return f"write<uint32_t>({scope.place(instruction, instruction.operands[0])}, 1u << lane_of(thread));"
 
 
 def nothing(instruction: Instruction, scope: Scope) -> str:
-    """nanosleep, and fences: they order nothing that the watch of memory takes for ordered."""
+    """Translate nanosleep and fences to nothing: they order nothing that the watch of memory takes for ordered."""
     return ";"
 
 

@@ -1,4 +1,4 @@
-"""Runs kernels as NVRTC compiles them, on this machine's processor, with every access of memory watched."""
+"""Run kernels as NVRTC compiles them, on this machine's processor, with every access of memory watched."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tests.ptx_machine.library import Library, load_library
 
 
 class _Range(ctypes.Structure):
-    """Range of machine/memory.h."""
+    """The struct Range of machine/memory.h."""
 
     _fields_ = (("begin", ctypes.c_uint64), ("bytes", ctypes.c_uint64))
 
 
 class _Launch(ctypes.Structure):
-    """Launch of machine/machine.h."""
+    """The struct Launch of machine/machine.h."""
 
     _fields_ = (
         ("kernel", ctypes.c_char_p),
@@ -55,8 +55,11 @@ class PtxLauncher:
         noise_ulps: int = 0,
         sources: Path = SOURCES,
     ) -> None:
-        """noise_ulps: by how many units in the last place approximate instructions are off. sources: the folder that
-        holds kernels/ and math/."""
+        """Set the order of threads and the exactness of instructions.
+
+        noise_ulps: by how many units in the last place approximate instructions are off. sources: the folder that holds
+        kernels/ and math/.
+        """
         self.order, self.seed, self.noise_ulps = order, seed, noise_ulps
         self.launched: list[str] = []
         self._sources = sources
@@ -64,8 +67,10 @@ class PtxLauncher:
 
     @contextmanager
     def noting_tensors(self) -> Iterator[None]:
-        """Within the block, each tensor whose address is asked for is one that kernels may touch, and no further than
-        its size."""
+        """Note each tensor whose address is asked for within the block.
+
+        Kernels may touch these, and no further than their sizes.
+        """
         data_ptr = torch.Tensor.data_ptr
 
         def noted(tensor: torch.Tensor) -> int:
@@ -84,7 +89,7 @@ class PtxLauncher:
         self.run(library, kernel, blocks, threads, params)
 
     def run(self, library: Library, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
-        """As `launch`, of a library's kernel."""
+        """Run a library's kernel as `launch` does."""
         ranges = [self._range(address) for address in pointers_in(params)]
         launch = _Launch(
             kernel.encode(),
@@ -110,12 +115,12 @@ def _call(function, *arguments) -> str | None:
 
 
 def explain(message: str, library: Library) -> str:
-    """Spells out the lines of PTX that a message names as {123}."""
+    """Spell out the lines of PTX that a message names as {123}."""
     return re.sub(r"\{(\d+)\}", lambda match: library.places.describe(int(match[1])), message)
 
 
 def pointers_in(params: ctypes.Structure) -> Iterator[int]:
-    """Return the addresses in a struct, its structs and arrays; null pointers left out."""
+    """Yield the addresses in a struct, its structs and arrays; null pointers left out."""
     for name, kind, *_ in params._fields_:
         yield from _pointers(getattr(params, name), kind)
 

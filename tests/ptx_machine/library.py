@@ -34,13 +34,18 @@ class Library:
 
 @cache
 def load_library(source: Path, sources: Path, arch: str = ARCH) -> Library:
-    """Return the kernels of a .cu file, whose headers lie in the folder `sources`. Raises GpuError where NVRTC rejects
-    it, and PtxError where the machine doesn't know an instruction."""
+    """Return the kernels of a .cu file, whose headers lie in the folder `sources`.
+
+    Raises GpuError where NVRTC rejects it, and PtxError where the machine doesn't know an instruction.
+    """
     return load_ptx(ptx_of(source, sources, arch), source.stem)
 
 
 def load_ptx(ptx: str, name: str) -> Library:
-    """Return the kernels of a PTX text. name: what its library is called."""
+    """Return the kernels of a PTX text.
+
+    name: what its library is called.
+    """
     return Library(ctypes.CDLL(str(library_of(ptx, name)), mode=os.RTLD_LOCAL), Places.of(ptx))
 
 

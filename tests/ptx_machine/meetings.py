@@ -17,7 +17,7 @@ REDUCTIONS |= {"min": "kReduceMin", "max": "kReduceMax"}
 
 
 def barrier(instruction: Instruction, scope: Scope) -> str:
-    """bar.sync 0; bar.red.popc.u32 d, 0, p; bar.warp.sync mask."""
+    """Translate bar.sync 0; bar.red.popc.u32 d, 0, p; bar.warp.sync mask."""
     modifiers = [m for m in instruction.modifiers if m not in ("cta", "aligned", "pred", "u32")]
     operands = instruction.operands
     if modifiers == ["warp", "sync"]:
@@ -33,7 +33,7 @@ def barrier(instruction: Instruction, scope: Scope) -> str:
 
 
 def shuffle(instruction: Instruction, scope: Scope) -> str:
-    """shfl.sync.down.b32 d|p, a, b, c, mask."""
+    """Translate shfl.sync.down.b32 d|p, a, b, c, mask."""
     sync, mode, kind = instruction.modifiers
     if sync != "sync" or mode not in SHUFFLES or kind != "b32":
         raise instruction.refuse("this shuffle is not known")
@@ -51,7 +51,7 @@ def _places(instruction: Instruction, scope: Scope, operand: str) -> tuple[str, 
 
 
 def vote(instruction: Instruction, scope: Scope) -> str:
-    """vote.sync.any.pred p, q, mask; vote.sync.ballot.b32 d, q, mask."""
+    """Translate vote.sync.any.pred p, q, mask; vote.sync.ballot.b32 d, q, mask."""
     if instruction.modifiers[0] != "sync" or instruction.modifiers[1] not in VOTES:
         raise instruction.refuse("this vote is not known")
     to, predicate, mask = instruction.operands
@@ -63,7 +63,7 @@ def vote(instruction: Instruction, scope: Scope) -> str:
 
 
 def match(instruction: Instruction, scope: Scope) -> str:
-    """match.any.sync.b32 d, a, mask; match.all.sync.b64 d|p, a, mask."""
+    """Translate match.any.sync.b32 d, a, mask; match.all.sync.b64 d|p, a, mask."""
     which, _, kind = instruction.modifiers
     to, value, mask = instruction.operands
     place, flag = _places(instruction, scope, to)
@@ -73,7 +73,7 @@ def match(instruction: Instruction, scope: Scope) -> str:
 
 
 def reduce(instruction: Instruction, scope: Scope) -> str:
-    """redux.sync.add.s32 d, a, mask."""
+    """Translate redux.sync.add.s32 d, a, mask."""
     _, name, kind = instruction.modifiers
     if name not in REDUCTIONS or kind not in ("u32", "s32", "b32"):
         raise instruction.refuse("this reduction is not known")
@@ -85,7 +85,7 @@ def reduce(instruction: Instruction, scope: Scope) -> str:
 
 
 def elect(instruction: Instruction, scope: Scope) -> str:
-    """elect.sync d|p, mask."""
+    """Translate elect.sync d|p, mask."""
     to, mask = instruction.operands
     place, flag = _places(instruction, scope, to)
     mask = scope.value(instruction, mask, "u32")

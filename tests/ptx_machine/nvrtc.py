@@ -1,4 +1,4 @@
-"""Compiles kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a card."""
+"""Compile kernels to PTX with NVRTC, as mgsr/native/cuda/compiler.py has them compiled for a card."""
 
 from __future__ import annotations
 
@@ -35,8 +35,10 @@ def options(sources: Path, arch: str) -> list[str]:
 
 
 def compile_to_ptx(source: Path, sources: Path, arch: str = ARCH) -> str:
-    """Return the PTX of a .cu file that includes headers from the folder `sources`; in it, files are named from there
-    on. Raises GpuError with NVRTC's log."""
+    """Compile a .cu file that includes headers from the folder `sources`, and return the PTX.
+
+    In it, files are named from that folder on. Raises GpuError with NVRTC's log.
+    """
     from cuda.bindings import nvrtc
 
     program = _ask(nvrtc.nvrtcCreateProgram(source.read_bytes(), source.name.encode(), 0, [], []))

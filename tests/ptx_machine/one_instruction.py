@@ -57,7 +57,7 @@ class Params(ctypes.Structure):
 
 
 def kernel_text(name: str, case: Case) -> str:
-    """PTX of a kernel whose thread i loads the operands i, executes the instruction, and stores d."""
+    """Return PTX of a kernel whose thread i loads the operands i, executes the instruction, and stores d."""
     lines, names = [], {"d": _register(case.result, 0)}
     for number, (letter, kind) in enumerate(zip("abc", case.sources, strict=False), 1):
         names[letter] = _register(kind, number)
@@ -91,7 +91,7 @@ def _place(name: str, field: int, number: int, kind: str) -> list[str]:
 
 
 def module_text(cases: Sequence[Case]) -> str:
-    """PTX of a kernel for each case: case_0, case_1, ..."""
+    """Return PTX of a kernel for each case: case_0, case_1, ..."""
     head = ".version 9.0\n.target sm_90\n.address_size 64\n"
     return head + "".join(kernel_text(f"case_{i}", case) for i, case in enumerate(cases))
 

@@ -58,7 +58,10 @@ class Scope:
 
     @staticmethod
     def _lay_out(variables: dict[str, Variable], zone: int = RED_ZONE) -> dict[str, tuple[int, int]]:
-        """Of each its offset and size. Offsets are multiples of 128, as wide as a shared access can be."""
+        """Return the offset and size of each variable.
+
+        Offsets are multiples of 128, as wide as a shared access can be.
+        """
         places, at = {}, 0
         for name, variable in variables.items():
             places[name] = (at, variable.size)

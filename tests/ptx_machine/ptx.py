@@ -1,4 +1,4 @@
-"""Reads PTX, the assembly that NVRTC makes of a kernel, into kernels and their statements."""
+"""Read PTX, the assembly that NVRTC makes of a kernel, into kernels and their statements."""
 
 from __future__ import annotations
 
@@ -108,7 +108,10 @@ class Places:
 
 
 def parse(text: str) -> Module:
-    """Return the module's kernels and variables. Raises PtxError for what it can't read."""
+    """Return the module's kernels and variables.
+
+    Raises PtxError for what it can't read.
+    """
     code = _without_comments(text)
     variables = dict(_variables(_outside_of_braces(code)))
     kernels = [_kernel(code, match) for match in re.finditer(r"\.visible\s+\.entry\s+([\w$]+)\s*\(", code)]
@@ -116,8 +119,10 @@ def parse(text: str) -> Module:
 
 
 def _without_comments(text: str) -> str:
-    """Return the code, each character in its line: comments, and the lines of directives that no `;` ends, are
-    blank."""
+    """Return the code with comments, and the lines of directives that no `;` ends, blanked.
+
+    Each character stays in its line.
+    """
 
     def blank(match: re.Match[str]) -> str:
         return re.sub(r"[^\n]", " ", match[0])
@@ -266,6 +271,6 @@ def _instruction(text: str, line: int) -> Instruction:
 
 
 def split_operands(text: str) -> list[str]:
-    """Parts between commas; vectors {a, b} and addresses [a] stay whole."""
+    """Split at commas; vectors {a, b} and addresses [a] stay whole."""
     parts = re.findall(r"(?:\{[^}]*\}|\[[^\]]*\]|[^,{\[])+", text)
     return [part.strip() for part in parts if part.strip()]

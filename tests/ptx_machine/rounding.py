@@ -12,8 +12,10 @@ FORMATS = {"f32": (24, -149, np.float32), "f64": (53, -1074, np.float64)}
 
 
 def rounded(exact: Fraction, kind: str, direction: str = "rn") -> float:
-    """Return the float of type f32 or f64 that an exact number is rounded to: rn nearest and even, rz towards zero, rm
-    down, rp up. Of numbers within the format's range."""
+    """Return the float of type f32 or f64 that an exact number is rounded to.
+
+    direction: rn nearest and even, rz towards zero, rm down, rp up. Only numbers within the format's range are rounded.
+    """
     if exact == 0:
         return 0.0
     digits, least, _ = FORMATS[kind]

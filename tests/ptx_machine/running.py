@@ -1,4 +1,4 @@
-"""Runs the kernels of a .cu file beside this one."""
+"""Run the kernels of a .cu file beside this one."""
 
 from __future__ import annotations
 

@@ -13,8 +13,7 @@ TO_WHOLE = ("rni", "rzi", "rmi", "rpi")
 
 
 def compared(instruction: Instruction, scope: Scope, modifiers: list[str], kind: str) -> tuple[str, str]:
-    """Return what `.lt.and.ftz` makes of operands a, b and the predicate c, and what it makes of the opposite
-    comparison."""
+    """Return what `.lt.and.ftz` makes of operands a, b and the predicate c, and what the opposite comparison makes."""
     comparison, *rest = modifiers
     combined = [modifier for modifier in rest if modifier in COMBINED]
     if comparison not in COMPARISONS or set(rest) - {*COMBINED, "ftz"}:
@@ -30,7 +29,7 @@ def compared(instruction: Instruction, scope: Scope, modifiers: list[str], kind:
 
 
 def set_predicate(instruction: Instruction, scope: Scope) -> str:
-    """setp.lt.and.f32 p|q, a, b, c."""
+    """Translate setp.lt.and.f32 p|q, a, b, c."""
     *modifiers, kind = instruction.modifiers
     results = compared(instruction, scope, modifiers, kind)
     places = [part.strip() for part in instruction.operands[0].split("|")]
@@ -40,7 +39,7 @@ def set_predicate(instruction: Instruction, scope: Scope) -> str:
 
 
 def set_number(instruction: Instruction, scope: Scope) -> str:
-    """set.lt.u32.f32 d, a, b: all ones, or 1.0f in a float."""
+    """Translate set.lt.u32.f32 d, a, b: all ones, or 1.0f in a float."""
     *modifiers, to, kind = instruction.modifiers
     true = "1.0f" if to == "f32" else f"{CPP[to]}(-1)"
     result, _ = compared(instruction, scope, modifiers, kind)
@@ -48,14 +47,14 @@ def set_number(instruction: Instruction, scope: Scope) -> str:
 
 
 def select(instruction: Instruction, scope: Scope) -> str:
-    """selp.f32 d, a, b, p."""
+    """Translate selp.f32 d, a, b, p."""
     kind = instruction.modifiers[-1]
     a, b = (scope.value(instruction, operand, kind) for operand in instruction.operands[1:3])
     return assign(instruction, scope, kind, f"{scope.value(instruction, instruction.operands[3], 'pred')} ? {a} : {b}")
 
 
 def select_by_sign(instruction: Instruction, scope: Scope) -> str:
-    """slct.f32.s32 d, a, b, c: a where c >= 0."""
+    """Translate slct.f32.s32 d, a, b, c: a where c >= 0."""
     *_, kind, sign = instruction.modifiers
     a, b = (scope.value(instruction, operand, kind) for operand in instruction.operands[1:3])
     decides = scope.value(instruction, instruction.operands[3], sign)
@@ -63,7 +62,7 @@ def select_by_sign(instruction: Instruction, scope: Scope) -> str:
 
 
 def move(instruction: Instruction, scope: Scope) -> str:
-    """mov.b32 d, a; mov.b64 {low, high}, a; mov.b64 d, {low, high}."""
+    """Translate mov.b32 d, a; mov.b64 {low, high}, a; mov.b64 d, {low, high}."""
     to, source = instruction.operands
     kind = instruction.modifiers[-1]
     if to.startswith("{"):
@@ -95,7 +94,7 @@ def _unpack(instruction: Instruction, scope: Scope, parts: list[str], whole: str
 
 
 def convert(instruction: Instruction, scope: Scope) -> str:
-    """cvt.rzi.s32.f32 and its many forms."""
+    """Translate cvt.rzi.s32.f32 and its many forms."""
     *modifiers, to, source = instruction.modifiers
     known = {"ftz", "sat", "rn", *TO_WHOLE, *ROUNDINGS}
     if to not in CPP or source not in CPP or set(modifiers) - known:

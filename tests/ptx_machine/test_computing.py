@@ -41,7 +41,7 @@ class Results:
 
 
 def assert_rows(came: np.ndarray, *expected: np.ndarray) -> None:
-    """Rows of 64, one for each thread."""
+    """Check rows of 64 numbers, one for each thread."""
     for row, want in enumerate(expected):
         np.testing.assert_array_equal(came[64 * row : 64 * row + 64], want, err_msg=f"row {row}")
 
@@ -79,7 +79,7 @@ def test_a_part_of_a_warp_shuffles() -> None:
 
 
 def bits(which: np.ndarray) -> int:
-    """Of 32 truths, the word that has them as bits."""
+    """Return the word that has 32 truths as its bits."""
     return int(sum(1 << int(i) for i in np.flatnonzero(which)))
 
 

@@ -53,7 +53,10 @@ def test_a_family_passes(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", QUICK)
 def test_a_family_passes_with_less_exact_instructions(name: str) -> None:
-    """ex2, and division where it is approximate, may be off by two units in the last place on a card."""
+    """Check a family where ex2, and division where it is approximate, are off by two units in the last place.
+
+    They may be on a card.
+    """
     test, arguments = QUICK[name]
     test(replace(PTX, noise_ulps=2), **arguments)
 
@@ -61,5 +64,8 @@ def test_a_family_passes_with_less_exact_instructions(name: str) -> None:
 @pytest.mark.parametrize("arch", [pytest.param(a, marks=[] if a == ARCH else pytest.mark.slow) for a in ARCHS])
 @pytest.mark.parametrize("source", FAMILIES, ids=lambda path: path.stem)
 def test_every_instruction_is_known(source, arch: str) -> None:
-    """Also where no test executes it, and for cards whose PTX the tests don't execute."""
+    """Check that every instruction is known, also where no test executes it.
+
+    Cards whose PTX the tests don't execute are among them.
+    """
     assert f"run_{source.stem.partition('_')[0]}" in translate(ptx_of(source, SOURCES, arch))

@@ -27,7 +27,7 @@ def tools() -> None:
 def launch(
     kernel: str, blocks: int = 1, threads: int = 64, offset: int = 0, order: Order = Order.ASCENDING
 ) -> list[float]:
-    """Return what comes out of 64 numbers 0, 1, 2, ..."""
+    """Launch a kernel, and return what comes out of 64 numbers 0, 1, 2, ..."""
     out, numbers, other = torch.full((64,), torch.nan), torch.arange(64.0), torch.zeros(64)
     run("faults.cu", kernel, blocks, threads, Params, out, numbers, other, offset, order=order)
     return out.tolist()

@@ -261,7 +261,7 @@ def saturated(x):
 
 
 def least(a, b):
-    """minNum: NaN gives way, and -0 is less than +0."""
+    """Return minNum: NaN gives way, and -0 is less than +0."""
     lower = np.where((a == b) & np.signbit(b), b, np.where(b < a, b, a))
     return np.where(np.isnan(a), b, np.where(np.isnan(b), a, lower)).astype(a.dtype)
 
@@ -459,7 +459,7 @@ def tools() -> None:
 
 
 def units(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """How many floats lie between two, of the same sign."""
+    """Return how many floats lie between two, of the same sign."""
     integer_type = f"int{8 * a.dtype.itemsize}"
     return np.abs(a.view(integer_type) - b.view(integer_type))
 

@@ -23,7 +23,7 @@ VIEW = camera(18, 17, off_center=False)  # 2 x 2 tiles, most of them cut off by 
 
 
 def faint(splats: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Hundreds of splats on each pixel, so that lists have several batches, and buckets several chunks."""
+    """Return hundreds of splats on each pixel, so that lists have several batches, and buckets several chunks."""
     for name in splats:
         if name.endswith("opacities"):
             splats[name] *= 0.06
@@ -57,7 +57,10 @@ BARRIER = re.compile(r"__sync(?:warp|threads)\(\);")
 
 
 def barriers() -> Iterator[object]:
-    """Each file with the number of a barrier in it. The first of the file that compiles quickest is not slow."""
+    """Yield each file with the number of a barrier in it.
+
+    The first of the file that compiles quickest is not slow.
+    """
     for file in WORKLOADS:
         for number, _ in enumerate(BARRIER.finditer((SOURCES / "kernels" / file).read_text())):
             quick = (file, number) == ("harmonics/harmonics.cu", 0)
@@ -96,7 +99,10 @@ def test_a_removed_barrier_is_found(tmp_path: Path, file: str, number: int) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["volumes/blending_cuda.h", "surfels/blending_cuda.h"])
 def test_a_removed_bounds_check_is_found(tmp_path: Path, file: str) -> None:
-    """Pixels outside of the image write: out of the tensor, or into another tile's pixels."""
+    """Check that a removed bounds check is found.
+
+    Pixels outside of the image write: out of the tensor, or into another tile's pixels.
+    """
     machine = planted(tmp_path, file, lambda text: text.replace("if (pixel.inside(p.tiles)) ", ""))
     with pytest.raises(GpuError, match=r"(out of bounds|race): write of (4 bytes of )?global memory"):
         WORKLOADS[file](machine)

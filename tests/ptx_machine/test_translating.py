@@ -115,7 +115,7 @@ def test_noise_moves_approximate_results(tools: None) -> None:
 
 
 def test_compiled_as_for_a_card(tools: None, monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
-    """With line numbers besides."""
+    """Check that kernels are compiled as for a card, with line numbers besides."""
     import cuda.core
 
     given: list[Any] = []

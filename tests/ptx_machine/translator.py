@@ -1,4 +1,4 @@
-"""Translates PTX to C++ for machine/machine.h: a function for each kernel, which returns wherever threads meet."""
+"""Translate PTX to C++ for machine/machine.h: a function for each kernel, which returns wherever threads meet."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ MOST_LINES = 2**16 - 1  # that an access of machine/shadow.h can name
 
 
 def translate(text: str) -> str:
-    """Return the C++ of a PTX module. Raises PtxError for an instruction that is not known, with its line."""
+    """Return the C++ of a PTX module.
+
+    Raises PtxError for an instruction that is not known, with its line.
+    """
     if text.count("\n") >= MOST_LINES:
         raise PtxError(f"the PTX has {text.count(chr(10))} lines: expected less than {MOST_LINES}")
     module = parse(text)
@@ -56,7 +59,7 @@ def _bytes(variable: Variable) -> str:
 
 
 class _Translation:
-    """One kernel's."""
+    """The translation of one kernel."""
 
     def __init__(self, kernel: Kernel, module: Module) -> None:
         self._kernel, self._scope = kernel, Scope(kernel, module)
@@ -134,7 +137,7 @@ class _Translation:
         return f'  {{"{name}", run_{name}, {", ".join(sizes)}, shared_{name}, {len(scope.shared)}}},'
 
     def _smallest_access(self, space: str) -> int:
-        """In bytes, of those that may be of a space; 4 where there are none."""
+        """Return the bytes of the smallest access that may be of a space; 4 where there are none."""
         moves = [s for s in self._kernel.statements if isinstance(s, Instruction) and s.opcode in ("ld", "ldu", "st")]
         kinds = [(access.space, access.kind) for access in map(Access.of, moves)]
         return min((BYTES[kind] for where, kind in kinds if where in (space, "generic")), default=4)

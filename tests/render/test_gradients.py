@@ -30,7 +30,7 @@ def draw(*shape: int, seed: int = 0) -> Tensor:
 
 
 def stored(scale_dims: int, split: bool) -> dict[str, Tensor]:
-    """float64 parameters as a model stores them."""
+    """Draw float64 parameters as a model stores them."""
     splats = random_splats(COUNT, scale_dims)
     parameters = {
         "means": splats["means"],
@@ -62,8 +62,10 @@ def flashed(even: Tensor, alpha: Tensor, lit: Tensor | None) -> Tensor:
 
 
 def compare(machine: Machine, render, oracle, parameters: dict[str, Tensor], extra: dict[str, Tensor]) -> None:
-    """Images and every gradient of a fixed random combination of them; extra: what else is drawn from, as `render` and
-    `oracle` take it, with gradients."""
+    """Compare images, and every gradient of a fixed random combination of them, with the oracle's.
+
+    extra: what else is drawn from, as `render` and `oracle` take it, with gradients.
+    """
     mine = {name: tensor.float().to(machine.device).requires_grad_() for name, tensor in parameters.items()}
     theirs = {name: tensor.clone().requires_grad_() for name, tensor in parameters.items()}
     own, exact = (
@@ -145,7 +147,7 @@ def test_surfels(machine: Machine, flash: bool) -> None:
 
 @on_every_kernel
 def test_what_the_loss_does_not_look_at_costs_nothing(machine: Machine) -> None:
-    """Only the transmitted image is looked at: the reflected half gets no gradient, nor does the mirrored light."""
+    """Check that a loss on the transmitted image sends no gradient to the reflected half or the mirrored light."""
     leaves = {name: each.float().to(machine.device).requires_grad_() for name, each in stored(3, split=True).items()}
     mirrored = draw(VIEW.height, VIEW.width, 3).float().to(machine.device).requires_grad_()
     with machine.running():

@@ -17,7 +17,7 @@ SIDE = 64
 
 
 def camera() -> Camera:
-    """Off-centre, with unequal focal lengths, and turned."""
+    """Return a camera that is off-centre and turned, with unequal focal lengths."""
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     pose = np.eye(4)
     pose[:3, :3] = turn * np.sign(np.linalg.det(turn))
@@ -26,13 +26,13 @@ def camera() -> Camera:
 
 
 def normals(generator: np.random.Generator) -> np.ndarray:
-    """Towards the camera, of odd lengths."""
+    """Draw normals towards the camera, of odd lengths."""
     raw = generator.normal(size=(16, 24, 3)) * 0.6 - [0, 0, 1.5]
     return raw @ camera().cam_from_world[:3, :3] * generator.uniform(0.2, 1.0, size=(16, 24, 1))
 
 
 def mirrored_directions(normal: np.ndarray) -> np.ndarray:
-    """World directions [H,W,3] that the sight is thrown to, by Householder's reflection of the ray itself."""
+    """Return world directions [H,W,3] that the sight is mirrored to, by Householder's reflection of the ray itself."""
     view = camera()
     rows, columns = np.mgrid[: view.height, : view.width] + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(view.K).T
@@ -63,8 +63,10 @@ def light(scene: np.ndarray, held: np.ndarray) -> MirroredLight:
 
 
 def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
-    """Of maps of 2.8 degrees a texel, read bilinearly; up to half a texel off along the octahedron's edges, where the
-    map has creases and ends."""
+    """Check light from maps of 2.8 degrees a texel, read bilinearly.
+
+    It is up to half a texel off along the octahedron's edges, where the map has creases and ends.
+    """
     away = np.abs(shown.numpy() - expected)
     assert np.median(away) < 5e-4 and away.max() < 1e-2
 

@@ -13,7 +13,7 @@ from tests.oracles import volumes as oracle
 
 @pytest.mark.parametrize("low_pass", [0.1, 0.3])
 def test_splats_are_drawn_with_their_own_low_pass(low_pass: float) -> None:
-    """Under a pixel wide, so that it makes most of what is seen."""
+    """Check that splats are drawn with their own low-pass; under a pixel wide, it makes most of what is seen."""
     generator = torch.Generator().manual_seed(0)
 
     def draw(*shape: int) -> torch.Tensor:

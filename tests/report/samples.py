@@ -12,7 +12,7 @@ from mgsr.report.shading import TriangleMesh
 
 
 def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bunny_flash -o out") -> ReportData:
-    """A run of all three stages with ground truth."""
+    """Build the report of a run of all three stages with ground truth."""
     stages = {"warmup_surfels": (2000, 70.0), "warmup_volumes": (2000, 60.0), "mutual": (3000, 150.0)}
     return ReportData(
         scene=scene, preset="standard", method="mgsr", device="cpu", seed=0,
@@ -39,7 +39,7 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
 
 
 def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> ReportPictures:
-    """Seeded noise for every picture that a report may hold."""
+    """Draw seeded noise for every picture that a report may hold."""
     random = np.random.default_rng(1)
     image = random.integers(0, 256, (size, size, 4), dtype=np.uint8)
     pictures = (image, image, image, image[..., :3], image, image, image)
@@ -48,7 +48,7 @@ def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> Report
 
 
 def ball(radius: float = 1.0, rings: int = 24) -> TriangleMesh:
-    """A sphere round the origin from a grid of angles, with exact normals."""
+    """Build a sphere round the origin from a grid of angles, with exact normals."""
     polar, around = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij")
     ring = np.sin(polar)
     normals = np.stack([ring * np.cos(around), ring * np.sin(around), np.cos(polar)], -1).reshape(-1, 3)

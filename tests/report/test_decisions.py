@@ -1,4 +1,4 @@
-"""What a run's facts say was decided."""
+"""Tests of the decisions that a report tells from a run's facts."""
 
 from __future__ import annotations
 

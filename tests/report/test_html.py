@@ -18,7 +18,7 @@ STRANGE = "a<b>&\"quote'</title><script>alert(1)</script>é"
 
 
 class Reader(HTMLParser):
-    """Checks that tags close in order; keeps images and tags."""
+    """A parser that checks that tags close in order, and keeps images and tags."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -125,7 +125,10 @@ def test_a_view_under_a_flash_shows_even_light_in_two_rows() -> None:
 
 
 def test_eight_test_views_and_the_surface_stay_under_four_megabytes() -> None:
-    """Pictures with half of their pixels in noise: ten times the bytes of a rendered object."""
+    """Check that eight test views and the surface stay under four megabytes.
+
+    Half of the pictures' pixels are noise: ten times the bytes of a rendered object.
+    """
     noise = sample_pictures(views=8, size=256).views[0].photo.copy()
     noise[:, ::2] = 128
     views = [TestViewPictures(str(i), noise, noise, noise, noise[..., :3], noise, noise, noise) for i in range(8)]

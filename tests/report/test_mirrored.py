@@ -11,7 +11,10 @@ from mgsr.report.pictures import Picture
 
 
 def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
-    """One small lamp; its texel is the one whose direction is nearest, searched in the plain definition of the map."""
+    """Return the light of one small lamp.
+
+    Its texel is the one whose direction is nearest, searched in the plain definition of the map.
+    """
     side = 32
     rows, columns = (np.mgrid[:side, :side] + 0.5) / side * 2 - 1
     z = 1 - np.abs(rows) - np.abs(columns)
@@ -31,7 +34,7 @@ def the_only(pictures: list[Picture]) -> np.ndarray:
 
 
 def brightest(pixels: np.ndarray) -> np.ndarray:
-    """Row and column, in shares of the picture's height."""
+    """Return row and column of the brightest pixel, in shares of the picture's height."""
     rows, columns = np.nonzero(pixels[..., :3].min(axis=-1) > 200)
     return np.array([rows.mean() + 0.5, columns.mean() + 0.5]) / HEIGHT
 

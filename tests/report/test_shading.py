@@ -29,7 +29,10 @@ def test_light_comes_from_above() -> None:
 
 
 def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ball on a plate, beside the same picture by a hundred times as many rays and no evening out."""
+    """Check that hidden parts of a ball on a plate are dark without grain.
+
+    The measure is the same picture by a hundred times as many rays, without smoothing.
+    """
     corners = np.array([[-2, -2, -1.02], [2, -2, -1.02], [2, 2, -1.02], [-2, 2, -1.02]])
     vertices = np.concatenate([ball().vertices, corners])
     plate = len(ball().vertices) + np.array([[0, 1, 2], [0, 2, 3]])
@@ -61,7 +64,7 @@ def test_the_first_side_faces_the_viewer_and_up_is_up() -> None:
 
 
 def test_distance_colours_follow_the_distance() -> None:
-    """A ball 1% too large lies everywhere in the middle of a scale that ends at 2%."""
+    """Check that a ball 1% too large lies everywhere in the middle of a scale that ends at 2%."""
     painter = MeshPainter(ball(1.01, 64))
     look = painter.look(side_camera(painter, UP, FRONT, 0.0, 48))
     lit = look.distances(ball(1.0, 64), 0.02)[24, 24, :3] / 255

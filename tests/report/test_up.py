@@ -1,4 +1,4 @@
-"""Which direction is up, for cameras whose true up is known."""
+"""Tests of the up direction, for cameras whose true up is known."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UP = np.append(UP, np.sin(np.radians(47)))
 
 
 def level(azimuth: float, elevation: float, roll: float = 0.0) -> np.ndarray:
-    """The rotation of a camera in a z-up world that looks at its middle from there; all in degrees."""
+    """Return the rotation of a camera in a z-up world that looks at its middle from there; all in degrees."""
     around, high = np.radians([azimuth, elevation])
     forward = -np.array([np.cos(around) * np.cos(high), np.sin(around) * np.cos(high), np.sin(high)])
     right = np.array([-np.sin(around), np.cos(around), 0.0])
@@ -25,7 +25,7 @@ def level(azimuth: float, elevation: float, roll: float = 0.0) -> np.ndarray:
 
 
 def cameras(rotations: list[np.ndarray], turn: Rotation | None = None) -> list[Camera]:
-    """Cameras in the world that `turn` leads to."""
+    """Return cameras in the world that `turn` leads to."""
     world = np.eye(3) if turn is None else turn.as_matrix()
     poses = [np.eye(4) for _ in rotations]
     for pose, rotation in zip(poses, rotations, strict=True):
@@ -81,7 +81,7 @@ def test_cameras_that_are_not_level_have_their_mean() -> None:
 
 
 def test_lying_cameras_around_a_turntable() -> None:
-    """Their upper sides point everywhere, and their right sides along the axis that they go round."""
+    """Check cameras whose upper sides point everywhere, and their right sides along the axis that they go round."""
     lying = [level(azimuth, 0, 90) for azimuth in range(0, 360, 30)]
     np.testing.assert_array_equal(np.abs(up_direction(cameras(lying))), [0, 0, 1])
     turned = cameras(lying, Rotation.from_euler("x", 90, degrees=True))

@@ -1,5 +1,8 @@
-"""Takes as much of a core as a crowd of clients does, but asks nothing of the service: `python -m tests.service.burn
-SHARE SECONDS`. In slices of some milliseconds, since clients wake up often and work shortly."""
+"""Take as much of a core as a crowd of clients does, but ask nothing of the service.
+
+Run it as `python -m tests.service.burn SHARE SECONDS`. It works in slices of some milliseconds, since clients wake up
+often and work shortly.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ SLICE = 0.005
 
 
 def burn(share: float, seconds: float) -> None:
-    """Use `share` of a core for so long, or what there is of it."""
+    """Use `share` of a core for so long, or as much of it as there is."""
     ends = time.monotonic() + seconds
     while (begun := time.monotonic()) < ends:
         until = time.process_time() + SLICE * share

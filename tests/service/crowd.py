@@ -34,7 +34,7 @@ async def poll(port: int, job: str, ends: float, took: list[float]) -> None:
 
 
 async def follow(port: int, job: str, ends: float) -> int:
-    """How many events came."""
+    """Return how many events came."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     writer.write(f"GET /jobs/{job}/events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
     events = 0
@@ -48,7 +48,7 @@ async def follow(port: int, job: str, ends: float) -> int:
 
 
 async def crowd(port: int, job: str, seconds: float) -> None:
-    """All of them at once."""
+    """Run all clients at once, and print what they measured."""
     begun, used = time.monotonic(), time.process_time()
     ends = begun + seconds
     took: list[float] = []

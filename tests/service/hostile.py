@@ -1,4 +1,4 @@
-"""A client that does not keep to the rules: raw sockets, so that every byte and pause is ours."""
+"""A client that breaks the rules: raw sockets, so that tests control every byte and pause."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Answer:
-    """What came back; status 0 where the connection ended without an answer."""
+    """An answer; status 0 where the connection ended without one."""
 
     status: int
     body: dict[str, Any]
@@ -32,7 +32,7 @@ class RawRequest:
         self.socket.close()
 
     def send(self, data: bytes) -> bool:
-        """Whether the other side still took it."""
+        """Send the data, and return whether the other side still took it."""
         try:
             self.socket.sendall(data)
             return True
@@ -40,14 +40,14 @@ class RawRequest:
             return False
 
     def trickle(self, count: int, pause: float) -> None:
-        """Send single bytes until so many are gone, or the other side has had enough."""
+        """Send single bytes until so many are sent, or the other side has had enough."""
         for _ in range(count):
             if not self.send(b"P"):
                 return
             time.sleep(pause)
 
     def answer(self) -> Answer:
-        """What the service says."""
+        """Return the service's answer."""
         held = b""
         try:
             while chunk := self.socket.recv(1 << 16):

@@ -1,4 +1,4 @@
-"""A whole service as it runs in earnest: queue server, API and workers as processes, spoken to over connections."""
+"""A whole service in real processes: queue server, API and workers, reached over connections."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ STOPPED = Settings.model_fields["stop_grace"].default + 10.0
 
 
 def free_port() -> int:
-    """A port of this machine that nobody listens at."""
+    """Return a port of this machine that nobody listens at."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def zip_folder(folder: Path) -> bytes:
-    """A folder's files as a zip."""
+    """Return a folder's files as a zip."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w") as target:
         for path in sorted(folder.rglob("*")):
@@ -92,7 +92,7 @@ class Stack:
             self.stop(name)
 
     def start(self, name: str, **settings: str) -> None:
-        """Start a process, perhaps with settings of its own; what it says goes to NAME.log."""
+        """Start a process, optionally with settings of its own; its output goes to NAME.log."""
         commands = {
             "queue": self.server.command,
             "api": [sys.executable, "-m", "service.cli", "--port", str(self.port)],
@@ -103,15 +103,15 @@ class Stack:
             self.processes[name] = subprocess.Popen(command, env=environment, stdout=log, stderr=log, cwd=ROOT)
 
     def job_processes(self) -> list[int]:
-        """The process ids of the job processes of this stack, also of those whose worker is gone."""
+        """Return the process ids of this stack's job processes, also of those whose worker is gone."""
         return list(self._job_processes())
 
     def jobs_at_work(self) -> set[str]:
-        """The jobs that have a job process."""
+        """Return the jobs that have a job process."""
         return set(self._job_processes().values())
 
     def _job_processes(self) -> dict[int, str]:
-        """Job by process id, as the processes' own environments say."""
+        """Return the job by process id, as the processes' own environments say."""
         mark = re.compile(re.escape(f"MGSR_JOB={self.folder}/scratch/").encode() + rb"(\w+)\.")
         found: dict[int, str] = {}
         for entry in Path("/proc").iterdir():
@@ -123,7 +123,7 @@ class Stack:
         return found
 
     def stop(self, name: str) -> None:
-        """End a process in good order; kill it if it won't."""
+        """Stop a process cleanly; kill it if it does not end."""
         process = self.processes.pop(name)
         process.terminate()
         try:
@@ -133,13 +133,13 @@ class Stack:
             process.wait()
 
     def kill(self, name: str) -> None:
-        """kill -9."""
+        """Kill a process with signal 9."""
         process = self.processes.pop(name)
         process.kill()
         process.wait()
 
     def wait_until_ready(self, workers: int = 0, seconds: float = 60.0) -> None:
-        """Until queue and API answer, and so many workers listen."""
+        """Wait until queue and API answer, and so many workers listen."""
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
             try:
@@ -153,7 +153,7 @@ class Stack:
         raise AssertionError(f"not ready after {seconds} s:\n{self.logs()}")
 
     def logs(self) -> str:
-        """The end of what each process has said."""
+        """Return the end of each process's log."""
         return "\n".join(f"--- {path.name}\n{path.read_text()[-3000:]}" for path in self.folder.glob("*.log"))
 
     def submit(self, archive: bytes, options: dict[str, Any], **headers: str) -> httpx.Response:
@@ -162,13 +162,13 @@ class Stack:
         return self.http.post("/jobs", files=files, data={"options": json.dumps(options)}, headers=headers)
 
     def submitted(self, archive: bytes, options: dict[str, Any]) -> str:
-        """The id of a job that was taken."""
+        """Submit an archive, and return the id of the accepted job."""
         answer = self.submit(archive, options)
         assert answer.status_code == 202, answer.text
         return str(answer.json()["id"])
 
     def job(self, job: str) -> dict[str, Any]:
-        """How a job stands."""
+        """Return a job's state."""
         answer = self.http.get(f"/jobs/{job}")
         assert answer.status_code == 200, answer.text
         found: dict[str, Any] = answer.json()
@@ -177,7 +177,10 @@ class Stack:
     def wait_for(
         self, job: str, *statuses: str, step: str | None = None, seconds: float = 120.0, every: float = 0.1
     ) -> dict[str, Any]:
-        """The job once it has one of the statuses (and is at a step). every: seconds between two looks."""
+        """Wait until the job has one of the statuses (and is at a step), and return it.
+
+        every: seconds between two looks.
+        """
         ends = time.monotonic() + seconds
         while time.monotonic() < ends:
             found = self.job(job)
@@ -189,12 +192,12 @@ class Stack:
         raise AssertionError(f"job {job} is not {statuses} after {seconds} s but {self.job(job)}\n{self.logs()}")
 
     def finished(self, job: str, seconds: float = 180.0) -> dict[str, Any]:
-        """The job once it has ended, well or not."""
+        """Wait until the job has ended, well or not, and return it."""
         return self.wait_for(job, *FINAL, seconds=seconds)
 
 
 def kill_process(pid: int) -> None:
-    """kill -9, if it is still there."""
+    """Kill a process with signal 9, if it is still there."""
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:

@@ -24,8 +24,10 @@ def busy(stack: Stack, tiny_archive: bytes) -> Iterator[str]:
 
 
 def test_while_it_trains(stack: Stack, busy: str) -> None:
-    """The worker sees it within two seconds; the job counts as cancelled only once the process is gone, which writes a
-    checkpoint first."""
+    """Check that the worker sees a cancel within two seconds, and that the process writes a checkpoint first.
+
+    The job counts as cancelled only once the process is gone.
+    """
     assert stack.job_processes()
     asked = time.monotonic()
     answer = stack.http.delete(f"/jobs/{busy}")
@@ -55,7 +57,7 @@ def test_while_it_waits(tmp_path: Path, tiny_archive: bytes) -> None:
 
 @pytest.mark.slow
 def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
-    """Before and while it unpacks and loads: killed at once."""
+    """Check that a job is killed at once, before and while it unpacks and loads."""
     for pause in (0.0, 0.3, 0.8):
         job = stack.submitted(tiny_archive, LONG_OPTIONS)
         time.sleep(pause)
@@ -67,7 +69,7 @@ def test_as_soon_as_a_worker_has_it(stack: Stack, tiny_archive: bytes) -> None:
 
 @pytest.mark.slow
 def test_while_it_extracts_the_surface(stack: Stack, tiny_archive: bytes) -> None:
-    """Outside training there is nothing to keep: killed at once."""
+    """Check that a job is killed at once outside training, where there is nothing to keep."""
     job = stack.submitted(tiny_archive, TINY_OPTIONS)
     stack.wait_for(job, "running", step="mesh")
     stack.http.delete(f"/jobs/{job}")

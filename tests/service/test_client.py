@@ -1,4 +1,4 @@
-"""The client against servers that do not do as they should."""
+"""The client against servers that misbehave."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ ARTIFACT = {"name": "mesh.ply", "size": len(DATA), "sha256": hashlib.sha256(DATA
 
 
 class Fickle:
-    """Sends a file of which each answer holds `most` bytes at most, then the connection ends; `ranges`: whether it
-    sends parts. Another address sends it on to the first, as S3 does."""
+    """Sends a file of which each answer holds at most `most` bytes; then the connection ends.
+
+    ranges: whether it sends parts. Another address redirects to the first, as S3 does.
+    """
 
     def __init__(self) -> None:
         self.most, self.ranges, self.data = len(DATA), True, DATA
@@ -45,7 +47,7 @@ class Fickle:
                 self.wfile.write(rest[: fickle.most])
 
             def log_message(self, format: str, *arguments: Any) -> None:
-                """Nothing."""
+                """Log nothing."""
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://127.0.0.1:{self.server.server_port}"
@@ -61,7 +63,7 @@ def fickle() -> Iterator[Fickle]:
 
 
 def download(fickle: Fickle, folder: Path, name: str = "mesh.ply") -> int:
-    """The sum of what the progress was told."""
+    """Download a file, and return the sum of the reported sizes."""
     told: list[int] = []
     with Client(fickle.url, "mgsr_key") as client:
         client.download("1", ARTIFACT | {"name": name}, folder / "out/mesh.ply", told.append)

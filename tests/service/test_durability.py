@@ -37,7 +37,7 @@ def send(stack: Stack, archive: Path, seed: int) -> str:
 
 
 def successes(stack: Stack) -> list[str]:
-    """The job of each outcome `succeeded` that any worker has filed."""
+    """Return the job of each outcome `succeeded` that any worker has filed."""
     logs = "".join(path.read_text() for path in stack.folder.glob("worker*.log"))
     assert "another attempt was first" not in logs
     return re.findall(r"job (\w+): succeeded", logs)
@@ -45,7 +45,7 @@ def successes(stack: Stack) -> list[str]:
 
 @pytest.mark.slow
 def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Its job process dies with it, and another worker goes on from the checkpoint within 45 seconds."""
+    """Check that the job process dies with its worker, and another worker goes on from the checkpoint in 45 seconds."""
     with Stack(tmp_path, workers=1, MGSR_CHECKPOINT_SECONDS="1") as stack:
         job = stack.submitted(tiny_archive, LONG_OPTIONS)
         while (stack.wait_for(job, "running", step="train")["iteration"] or 0) < 200:
@@ -73,7 +73,7 @@ def test_a_killed_worker_takes_no_job_along(tmp_path: Path, tiny_archive: bytes)
 
 @pytest.mark.slow
 def test_the_queue_may_lose_everything(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Redis starts anew with nothing: the job that runs goes on, the one that waits is queued again."""
+    """Check that an empty Redis loses nothing: the running job goes on, the waiting one is queued again."""
     with Stack(tmp_path, workers=1) as stack:
         running = stack.submitted(tiny_archive, LONG_OPTIONS)
         waiting = stack.submitted(tiny_archive, TINY_OPTIONS)
@@ -130,7 +130,7 @@ def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: byte
 
 
 class Chaos(threading.Thread):
-    """Kills one process after the other with signal 9, so many in all, and starts it again as a supervisor would."""
+    """Kills one process after the other with signal 9, and starts it again as a supervisor would."""
 
     def __init__(self, stack: Stack, kills: int, seed: int) -> None:
         super().__init__(daemon=True)
@@ -154,10 +154,10 @@ class Chaos(threading.Thread):
 
 
 class Attendance(threading.Thread):
-    """Looks all the time for jobs that have not ended, and are neither in the queue nor have a process.
+    """Watches for jobs that have not ended, and are neither in the queue nor have a process.
 
-    longest: seconds that one was so. What a worker does before and after the process counts, too, and all the time that
-    the queue server is away: both make it more.
+    longest: the most seconds that one was so. It includes what a worker does before and after the process, and all the
+    time that the queue server is away.
     """
 
     def __init__(self, stack: Stack, store: Jobs) -> None:
@@ -217,7 +217,7 @@ def test_thirty_jobs_while_everything_is_killed(tmp_path: Path, tiny_archive: by
 
 
 def wait_for_outcome(store: Jobs, job: str, seconds: float = 1200.0) -> float:
-    """When the job ended, by the store: the API may be away."""
+    """Wait until the job has ended, and return when; it asks the store, as the API may be away."""
     ends = time.monotonic() + seconds
     while (outcome := store.outcome(job, 0)) is None:
         assert time.monotonic() < ends, f"job {job} has no outcome"

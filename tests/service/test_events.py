@@ -1,4 +1,4 @@
-"""Server-sent events: in order, to all, and taken up where a connection ended."""
+"""Server-sent events: in order, to all, and resumed where a connection ended."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Event = tuple[str, str, dict]
 
 
 def listen(stack: Stack, job: str, after: str | None = None) -> Iterator[Event]:
-    """Id, kind and data of each event until the stream ends."""
+    """Yield id, kind and data of each event until the stream ends."""
     headers = {} if after is None else {"Last-Event-ID": after}
     with stack.http.stream("GET", f"/jobs/{job}/events", headers=headers) as answer:
         assert answer.headers["Content-Type"].startswith("text/event-stream")

@@ -23,7 +23,7 @@ from tests.worker.archives import plain, tar_of, zst
 
 @pytest.fixture(scope="module")
 def done(stack: Stack, tiny_archive: bytes) -> dict[str, Any]:
-    """A job that has succeeded."""
+    """Provide a job that has succeeded."""
     answer = stack.submit(tiny_archive, TINY_OPTIONS | {"name": "three spheres"})
     assert answer.status_code == 202
     job = answer.json()
@@ -60,7 +60,7 @@ def test_results_have_addresses_of_their_own(stack: Stack, done: dict[str, Any],
 
 @pytest.mark.parametrize("name", ["log.txt", "report.json", "report.html"])
 def test_no_result_knows_the_machine(stack: Stack, done: dict[str, Any], name: str) -> None:
-    """Folders of the worker mean nothing to who reads, and are nobody else's business."""
+    """Check that no result names the worker's folders, which mean nothing to its reader and are private."""
     text = stack.http.get(f"/jobs/{done['id']}/artifacts/{name}").text
     assert len(text) > 100 and str(stack.folder) not in text and "three_spheres" in text
 
@@ -101,7 +101,7 @@ def test_an_unchanged_job_is_not_sent_again(stack: Stack, done: dict[str, Any]) 
 
 
 def test_all_looks_at_a_job_are_answered_alike_and_counted(stack: Stack, done: dict[str, Any]) -> None:
-    """The first reads the store, those right after it don't."""
+    """Check that repeated requests have equal answers: the first reads the store, those right after it don't."""
     counted = '{method="GET",route="/jobs/{job_id}",status="200"} '
     begin = float(stack.http.get("/metrics").text.partition(counted)[2].split()[0])
     answers = [stack.http.get(f"/jobs/{done['id']}") for _ in range(3)]
@@ -134,7 +134,7 @@ def test_a_job_that_ended_is_neither_cancelled_nor_retried(stack: Stack, done: d
 
 @pytest.mark.slow
 def test_progress_that_a_person_believes(stack: Stack, tiny_archive: bytes) -> None:
-    """Stage, iteration, time left, losses, PSNR, curve and pictures while it trains; the log too; then cancelled."""
+    """Check stage, iteration, time left, losses, PSNR, curve, pictures and the log during training, and a cancel."""
     watch = {"train.watch.curve_every": 50, "train.watch.preview_every": 50}
     options = LONG_OPTIONS | {"settings": LONG_OPTIONS["settings"] | watch}
     job = stack.submitted(tiny_archive, options)
@@ -174,7 +174,7 @@ def _until_there(stack: Stack, address: str) -> httpx.Response:
 @pytest.mark.parametrize("kind", [".tar", ".tar.gz", ".tar.zst"])
 @pytest.mark.parametrize("form", [True, False], ids=["form", "body"])
 def test_every_kind_of_archive_ends_in_a_mesh(stack: Stack, tiny_archive: bytes, kind: str, form: bool) -> None:
-    """Zips are what the other tests send. As the form that browsers send, and as the body with its own type."""
+    """Check every kind of archive but zip, which other tests send, as a browser's form and as the body."""
     archive = tar_of(*[plain(name, data) for name, data in zip_members(tiny_archive)])
     pack, name = {
         ".tar": (bytes, "application/x-tar"),
@@ -192,14 +192,14 @@ def test_every_kind_of_archive_ends_in_a_mesh(stack: Stack, tiny_archive: bytes,
 
 
 def zip_members(archive: bytes) -> list[tuple[str, bytes]]:
-    """Name and content of each file."""
+    """Return name and content of each file."""
     with zipfile.ZipFile(io.BytesIO(archive)) as opened:
         return [(name, opened.read(name)) for name in opened.namelist()]
 
 
 @pytest.mark.slow
 def test_by_curl_as_the_documentation_says(stack: Stack, tiny_archive: bytes, tmp_path: Path) -> None:
-    """The block of docs/service.md, run as it stands with another address, archive and options."""
+    """Check the block of docs/service.md, run with another address, archive and options."""
     text = (ROOT / "docs/service.md").read_text(encoding="utf-8")
     script = text.split("<!-- curl -->\n```sh\n")[1].split("```")[0]
     script = script.replace("http://127.0.0.1:8000", stack.url).replace('{"preset": "draft"}', json.dumps(TINY_OPTIONS))

@@ -19,7 +19,7 @@ from tests.service.stack import ROOT, TINY_OPTIONS, Stack
 
 @pytest.fixture(scope="module")
 def keyed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, str, str]]:
-    """A service with two keys, and no worker."""
+    """Yield a service with two keys, and no worker."""
     folder = tmp_path_factory.mktemp("keyed")
     keys = [program(folder, "keys", "create", name).stdout.strip() for name in ("anna", "bert")]
     with Stack(folder, workers=0) as running:
@@ -27,7 +27,7 @@ def keyed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Stack, str
 
 
 def program(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`mgsr` on a folder of its own."""
+    """Run `mgsr` on a folder of its own."""
     environment = os.environ | {"MGSR_HOME": str(home), "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "program", *arguments]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)

@@ -36,16 +36,16 @@ class Pace:
 
     @property
     def per_second(self) -> float:
-        """Iterations in a second of training."""
+        """Return the iterations per second of training."""
         return self.iterations / self.seconds
 
     def shares(self) -> str:
-        """For a person: percent of a core that each process had."""
+        """Return for people the percentage of a core that each process had."""
         return ", ".join(f"{name} {used / self.seconds:.1%}" for name, used in self.cpu.items())
 
 
 def watch(stack: Stack, job: str, seconds: float) -> Pace:
-    """How the training goes on for so many seconds."""
+    """Measure the training for so many seconds."""
     before, begin = cpu_seconds(stack), stack.job(job)["curve"][-1]
     time.sleep(seconds)
     after, end = cpu_seconds(stack), stack.job(job)["curve"][-1]
@@ -54,7 +54,7 @@ def watch(stack: Stack, job: str, seconds: float) -> Pace:
 
 
 def cpu_seconds(stack: Stack) -> dict[str, float]:
-    """What each process has used so far."""
+    """Return the CPU seconds that each process has used so far."""
     processes = {name: process.pid for name, process in stack.processes.items()}
     (processes["job"],) = stack.job_processes()
     return {name: cpu_of(pid) for name, pid in processes.items()}
@@ -66,7 +66,7 @@ def cpu_of(pid: int) -> float:
 
 
 def beside(*command: str) -> subprocess.Popen[str]:
-    """A program that runs beside the training for longer than a window."""
+    """Start a program that runs beside the training for longer than a window."""
     return subprocess.Popen(
         ["nice", "-n", str(CROWD_NICE), sys.executable, "-m", *command, str(SECONDS + 2 * MARGIN)],
         stdout=subprocess.PIPE,
@@ -76,12 +76,12 @@ def beside(*command: str) -> subprocess.Popen[str]:
 
 
 def said(program: subprocess.Popen[str]) -> str:
-    """What it prints, once it has ended."""
+    """Return what a program prints, once it has ended."""
     return program.communicate()[0]
 
 
 def pace_beside(program: subprocess.Popen[str], stack: Stack, job: str) -> Pace:
-    """How the training goes on while the program runs."""
+    """Measure the training while the program runs."""
     time.sleep(MARGIN)
     return watch(stack, job, SECONDS)
 
@@ -89,13 +89,15 @@ def pace_beside(program: subprocess.Popen[str], stack: Stack, job: str) -> Pace:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_three_hundred_who_poll_and_fifty_who_follow(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Three kinds of windows take turns, so that what else happens on the machine hits all: the training alone; with
+    """Check that a crowd of clients slows the training little.
+
+    Three kinds of windows take turns, so that what else happens on the machine affects all: the training alone; with
     the crowd; and with a program that takes as much CPU as the crowd does, but asks for nothing.
 
-    In earnest the clients' programs run on machines of their own, so what the crowd itself takes of this machine's
-    cores is nothing that the service costs: the service slows the training by what is lost between the third kind and
-    the second. What is lost between the first and the second, with the clients' own work, is printed too. Needs two
-    cores that do nothing else: one trains, the other serves and asks.
+    In practice the clients run on machines of their own, so what the crowd itself takes of this machine's cores is not
+    the service's cost. The service slows the training by what is lost between the third kind and the second. The loss
+    between the first and the second, with the clients' own work, is printed too. Needs two idle cores: one trains, the
+    other serves and asks.
     """
     settings = TINY | {"train.warmup.surfel_iterations": 1_000_000, "train.warmup.stop_rule": "none"}
     alone = crowded = burdened = Pace(0.0, 0, {})

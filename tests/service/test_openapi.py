@@ -43,14 +43,14 @@ LONGEST = 30_000
 
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
-    """The app, for its document; nothing is sent to this one."""
+    """Provide the app, for its document; nothing is sent to this one."""
     folder = tmp_path_factory.mktemp("document")
     return create_app(Settings(redis_url="redis://127.0.0.1:1", store=str(folder)))
 
 
 @pytest.fixture(scope="module")
 def known_jobs(stack: Stack, tiny_archive: bytes) -> list[str]:
-    """A job in each state: succeeded, failed, cancelled, running."""
+    """Provide a job in each state: succeeded, failed, running."""
     done = stack.submitted(tiny_archive, TINY_OPTIONS)
     failed = stack.submitted(zip_of(("readme.txt", b"nothing")), TINY_OPTIONS)
     running = stack.submitted(tiny_archive, LONG_OPTIONS)
@@ -64,7 +64,7 @@ def known_jobs(stack: Stack, tiny_archive: bytes) -> list[str]:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("mode", list(GenerationMode), ids=lambda mode: mode.value)
 def test_every_operation_answers_as_described(stack: Stack, known_jobs: list[str], mode: GenerationMode) -> None:
-    """Generated requests, good or bad; most of those about a job name one that is there."""
+    """Check generated requests, good or bad; most of those about a job name an existing one."""
     document = schemathesis.openapi.from_url(f"{stack.url}/openapi.json")
     operations = [found.ok() for found in document.get_all_operations()]
     assert len(operations) > 20
@@ -77,7 +77,7 @@ def test_every_operation_answers_as_described(stack: Stack, known_jobs: list[str
 
 
 def generated(strategy: SearchStrategy[Case], stack: Stack, known_jobs: list[str]) -> None:
-    """Send some dozens of requests of one operation, and hold the answers to the document."""
+    """Send some dozens of requests of one operation, and check the answers against the document."""
 
     @settings(max_examples=40, deadline=None, database=None, derandomize=True, suppress_health_check=list(HealthCheck))
     @given(case=strategy, job=st.sampled_from([*known_jobs, None]))

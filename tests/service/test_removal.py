@@ -1,4 +1,4 @@
-"""Jobs are removed when their owner says so, and then whole."""
+"""Jobs are removed only when their owner asks, and then completely."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from tests.worker.archives import zip_of
 
 @pytest.fixture(scope="module")
 def idle(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A service without workers."""
+    """Yield a service without workers."""
     with Stack(tmp_path_factory.mktemp("idle"), workers=0) as running:
         yield running
 
 
 def files_of(stack: Stack, job: str) -> list[Path]:
-    """Everything in the store that has the job's id in its path."""
+    """Return everything in the store that has the job's id in its path."""
     return [path for path in (stack.folder / "store").rglob("*") if path.is_file() and job in str(path)]
 
 
 def test_a_job_that_has_ended_is_removed_whole(idle: Stack, tiny_archive: bytes) -> None:
-    """With its idempotency key, too: the same submit then is a new job."""
+    """Check that the idempotency key goes too, so that the same submit is a new job."""
     key = {"Idempotency-Key": "once"}
     job = idle.submit(tiny_archive, TINY_OPTIONS, **key).json()["id"]
     other = idle.submitted(tiny_archive, TINY_OPTIONS)
@@ -50,7 +50,7 @@ def test_results_go_too(stack: Stack, tiny_archive: bytes) -> None:
 
 
 def test_a_refused_archive_does_not_hinder(stack: Stack) -> None:
-    """The worker has removed it already."""
+    """Check that a job is removed whose archive the worker has removed already."""
     job = stack.submitted(zip_of(("readme.txt", b"nothing")), TINY_OPTIONS)
     stack.wait_for(job, "failed")
     assert stack.http.delete(f"/jobs/{job}/data").status_code == 204 and not files_of(stack, job)

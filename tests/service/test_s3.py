@@ -20,7 +20,7 @@ AWAY = 20.0
 
 
 class Gate:
-    """A port that passes connections on to another while it is open, and refuses and cuts them while it is closed."""
+    """A port that forwards connections while it is open, and refuses and cuts them while it is closed."""
 
     def __init__(self, target: int) -> None:
         self.target, self.port = target, free_port()
@@ -28,7 +28,7 @@ class Gate:
         self.connections: set[socket.socket] = set()
 
     def open(self) -> None:
-        """Let through."""
+        """Let connections through."""
         self.listener = socket.create_server(("127.0.0.1", self.port), backlog=100)
         threading.Thread(target=self._accept, args=(self.listener,), daemon=True).start()
 
@@ -61,7 +61,7 @@ class Gate:
 
 @pytest.fixture
 def bucket() -> Iterator[tuple[dict[str, str], Gate]]:
-    """Settings of a store in a bucket of a real S3 API (moto's server), and the gate before it."""
+    """Yield settings of a store in a bucket of a real S3 API (moto's server), and the gate before it."""
     port = free_port()
     server = subprocess.Popen(
         [sys.executable, "-m", "moto.server", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
@@ -126,7 +126,7 @@ def test_results_come_from_the_bucket_itself(
 def test_a_bucket_that_is_away_costs_no_job(
     bucket: tuple[dict[str, str], Gate], tmp_path: Path, tiny_archive: bytes
 ) -> None:
-    """Away while the job trains, writes checkpoints and wants to publish."""
+    """Check a bucket that is away while the job trains, writes checkpoints and wants to publish."""
     settings, gate = bucket
     with Stack(tmp_path, MGSR_CHECKPOINT_SECONDS="1", **settings) as stack:
         options = LONG_OPTIONS | {"settings": TINY | {"train.warmup.surfel_iterations": 1000}}

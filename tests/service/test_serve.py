@@ -25,7 +25,7 @@ SET = [f"--set={key}={'none' if value is None else value}" for key, value in TIN
 
 
 def run(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """`mgsr` to its end."""
+    """Run `mgsr` to its end."""
     command = [sys.executable, "-m", "program", *arguments]
     return subprocess.run(command, env=environment(home), capture_output=True, text=True, timeout=120, cwd=ROOT)
 
@@ -37,7 +37,7 @@ def environment(home: Path) -> dict[str, str]:
 
 @contextmanager
 def serving(home: Path, port: int) -> Iterator[subprocess.Popen[str]]:
-    """The program in a session of its own, as in a terminal, once it says that it listens."""
+    """Yield the program in a session of its own, as in a terminal, once it says that it listens."""
     command = [sys.executable, "-m", "program", "serve", "--port", str(port)]
     with (home / "serve.log").open("w") as log:
         process = subprocess.Popen(
@@ -55,7 +55,7 @@ def serving(home: Path, port: int) -> Iterator[subprocess.Popen[str]]:
 
 
 def descendants(home: Path) -> list[int]:
-    """Every process that has this home in its environment or command."""
+    """Return every process that has this home in its environment or command."""
     found = []
     for entry in Path("/proc").iterdir():
         try:
@@ -92,7 +92,7 @@ def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_serve_submit_and_stop(tmp_path: Path, tiny_archive: bytes) -> None:
-    """One command, one more, a mesh."""
+    """Check that `mgsr serve`, `mgsr submit` and a signal give a mesh and a clean end."""
     home, port = tmp_path / "home", free_port()
     home.mkdir()
     scene = tmp_path / "spheres.zip"
@@ -182,7 +182,7 @@ def test_submit_says_what_is_wrong(arguments: list[str], said: str, tmp_path: Pa
 
 
 def test_the_library_commands_need_no_service() -> None:
-    """`mgsr run` and the others load nothing of the service's packages."""
+    """Check that `mgsr run` and the others load nothing of the service's packages."""
     blocked = ("fastapi", "uvicorn", "redis", "rq", "obstore", "httpx", "pydantic_settings")
     code = f"import sys\nfor name in {blocked}: sys.modules[name] = None\nimport program.__main__, worker.cli"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=60)

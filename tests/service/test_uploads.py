@@ -31,14 +31,14 @@ ZIP = "Content-Type: application/zip"
 
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A service with small limits."""
+    """Yield a service with small limits."""
     with Stack(tmp_path_factory.mktemp("strict"), **LIMITS) as running:
         yield running
 
 
 @pytest.fixture(autouse=True)
 def nothing_left_behind(strict: Stack) -> Iterator[None]:
-    """After each test, uploads are those that jobs name, also by the file system's own word."""
+    """Check after each test that the store, and the file system, hold only uploads that jobs name."""
     yield
     time.sleep(0.3)
     left = {path for path in (strict.folder / "store/uploads").rglob("*") if path.is_file()}
@@ -47,7 +47,7 @@ def nothing_left_behind(strict: Stack) -> Iterator[None]:
 
 
 def memory_peak(stack: Stack) -> int:
-    """The most bytes of memory that the API has had."""
+    """Return the peak memory of the API, bytes."""
     status = Path(f"/proc/{stack.processes['api'].pid}/status").read_text()
     return int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM:"))) * 1024
 
@@ -59,7 +59,7 @@ def test_five_gigabytes_are_refused_by_their_claim(strict: Stack) -> None:
 
 
 def test_bytes_are_counted_when_nothing_is_claimed(strict: Stack) -> None:
-    """Chunked transfer of 200 MB. What comes after the refusal is thrown away."""
+    """Check a chunked transfer of 200 MB; what comes after the refusal is thrown away."""
     before = memory_peak(strict)
     chunk = b"100000\r\n" + b"PK\x03\x04" + bytes((1 << 20) - 4) + b"\r\n"
     with RawRequest(strict.port, ZIP, "Transfer-Encoding: chunked") as request:
@@ -166,7 +166,7 @@ def test_a_wrong_setting_is_named_with_the_cure(strict: Stack, settings: dict[st
 
 @pytest.mark.slow
 def test_the_archive_as_the_body(strict: Stack) -> None:
-    """With options in the query; refused by the worker, so the archive went the whole way."""
+    """Check options in the query; the worker refuses the archive, so it went the whole way."""
     answer = strict.http.post(
         "/jobs",
         params={"options": '{"preset": "draft"}'},
@@ -222,7 +222,7 @@ def test_two_submits_at_the_same_moment_are_one_job(strict: Stack, tiny_archive:
 
 
 def test_what_a_killed_service_was_receiving_is_swept(tmp_path: Path) -> None:
-    """Not at once: another service may be receiving it. After hours, and only that."""
+    """Check that only stale uploads are swept, after hours: another service may be receiving a newer one."""
     with Stack(tmp_path, workers=0) as stack:
         kept = stack.submitted(zip_of(("a.bin", b"kept")), TINY_OPTIONS)
         with RawRequest(stack.port, ZIP, "Content-Length: 20000000") as request:

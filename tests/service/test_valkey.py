@@ -1,4 +1,4 @@
-"""The queue server of our own: which program is run."""
+"""The embedded queue server: which program is run."""
 
 from __future__ import annotations
 

@@ -21,13 +21,16 @@ Paint = Callable[[np.ndarray], np.ndarray]  # points [...,3] -> colours [...,3]
 
 
 def painted(points: np.ndarray) -> np.ndarray:
-    """A paint [...,3] that changes over some six pixels, and differently along every axis."""
+    """Return a paint [...,3] that changes over some six pixels, and differently along every axis."""
     waves = np.sin(points @ (np.array([[47, 11, 5], [-9, 43, 13], [7, -15, 45.0]]).T))
     return 0.5 + 0.25 * waves
 
 
 def flash_photographs(mesh: trimesh.Trimesh, paint: Paint) -> list[View]:
-    """What 40 cameras around see under a lamp beside the lens; walls are painted and lit on both sides."""
+    """Photograph a mesh with 40 cameras around, under a lamp beside the lens.
+
+    Walls are painted and lit on both sides.
+    """
     views = []
     for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
         points = back_project(seen)

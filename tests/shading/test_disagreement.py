@@ -1,4 +1,4 @@
-"""Where photographs under a flash look past a surface: on a painted shell with a hole, and a mesh that covers it."""
+"""Tests of the photometric residual under a flash: on a painted shell with a hole, and a mesh that covers it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CONFIG = MeshConfig(parallax_reach=None)
 
 
 def patches(points: np.ndarray) -> np.ndarray:
-    """A paint [...,3] in patches of a dozen pixels: what lies a pixel off does not look like the other side."""
+    """Return a paint [...,3] in patches of a dozen pixels: what lies a pixel off does not look like the other side."""
     return painted(points / 4)
 
 

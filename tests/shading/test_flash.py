@@ -22,14 +22,14 @@ LIGHT = Flash(right=0.15, down=-0.25, ambient=0.03, bounced=0.1)
 
 
 def hollows() -> Hollows:
-    """As if the ball had some: open and thrown change along it."""
+    """Return ambient occlusion and interreflection as if the ball had some: open and thrown change along it."""
     x, y, z = NORMALS.T
     thrown = 0.1 * (1 + np.sin(4 * y))[:, None] * (1 + 0.5 * np.cos(np.arange(len(CAMERAS))))
     return Hollows(RayCaster(POINTS, BALL.faces), np.asarray(BALL.faces), 0.7 + 0.3 * np.sin(5 * x) * z, thrown)
 
 
 def readings(light: Flash, gloss: float = 0.0) -> Readings:
-    """Each photograph's brightness at each of the ball's points, one by one."""
+    """Compute each photograph's brightness at each of the ball's points, one by one."""
     seen, columns = hollows(), []
     for index, camera in enumerate(CAMERAS):
         right, down, _ = camera.cam_from_world[:3, :3]
@@ -57,7 +57,7 @@ def explain(seen: Readings, light: Flash) -> Explained:
 
 
 def off(normals: np.ndarray) -> np.ndarray:
-    """Degrees from the true normals, [P]."""
+    """Return the degrees from the true normals, [P]."""
     return np.asarray(np.degrees(np.arccos(np.clip((normals * NORMALS).sum(1), -1, 1))))
 
 
@@ -72,7 +72,7 @@ def test_normals_come_back(gloss: float) -> None:
 @pytest.mark.parametrize("light", [Flash(), LIGHT])
 @pytest.mark.parametrize(("noise", "aside", "ambient"), [(0.0, 0.005, 0.002), (0.08, 0.03, 0.015)])
 def test_the_lamp_is_found(light: Flash, noise: float, aside: float, ambient: float) -> None:
-    """Normals that are off by 5 degrees each put it off by less than one."""
+    """Check that the lamp is found; normals that are off by 5 degrees each put it off by less than one."""
     rough = NORMALS + np.random.default_rng(1).normal(scale=noise, size=NORMALS.shape)
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     assert off(rough).mean() > 60 * noise
@@ -109,7 +109,7 @@ def test_points_whose_readings_disagree_are_not_trusted() -> None:
 
 
 def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
-    """A plate and a screen beside it: what the screen keeps from the lamp."""
+    """Check that the vertices of a plate from which a screen keeps the lamp are not read."""
     camera = looking_at_origin(np.array([0.001, 0.0, 4.0]))
     plate = trimesh.creation.box((1.0, 1.0, 0.01)).subdivide().subdivide().subdivide()
     screen = trimesh.creation.box((0.01, 1.0, 0.3))

@@ -1,4 +1,4 @@
-"""What a bowl hides from itself and throws back, against the view factors of a sphere, which are known."""
+"""Tests of ambient occlusion and interreflection in a bowl, against the view factors of a sphere, which are known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIDE = 96
 
 
 def bowl(height: float) -> tuple[np.ndarray, np.ndarray]:
-    """A ball's inside below a height, of radius 1, its facets turned inwards."""
+    """Build a ball's inside below a height, of radius 1, with its faces turned inwards."""
     ball = trimesh.creation.icosphere(subdivisions=4)
     kept = ball.faces[ball.triangles_center[:, 2] < height][:, ::-1]
     used, faces = np.unique(kept, return_inverse=True)
@@ -23,7 +23,7 @@ def bowl(height: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def from_above(brightness: float) -> Photograph:
-    """All that a camera above a bowl sees is equally bright."""
+    """Return a photograph in which all that a camera above a bowl sees is equally bright."""
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = [0, 0, 6]
     K = np.array([[150.0, 0, SIDE / 2], [0, 150.0, SIDE / 2], [0, 0, 1]])

@@ -1,4 +1,4 @@
-"""What a flash makes of a ball before a wall, against ray, ball and plane on paper; and found in photographs."""
+"""Tests of a flash's irradiance on a ball before a wall, against ray, ball and plane on paper, and in photographs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def camera(side: int = 512) -> Camera:
 
 
 def on_paper(view: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """255 light^(1/2.4) at the pixels' middles [H,W], and where ball or wall are [H,W]."""
+    """Return 255 light^(1/2.4) at the pixels' middles [H,W], and where ball or wall are [H,W]."""
     y, x = np.mgrid[: view.height, : view.width] + 0.5
     local = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(view.K).T
     rays = local @ view.cam_from_world[:3, :3]
@@ -56,7 +56,7 @@ def on_paper(view: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 
 def first_on_ball(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """How far rays go until they meet the ball; infinite where they do not."""
+    """Return how far rays go until they meet the ball; infinite where they do not."""
     way = origins - BEFORE
     along = (way * directions).sum(axis=-1)
     square = along**2 - (way**2).sum(axis=-1) + RADIUS**2
@@ -65,7 +65,7 @@ def first_on_ball(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def test_light_on_points_is_that_on_paper() -> None:
-    """On the wall, some of it in the ball's shadow."""
+    """Check the light on points of the wall, some of it in the ball's shadow, against that on paper."""
     view, (x, y) = camera(), np.meshgrid(np.linspace(-0.9, 0.9, 37), np.linspace(-0.9, 0.9, 37))
     points = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
     right, down, _ = view.cam_from_world[:3, :3]
@@ -139,7 +139,7 @@ def test_the_light_goes_along_into_another_frame() -> None:
 
 
 def test_what_photographs_tell_of_the_light_explains_them() -> None:
-    """Photographs of two paints, divided by the light, are of two brightnesses again, highlights aside."""
+    """Check that photographs of two paints, divided by the light, are of two brightnesses again, highlights aside."""
     aside = (0.2, -0.3)
     refined, views = refine(flash, aside), photographs(rippled(), flash, aside)
     assert refined.shading is not None

@@ -1,4 +1,4 @@
-"""What pixels mix: stripes on a plate, whose mean over each pixel is known by calculus."""
+"""Tests of the correction for pixel footprints: stripes on a plate, whose mean over each pixel is known by calculus."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ STEPS = 90  # vertices along the plate's side
 
 
 def plate(half: float) -> tuple[np.ndarray, np.ndarray]:
-    """A square in the plane z = 0."""
+    """Build a square in the plane z = 0."""
     side = np.linspace(-half, half, STEPS)
     vertices = np.stack([*np.meshgrid(side, side), np.zeros((STEPS, STEPS))], axis=-1).reshape(-1, 3)
     index = np.arange(STEPS * STEPS).reshape(STEPS, STEPS)
@@ -25,17 +25,17 @@ def plate(half: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def cameras() -> list[Camera]:
-    """Straight above the plate, at three distances."""
+    """Return cameras straight above the plate, at three distances."""
     return [looking_at_origin(np.array([0.0, 0.0, distance])) for distance in (3, 3.3, 4)]
 
 
 def stripes(column: np.ndarray) -> np.ndarray:
-    """How bright a place is that is seen at this column."""
+    """Return how bright a place is that is seen at this column."""
     return 0.5 + 0.3 * np.cos(STRIPES * column)
 
 
 def striped(camera: Camera) -> Photograph:
-    """Their mean over each pixel: the integral of a cosine."""
+    """Return a photograph of the stripes' mean over each pixel: the integral of a cosine."""
     mean = 0.5 + 0.3 * np.sinc(STRIPES / 2 / np.pi) * np.cos(STRIPES * (np.arange(camera.width) + 0.5))
     shape = camera.height, camera.width
     return Photograph(camera, np.broadcast_to(mean, shape).astype(np.float32), np.ones(shape, bool))
@@ -64,7 +64,7 @@ def test_a_surface_that_is_known_reads_as_it_is() -> None:
 
 @pytest.mark.parametrize("level", [0.0, 0.7])
 def test_where_pixels_miss_the_surface_they_say_nothing_of_it(level: float) -> None:
-    """On an even plate there is nothing to mix, at its borders neither."""
+    """Check that on an even plate there is nothing to correct, at its borders neither."""
     vertices, faces = plate(0.2)
     photographs = [striped(camera) for camera in cameras()]
     mixed = read(vertices, faces, photographs)

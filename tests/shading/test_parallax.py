@@ -32,7 +32,10 @@ Shine = Callable[[np.ndarray], np.ndarray]  # mirrored directions [...,3] -> lin
 
 
 def true_radii(directions: np.ndarray) -> np.ndarray:
-    """Of the ball with a dent of 1.5 pixels, a third of the radius wide, along unit directions [V,3]."""
+    """Return the radii [V] of the ball with a dent along unit directions [V,3].
+
+    The dent is 1.5 pixels deep and a third of the radius wide.
+    """
     angles = np.arccos(np.clip(directions @ DENT, -1, 1))
     return RADIUS - 1.5 * PIXEL * np.exp(-((angles / 0.33) ** 2))
 
@@ -44,7 +47,7 @@ def dented() -> trimesh.Trimesh:
 
 
 def of_one_brightness(points: np.ndarray) -> np.ndarray:
-    """A paint [...,3] of which the mean of the channels is the same everywhere, and the hue is not."""
+    """Return a paint [...,3] of which the mean of the channels is the same everywhere, and the hue is not."""
     return 0.5 + (painted(points)[..., :1] - 0.5) * np.array([0.8, -0.6, -0.2])
 
 
@@ -57,7 +60,7 @@ def one_lamp(directions: np.ndarray) -> np.ndarray:
 
 
 def many_lamps(directions: np.ndarray) -> np.ndarray:
-    """Lamps all around, some 20 degrees apart, so that highlights are as fine as paint."""
+    """Return the light of lamps all around, some 20 degrees apart, so that highlights are as fine as paint."""
     lamps = trimesh.creation.icosphere(subdivisions=2).vertices
     return 0.1 * np.exp(80 * (np.max(directions @ lamps.T, axis=-1) - 1))
 
@@ -67,7 +70,10 @@ def nothing(directions: np.ndarray) -> np.ndarray:
 
 
 def photographs(mesh: trimesh.Trimesh, paint: Paint, shine: Shine = nothing, noise: float = 0) -> list[View]:
-    """What 40 cameras around see of paint with a gloss; noise: its deviation, of 255."""
+    """Photograph a mesh with paint and a gloss by 40 cameras around.
+
+    noise: its deviation, of 255.
+    """
     random, views = np.random.default_rng(0), []
     for index, seen in enumerate(views_of(mesh, cameras_around(40, side=SIDE))):
         rays = pixel_rays(seen.camera)
@@ -85,7 +91,7 @@ def outlines_of(mesh: trimesh.Trimesh, views: list[View]) -> list[Outline]:
 
 
 def error(vertices: np.ndarray) -> float:
-    """Mean of the pixels along the radius by which the vertices in the dent are off."""
+    """Return the mean of the pixels along the radius by which the vertices in the dent are off."""
     radii = np.linalg.norm(vertices, axis=1)
     directions = vertices / radii[:, None]
     inside = directions @ DENT > np.cos(0.4)
@@ -103,7 +109,10 @@ def test_a_dent_comes_out(shine: Shine, noise: float, left: float) -> None:
 
 @pytest.mark.parametrize("shine", [nothing, many_lamps])
 def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
-    """Nor does it where brightness tells wrongly, as white highlights do."""
+    """Check that hue tells the surface where brightness is the same everywhere.
+
+    It does, too, where brightness tells wrongly, as white highlights do.
+    """
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, of_one_brightness, shine, noise=1)
     found = refine_by_parallax(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
@@ -111,7 +120,10 @@ def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
 
 
 def test_a_dent_comes_out_under_a_flash() -> None:
-    """Where its light is known. Parallax alone is asked, though shading would tell the dent as well."""
+    """Check that a dent comes out under a flash, where its light is known.
+
+    Parallax alone is asked, though shading would tell the dent as well.
+    """
     truth, full = dented(), ball(RADIUS)
     views = flash_photographs(truth, painted)
     shot = Shot(linear_photographs(views), PIXEL, None)
@@ -125,7 +137,10 @@ def test_a_dent_comes_out_under_a_flash() -> None:
 
 
 def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
-    """The rendered views lack the dent, as those of a branch that was trained too shortly."""
+    """Check that a surface is moved where outlines hold it.
+
+    The rendered views lack the dent, as those of a branch that was trained too shortly.
+    """
     truth, config = dented(), MeshConfig(poisson_depth=7, hull_margin=None, consistency=None)
     seen = photographs(truth, painted)
     rendered = views_of(ball(RADIUS), [view.camera for view in seen])
@@ -139,7 +154,7 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
 
 
 def test_a_start_has_the_dent() -> None:
-    """To a ninth of a pixel; the hull carved by colours alone has it to a sixth."""
+    """Check that a start has the dent to a ninth of a pixel; the hull carved by colours alone has it to a sixth."""
     views = photographs(dented(), painted)
     scene = Scene("ball", Path("ball"), "", views, [], None, Similarity(1.0, np.zeros(3)))
     assert error(starting_points(scene, 5000, 0).positions) < 0.13
@@ -160,8 +175,11 @@ def test_noise_without_paint_tells_nothing() -> None:
 
 
 def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
-    """A ball that is not painted, so that nothing but what it mirrors tells where it is, and that wrongly; in grey, so
-    that no difference of channels is without highlights."""
+    """Check that highlights move nothing where the environment map is known.
+
+    The ball is not painted, so that nothing but what it mirrors tells where it is, and that wrongly. It is grey, so
+    that no difference of channels is without highlights.
+    """
     full = ball(RADIUS)
     colored = photographs(full, plain, many_lamps, noise=2)
     views = [replace(view, image=np.repeat(view.image[..., :1], 3, axis=-1)) for view in colored]

@@ -37,33 +37,36 @@ def rippled() -> trimesh.Trimesh:
 
 
 def grooved() -> trimesh.Trimesh:
-    """A ball with sharp creases, in facets that are smaller than pixels."""
+    """Build a ball with sharp creases, in faces that are smaller than pixels."""
     mesh = trimesh.creation.icosphere(subdivisions=6, radius=RADIUS)
     grooves = 0.02 * np.abs(np.sin(10 * mesh.vertices[:, 2] / RADIUS))
     return trimesh.Trimesh(mesh.vertices * (1 + grooves)[:, None], mesh.faces, process=False)
 
 
 def flash(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """A lamp on the camera, with a highlight."""
+    """Shade a surface by a lamp on the camera, with a highlight."""
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
     cosine = np.clip((normal * offset).sum(-1) / distance, 0, 1)
     return (0.05 + 6 / distance**2 * cosine)[..., None] * paint + 0.5 * (cosine**60)[..., None]
 
 
 def matte(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """A lamp that stands still."""
+    """Shade a matte surface by a lamp that stands still."""
     return (0.05 + np.clip(normal @ np.array([0.3, 0.5, 0.81]), 0, 1))[..., None] * paint
 
 
 def glossy(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """The same, on varnish that mirrors three wide lamps."""
+    """Shade a surface as `matte` does, on varnish that mirrors three wide lamps."""
     eye = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
     mirrored = 2 * (eye * normal).sum(-1, keepdims=True) * normal - eye
     return 0.5 * matte(paint, normal, offset) + lamps(mirrored)[..., None]
 
 
 def varnished(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Varnish as it is: more of the lamps the more it is tilted (Schlick's form of Fresnel's law, index 1.5)."""
+    """Shade real varnish: it mirrors more of the lamps the more it is tilted.
+
+    This is Schlick's form of Fresnel's law, index 1.5.
+    """
     eye = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
     cosine = np.clip((eye * normal).sum(-1, keepdims=True), 0, 1)
     mirrored = 2 * cosine * normal - eye
@@ -72,15 +75,18 @@ def varnished(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.n
 
 
 def lamps(directions: np.ndarray) -> np.ndarray:
-    """The surroundings' light [...] in directions [...,3]."""
+    """Return the environment's light [...] in directions [...,3]."""
     return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
 
 
 def photographs(
     mesh: trimesh.Trimesh, shade: Shade, aside: tuple[float, float] = (0, 0), side: int = SIDE, rays: int = 1
 ) -> list[View]:
-    """What cameras around see of the mesh in two paints, in sRGB of 8 bits; aside: how far to the right of the lens and
-    below it the eye is put, as a lamp may be; rays: along a pixel's side, whose mean it shows."""
+    """Photograph a mesh in two paints by cameras around, in sRGB of 8 bits.
+
+    aside: how far to the right of the lens and below it the eye is put, as a lamp may be; rays: along a pixel's side,
+    whose mean it shows.
+    """
     normals, views = vertex_normals(mesh.vertices, mesh.faces), []
     caster = RayCaster(mesh.vertices, mesh.faces)
     for index, camera in enumerate(cameras_around(40, side=side)):
@@ -101,7 +107,7 @@ def photographs(
 
 
 def finer(camera: Camera, rays: int) -> Camera:
-    """The same with so many pixels along each pixel's side."""
+    """Return the same camera with `rays` pixels along each pixel's side."""
     return Camera(np.diag([rays, rays, 1]) @ camera.K, camera.cam_from_world, rays * camera.width, rays * camera.height)
 
 
@@ -116,7 +122,7 @@ def refine(
     start: trimesh.Trimesh | None = None,
     work: Pass = FINE,
 ) -> Refined:
-    """The start, or else the smooth ball, held against photographs of the rippled one."""
+    """Refine the start, or else the smooth ball, by photographs of the rippled one."""
     start, views = start or ball(RADIUS), photographs(rippled(), shade, aside)
     outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
     passes = {light: (work,) for light in Light}
@@ -124,7 +130,7 @@ def refine(
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
-    """Mean angle in degrees between the vertex normals of both."""
+    """Return the mean angle in degrees between the vertex normals of both."""
     found, true = (vertex_normals(places, truth.faces) for places in (vertices, truth.vertices))
     return float(np.degrees(np.arccos(np.clip((found * true).sum(1), -1, 1))).mean())
 

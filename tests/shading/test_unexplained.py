@@ -1,4 +1,4 @@
-"""What two surfaces leave unexplained of photographs: of a ball that mirrors a room, and of a painted one."""
+"""Tests of what two surfaces leave unexplained of photographs: of a ball that mirrors a room, and of a painted one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ TAKEN = [mirror_photographs, painted_photographs]
 
 @pytest.mark.parametrize("photographs", TAKEN)
 def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], list[View]]) -> None:
-    """Half of a ball is pressed flat; each camera compares the two surfaces where it sees them."""
+    """Check that a surface leaves least unexplained where it is right.
+
+    Half of a ball is pressed flat; each camera compares the two surfaces where it sees them.
+    """
     views, right = photographs(96), ball(RADIUS)
     pressed = right.vertices.copy()
     pressed[:, 2] = np.minimum(pressed[:, 2], 0.5 * RADIUS)

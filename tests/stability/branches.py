@@ -34,7 +34,7 @@ on_both_branches = pytest.mark.parametrize("branch", ["surfels", "volumes"])
 
 @dataclass(frozen=True)
 class Setting:
-    """What a rendering depends on beside splats and camera; lengths in the scene's unit."""
+    """The settings of a rendering beside splats and camera; lengths in the scene's unit."""
 
     near: float = 0.01
     far: float = 10.0
@@ -56,13 +56,13 @@ class Result:
 
 
 def facing_camera(width: int = 40, height: int = 28, focal: float = 45.0) -> Camera:
-    """At the origin, looking along z: a splat's depth is its z, to the bit."""
+    """Return a camera at the origin that looks along z: a splat's depth is its z, to the bit."""
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
     return Camera(K, np.eye(4), width, height)
 
 
 def scene(branch: str, count: int, seed: int = 0, size: float = 0.12) -> Splats:
-    """Random splats around the origin, with a reflected half for the 3D branch, in numbers that float32 holds."""
+    """Draw random splats around the origin, with a reflected half for the 3D branch, in numbers that float32 holds."""
     splats = random_splats(count, 2 if branch == "surfels" else 3, seed, size)
     if branch == "volumes":
         extra = random_splats(count, 3, seed + 1000)
@@ -72,24 +72,24 @@ def scene(branch: str, count: int, seed: int = 0, size: float = 0.12) -> Splats:
 
 
 def held(splats: Splats) -> Splats:
-    """float64 splats whose values float32 holds, so that the oracle sees what a kernel sees."""
+    """Return float64 splats whose values float32 holds, so that the oracle sees what a kernel sees."""
     return {name: tensor.float().double() for name, tensor in splats.items()}
 
 
 def before_camera(branch: str, count: int, seed: int = 0, size: float = 0.12) -> Splats:
-    """As `scene`, two units before `facing_camera`."""
+    """Draw splats as `scene` does, two units before `facing_camera`."""
     splats = scene(branch, count, seed, size)
     splats["means"][:, 2] += 2
     return held(splats)
 
 
 def without(splats: Splats, index: int) -> Splats:
-    """All splats but one."""
+    """Return all splats but one."""
     return {name: torch.cat([tensor[:index], tensor[index + 1 :]]) for name, tensor in splats.items()}
 
 
 def render(machine: Machine, branch: str, splats: Splats, view: Camera, setting: Setting | None = None) -> Result:
-    """By the kernels of a machine, in float32."""
+    """Render by the kernels of a machine, in float32."""
     setting = setting or Setting()
     rasterize = _surfels if branch == "surfels" else _volumes
     rasters: list[Any] = []
@@ -106,7 +106,7 @@ def render(machine: Machine, branch: str, splats: Splats, view: Camera, setting:
 
 
 def brute_force(branch: str, splats: Splats, view: Camera, setting: Setting | None = None) -> Result:
-    """By the oracle, in float64."""
+    """Render by the oracle, in float64."""
     setting = setting or Setting()
     oracle = _surfel_oracle if branch == "surfels" else _volume_oracle
 
@@ -143,7 +143,7 @@ def compare(
     tolerance: dict[str, float] = TOLERANCE,
     setting: Setting | None = None,
 ) -> Result:
-    """Hold a machine's images and gradients to the oracle's; returns the machine's."""
+    """Compare a machine's images and gradients with the oracle's, and return the machine's."""
     got, expected = render(machine, branch, splats, view, setting), brute_force(branch, splats, view, setting)
     got.assert_finite()
     assert_close(got.images, expected.images, tolerance["images"])
@@ -152,7 +152,7 @@ def compare(
 
 
 def assert_close(ours: Splats, theirs: Splats, tolerance: float) -> None:
-    """Largest error against the largest value of each tensor, or against 1 where all are smaller."""
+    """Check the largest error against the largest value of each tensor, or against 1 where all are smaller."""
     for name, expected in theirs.items():
         if expected.numel():
             error = (ours[name] - expected).abs().max() / max(expected.abs().max(), 1.0)

@@ -42,8 +42,10 @@ class Look:
 
 
 def long_training(iterations: int, seen: Callable[[Look], None] = lambda _: None, side: int = 32) -> list[Look]:
-    """Train both branches from 200 points: two fifths of the iterations alone each, and one fifth together. `seen` is
-    given each look at once."""
+    """Train both branches from 200 points: two fifths of the iterations alone each, and one fifth together.
+
+    `seen` is given each look at once.
+    """
     warmup, every = 2 * iterations // 5, iterations // LOOKS
     overrides = [f"warmup.surfel_iterations={warmup}", f"warmup.volume_iterations={warmup}"]
     overrides += [f"mutual.iterations={iterations - 2 * warmup}", "stop_rule=none", "curve_views=1"]
@@ -65,7 +67,10 @@ def long_training(iterations: int, seen: Callable[[Look], None] = lambda _: None
 
 
 def growth(looks: list[Look]) -> dict[str, float]:
-    """MiB per 10,000 iterations, by stage: the slope of a line through the looks after a stage's first third."""
+    """Return the growth of memory in MiB per 10,000 iterations, by stage.
+
+    It is the slope of a line through the looks after a stage's first third.
+    """
     slopes = {}
     for stage in dict.fromkeys(look.stage for look in looks):
         of_stage = [look for look in looks if look.stage == stage]

@@ -24,7 +24,7 @@ QUICK = ("warmup.surfel_iterations=8", "warmup.volume_iterations=8", "mutual.ite
 
 
 def trained(scene: Scene, *overrides: str) -> TrainResult:
-    """Finite throughout, and nothing had to be undone."""
+    """Train a scene, and check that it is finite throughout, and that nothing had to be undone."""
     result = Training(scene, ball_points(60), short("mgsr", *QUICK, *overrides)).run()
     assert result.incidents == []
     assert all(torch.isfinite(tensor).all() for tensor in tensors(result).values())
@@ -32,7 +32,7 @@ def trained(scene: Scene, *overrides: str) -> TrainResult:
 
 
 def with_images(scene: Scene, value: int, alpha: int | None) -> Scene:
-    """Every photograph one grey, with a mask of one value or, for None, its own."""
+    """Make every photograph one grey, with a mask of one value or, for None, its own."""
 
     def flat(view: View) -> View:
         mask = view.alpha if alpha is None or view.alpha is None else np.full_like(view.alpha, alpha)
@@ -61,7 +61,7 @@ def test_a_view_that_sees_nothing() -> None:
 
 
 def test_a_camera_in_the_middle_of_the_scene() -> None:
-    """Its distance from the centre, in which depths are compared, is zero."""
+    """Check a camera whose distance from the centre, in which depths are compared, is zero."""
     scene = ball_scene(20, train=4, test=1)
     pose = scene.train[1].camera.cam_from_world.copy()
     pose[:3, 3] = 0
@@ -74,7 +74,7 @@ def test_three_views() -> None:
 
 
 def test_a_thousand_views() -> None:
-    """More than there are iterations: no epoch ever ends."""
+    """Check more views than there are iterations: no epoch ever ends."""
     trained(ball_scene(8, train=1000, test=1), "stop_rule=epoch")
 
 
@@ -85,12 +85,15 @@ def test_duplicated_views() -> None:
 
 
 def test_opposite_cameras() -> None:
-    """Two that look at each other through the ball."""
+    """Check two cameras that look at each other through the ball."""
     trained(opposite_scene())
 
 
 def test_opposite_cameras_have_a_centre_between_them() -> None:
-    """Their axes are one line, so nothing on it is nearest to both; masks and box still say where the ball is."""
+    """Check that opposite cameras have a centre between them.
+
+    Their axes are one line, so nothing on it is nearest to both; masks and box still say where the ball is.
+    """
     user_from_scene = frame(opposite_scene().train)
     assert np.isfinite(user_from_scene.offset).all() and 0.5 * RADIUS < user_from_scene.scale < 2 * DISTANCE
     assert np.linalg.norm(user_from_scene.offset) < RADIUS
@@ -113,7 +116,10 @@ def opposite_scene() -> Scene:
 @pytest.mark.parametrize("masked", [True, False], ids=["masked", "plain"])
 @pytest.mark.parametrize(("unit", "shift"), [(1e-3, 0.0), (1e3, 0.0), (1.0, 1e4), (1e3, 1e7)])
 def test_captures_in_other_units_and_places_are_one_scene(masked: bool, unit: float, shift: float) -> None:
-    """Training sees the normalised scene: poses are float64 until then, so nothing is lost."""
+    """Check that captures in other units and places are one scene.
+
+    Training sees the normalised scene: poses are float64 until then, so nothing is lost.
+    """
     views = ball_scene(20, train=6, test=1, masked=masked).train
     moved = [replace(view, camera=moved_camera(view.camera, unit, shift)) for view in views]
     here, there = frame(views), frame(moved)
@@ -130,7 +136,7 @@ def moved_camera(camera: Camera, unit: float, shift: float) -> Camera:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_one_bad_pixel_in_a_float_image(tmp_path: Path, bad: float) -> None:
-    """NaN and minus infinity become black, infinity white; the other pixels stay as they are."""
+    """Check that NaN and minus infinity become black, infinity white, and that the other pixels stay as they are."""
     pixels = np.random.default_rng(0).uniform(0, 1, (6, 7, 3)).astype(np.float32)
     clean, broken = tmp_path / "clean.exr", tmp_path / "broken.exr"
     write_exr(clean, pixels)

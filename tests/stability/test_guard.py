@@ -64,7 +64,10 @@ def test_a_good_step_is() -> None:
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e25])
 @pytest.mark.parametrize("name", ["means", "opacity_logits"])
 def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) -> None:
-    """There nothing is read until the guard looks back; momentum goes on as after a gradient of zero."""
+    """Check that on a card a bad step's gradients count as zero.
+
+    There nothing is read until the guard looks back; momentum goes on as after a gradient of zero.
+    """
     with SHIM.running():
         stage, guard, incidents = first_stage()
         twin, _, _ = first_stage()
@@ -123,7 +126,7 @@ def test_the_branches_go_back_to_the_last_good_look(what: str, caplog: pytest.Lo
 
 
 def test_what_was_kept_survives_being_gone_back_to() -> None:
-    """Steps after a return must not change the copy that the next return needs."""
+    """Check that steps after a return do not change the copy that the next return needs."""
     stage, guard, _ = first_stage()
     (branch,) = stage.branches
     before = values(branch)
@@ -156,7 +159,10 @@ def test_a_reset_may_raise_the_loss() -> None:
 
 
 def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its loss is NaN at every visit; training goes on from the rest, ends finite and says what it left out."""
+    """Check that one view whose loss is NaN at every visit does not spoil the others.
+
+    Training goes on from the rest, ends finite and says what it left out.
+    """
     whole = TrainingView.target
 
     def target(view: TrainingView, background: tuple[float, float, float]) -> object:
@@ -173,7 +179,7 @@ def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch)
 
 
 def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From here on a branch's thirty-first step throws every colour far off, once."""
+    """Let a branch's thirty-first step throw every colour far off, once."""
     taken = trainer.step_trained
 
     def step(progress: dict[Branch, float], bad: torch.Tensor | None = None) -> None:
@@ -190,7 +196,7 @@ def bursting() -> Config:
 
 
 def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the middle; the training ends near one that had no such step."""
+    """Check that a burst in the middle is undone; the training ends near one that had no such step."""
     calm = Training(scene(), ball_points(100), bursting()).run()
     burst_at_step_30(monkeypatch)
     result = Training(scene(), ball_points(100), bursting()).run()
@@ -202,7 +208,10 @@ def test_a_burst_in_the_parameters_is_undone(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_resumed_run_goes_back_to_the_same_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop_at: int
 ) -> None:
-    """Stopped before the burst, or between it and the look that notices it, it is undone as if nothing had stopped."""
+    """Check that a resumed run undoes the burst as if nothing had stopped.
+
+    It is stopped before the burst, or between it and the look that notices it.
+    """
     burst_at_step_30(monkeypatch)
     straight = Training(scene(), ball_points(100), bursting()).run()
     path, calls = tmp_path / "checkpoint", iter(range(1000))

@@ -21,7 +21,10 @@ def test_sides_around_the_tile(machine: Machine, branch: str, width: int, height
 @on_both_branches
 @pytest.mark.parametrize(("width", "height"), [(4096, 1), (3, 4096)])
 def test_very_long_images(machine: Machine, branch: str, width: int, height: int) -> None:
-    """Splats across all of it, out to pixel 4096, where float32 has eleven bits left for a part of one."""
+    """Check splats across all of a very long image.
+
+    They reach out to pixel 4096, where float32 has eleven bits left for a part of one.
+    """
     splats = before_camera(branch, 12, size=0.2)
     splats["means"][:, 0] *= width / 2000
     splats["means"][:, 1] *= height / 2000

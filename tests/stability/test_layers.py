@@ -21,7 +21,7 @@ from tests.stability.branches import (
 
 
 def layers(branch: str, count: int, opacity: float, size: float = 50.0) -> Splats:
-    """Flat splats across the whole image, one behind the other from depth 2 to 4, in colours of their own."""
+    """Build flat splats across the whole image, one behind the other from depth 2 to 4, in colours of their own."""
     splats = before_camera(branch, count)
     splats["means"] = torch.zeros(count, 3, dtype=torch.float64)
     splats["means"][:, 2] = torch.linspace(2, 4, count)
@@ -38,7 +38,7 @@ def layers(branch: str, count: int, opacity: float, size: float = 50.0) -> Splat
 @on_both_branches
 @pytest.mark.parametrize("opacity", [1.0, 0.9991, 0.998, 0.9, 0.5])
 def test_fifty_opaque_layers(machine: Machine, branch: str, opacity: float) -> None:
-    """Behind an alpha near 1 what is left is divided by almost nothing to get its gradient."""
+    """Check opaque layers: behind an alpha near 1 what is left is divided by almost nothing to get its gradient."""
     compare(machine, branch, layers(branch, 50, opacity), facing_camera(16, 16))
 
 
@@ -46,7 +46,10 @@ def test_fifty_opaque_layers(machine: Machine, branch: str, opacity: float) -> N
 @on_both_branches
 @pytest.mark.parametrize("count", [10_000])
 def test_ten_thousand_faint_layers(machine: Machine, branch: str, count: int) -> None:
-    """Of alpha 1/255 each, or a hair more, so that rounding does not decide: the pixel stops after 2,339 of them."""
+    """Check layers of alpha 1/255 each, or a hair more, so that rounding does not decide.
+
+    The pixel stops after 2,339 of them.
+    """
     got = compare(machine, branch, layers(branch, count, 1.001 / 255), facing_camera(2, 2))
     stops = int((got.gradients["colors"].abs().sum(1) > 0).sum())
     assert 2335 < stops < 2345
@@ -55,7 +58,7 @@ def test_ten_thousand_faint_layers(machine: Machine, branch: str, count: int) ->
 @on_every_kernel
 @on_both_branches
 def test_the_faintest_splat_counts_at_its_centre(machine: Machine, branch: str) -> None:
-    """An opacity of 1/255 reaches the threshold in one point, a pixel's centre here."""
+    """Check that an opacity of 1/255 reaches the threshold in one point, a pixel's centre here."""
     splats = layers(branch, 1, 1 / 255, size=0.1)
     alpha = render(machine, branch, splats, facing_camera(3, 3)).images["alpha"]
     assert alpha[1, 1] == pytest.approx(1 / 255, rel=1e-6)
@@ -66,7 +69,7 @@ def test_the_faintest_splat_counts_at_its_centre(machine: Machine, branch: str) 
 @on_both_branches
 @pytest.mark.parametrize("above", [True, False], ids=["above", "below"])
 def test_transmittance_at_the_cut_off(machine: Machine, branch: str, above: bool) -> None:
-    """Four layers that leave a hundred-thousandth more, or less, than the 1e-4 at which a pixel stops."""
+    """Check four layers that leave a hundred-thousandth more, or less, than the 1e-4 at which a pixel stops."""
     left = 1e-4 * (1 + (1e-5 if above else -1e-5))
     got = compare(machine, branch, layers(branch, 4, 1 - left**0.25, size=1e4), facing_camera(16, 16))
     expected = left if above else left**0.75
@@ -76,7 +79,10 @@ def test_transmittance_at_the_cut_off(machine: Machine, branch: str, above: bool
 @on_every_kernel
 @on_both_branches
 def test_equal_depths_blend_by_index(machine: Machine, branch: str) -> None:
-    """Two thousand splats in one plane, more than a chunk of the sort; the oracle's sort is stable."""
+    """Check that two thousand splats in one plane, more than a chunk of the sort, blend by index.
+
+    The oracle's sort is stable.
+    """
     splats = before_camera(branch, 2000, size=0.1)
     splats["means"][:, 2] = 2.0
     splats["opacities"] *= 0.1
@@ -87,7 +93,7 @@ def test_equal_depths_blend_by_index(machine: Machine, branch: str) -> None:
 @on_both_branches
 @pytest.mark.parametrize("what", ["empty", "behind", "beside", "faint"])
 def test_nothing_to_see(machine: Machine, branch: str, what: str) -> None:
-    """The background alone, to the bit, and no gradient."""
+    """Check that nothing to see gives the background alone, to the bit, and no gradient."""
     splats = before_camera(branch, 5)
     if what == "empty":
         splats = {name: tensor[:0] for name, tensor in splats.items()}

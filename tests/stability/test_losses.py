@@ -34,7 +34,7 @@ def noise(seed: int, *shape: int) -> Tensor:
 
 
 def differentiated(machine: Machine, loss: Callable[[Tensor], Tensor], values: Tensor) -> tuple[float, Tensor]:
-    """The loss of values on a machine, and its gradient."""
+    """Return the loss of values on a machine, and its gradient."""
     leaf = values.clone().to(machine.device).requires_grad_()
     with machine.running():
         result = loss(leaf)
@@ -47,7 +47,7 @@ def differentiated(machine: Machine, loss: Callable[[Tensor], Tensor], values: T
 @pytest.mark.parametrize("other", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_constant_images(machine: Machine, value: float, other: float) -> None:
-    """Black, grey and saturated ones, whose variance is rounding alone, against the oracle."""
+    """Check black, grey and saturated images, whose variance is rounding alone, against the oracle."""
     image, target = torch.full((SIDE, SIDE, 3), value), torch.full((SIDE, SIDE, 3), other)
     loss, gradient = differentiated(machine, lambda x: image_loss(x, target.to(machine.device)), image)
     exact = image.double().requires_grad_()
@@ -85,7 +85,7 @@ def test_masks_of_nothing_and_of_everything(machine: Machine) -> None:
 @on_every_kernel
 @pytest.mark.parametrize("depth", [1e-6, 1.0, 1e6])
 def test_normals_of_a_depth_with_holes(machine: Machine, depth: float) -> None:
-    """Zero where the depth or a neighbour's is zero, unit elsewhere, at any distance."""
+    """Check that normals are zero where the depth or a neighbour's is zero, and unit elsewhere, at any distance."""
     depths = depth * (1 + 0.01 * noise(3, SIDE, SIDE))
     depths[5] = 0
     view = facing_camera(SIDE, SIDE)
@@ -110,7 +110,7 @@ def test_nothing_covered_gives_no_normal_loss(machine: Machine) -> None:
 
 @pytest.mark.parametrize("kind", list(DepthUnit))
 def test_depths_of_an_empty_view_are_not_divided_by_zero(kind: DepthUnit) -> None:
-    """Nor those of a camera at the scene's very centre."""
+    """Check that depths of an empty view are not divided by zero, nor those of a camera at the scene's very centre."""
     empty = torch.zeros(SIDE, SIDE, requires_grad=True)
     unit = depth_unit(kind, empty, distance=0.0)
     nothing = torch.zeros(SIDE, SIDE)
@@ -126,7 +126,10 @@ def test_depths_of_an_empty_view_are_not_divided_by_zero(kind: DepthUnit) -> Non
 @pytest.mark.parametrize("mask", ["none", "nothing", "everything"])
 @pytest.mark.parametrize("looks", ["away", "at it"])
 def test_every_term_of_every_stage_is_finite(machine: Machine, looks: str, mask: str) -> None:
-    """Of a camera that sees nothing, and of one that sees the ball, with masks that cover nothing or everything."""
+    """Check that every term is finite, for a camera that sees nothing and for one that sees the ball.
+
+    Masks cover nothing or everything.
+    """
     config, points, generator = make_config("standard").train, ball_points(60), torch.Generator().manual_seed(0)
     start = (points.positions, points.normals, points.colors)
     flat = start_surfels(*start, config.surfels, generator).to(machine.device)

@@ -36,7 +36,10 @@ ODD = 7  # the index of the splat that is not like the others
 @on_both_branches
 @pytest.mark.parametrize("length", [1e-30, 1e-20, 1e-10, 1e10, 1e18, 1e20, 1e30])
 def test_quaternions_of_any_length_are_the_same_rotation(machine: Machine, branch: str, length: float) -> None:
-    """Squares of such numbers vanish or overflow in float32. The gradient goes with 1 / length."""
+    """Check that quaternions of any length are the same rotation; the gradient goes with 1 / length.
+
+    Squares of such numbers vanish or overflow in float32.
+    """
     splats = before_camera(branch, 12)
     lengthened = splats | {"quats": (splats["quats"] * length).float().double()}
     got, expected = render(machine, branch, lengthened, facing_camera()), brute_force(branch, splats, facing_camera())
@@ -62,7 +65,10 @@ def test_quaternions_of_any_length_are_the_same_rotation(machine: Machine, branc
     ],
 )
 def test_a_splat_without_a_meaning_is_left_out(machine: Machine, branch: str, name: str, value: float) -> None:
-    """And changes no bit of the others, whose gradients do not see it; its own are zero."""
+    """Check that a splat with a meaningless number changes no bit of the others, whose gradients do not see it.
+
+    Its own gradients are zero.
+    """
     splats = before_camera(branch, 12)
     splats[name].view(12, -1)[ODD] = value
     got = render(machine, branch, splats, facing_camera())
@@ -78,7 +84,10 @@ def test_a_splat_without_a_meaning_is_left_out(machine: Machine, branch: str, na
 @pytest.mark.parametrize("axes", [slice(0, 1), slice(None)], ids=["one", "all"])
 @pytest.mark.parametrize("scale", [1e-6, 1e-15, math.exp(-90)])
 def test_vanishing_scales_leave_the_low_pass(machine: Machine, branch: str, axes: slice, scale: float) -> None:
-    """A splat without any size is still a dot of the low-pass's, also where float32 has only a subnormal scale."""
+    """Check that a splat without any size is still a dot of the low-pass's.
+
+    This holds also where float32 has only a subnormal scale.
+    """
     splats = before_camera(branch, 12)
     splats["scales"][:, axes] = scale
     got = compare(machine, branch, held(splats), facing_camera())
@@ -89,7 +98,7 @@ def test_vanishing_scales_leave_the_low_pass(machine: Machine, branch: str, axes
 @pytest.mark.parametrize("scale", [1e3, 1e6, 1e10, 1e18, 1e30])
 @pytest.mark.parametrize("axes", [slice(0, 1), slice(None)], ids=["one", "all"])
 def test_a_surfel_wider_than_the_world(machine: Machine, scale: float, axes: slice) -> None:
-    """A plane, or a strip that reaches to its vanishing point, near which its depth has no bound."""
+    """Check a plane, or a strip that reaches to its vanishing point, near which its depth has no bound."""
     splats = before_camera("surfels", 12)
     splats["scales"][ODD, axes] = scale
     compare(machine, "surfels", held(splats), facing_camera(), STEEP | {"images": 5e-4})
@@ -98,7 +107,10 @@ def test_a_surfel_wider_than_the_world(machine: Machine, scale: float, axes: sli
 @on_every_kernel
 @pytest.mark.parametrize("scale", [10.0, 1e3, 1e4, 1e5, 1e10, 1e30])
 def test_a_volume_wider_than_the_world(machine: Machine, scale: float) -> None:
-    """It fills the image up to a standard deviation of a million pixels; a larger one is left out."""
+    """Check that a Gaussian fills the image up to a standard deviation of a million pixels.
+
+    A larger one is left out.
+    """
     splats = before_camera("volumes", 12)
     splats["scales"][ODD] = scale
     if scale * 45 / float(splats["means"][ODD, 2]) < 1e6 / 2:
@@ -113,7 +125,7 @@ def test_a_volume_wider_than_the_world(machine: Machine, scale: float) -> None:
 @pytest.mark.parametrize("compensate", [False, True], ids=["plain", "compensated"])
 @pytest.mark.parametrize("length", [0.5, 5.0, 50.0, 1000.0])
 def test_volume_needles(machine: Machine, compensate: bool, length: float) -> None:
-    """Ten thousand times longer than wide, from a part of a pixel to across many images."""
+    """Check Gaussians ten thousand times longer than wide, from a part of a pixel to across many images."""
     splats = before_camera("volumes", 20)
     splats["scales"][:] = torch.tensor([1.0, 1e-4, 1e-4]) * length
     compare(machine, "volumes", held(splats), facing_camera(), setting=Setting(compensate=compensate))
@@ -122,9 +134,11 @@ def test_volume_needles(machine: Machine, compensate: bool, length: float) -> No
 @on_every_kernel
 @pytest.mark.parametrize("length", [0.5, 5.0, 50.0])
 def test_surfel_needles(machine: Machine, length: float) -> None:
-    """A thousandth of a pixel wide, so that the low-pass draws them; where a pixel's centre lies on one by chance, its
-    disk and the low-pass may be so near each other that rounding chooses whose gradient counts: seven splats in
-    ten must have the oracle's."""
+    """Check surfels a thousandth of a pixel wide, which the low-pass draws.
+
+    Where a pixel's centre lies on one by chance, its disk and the low-pass may be so near each other that rounding
+    chooses whose gradient counts: seven splats in ten must have the oracle's.
+    """
     splats = before_camera("surfels", 20)
     splats["scales"][:] = torch.tensor([1.0, 1e-4]) * length
     splats = held(splats)
@@ -140,7 +154,7 @@ def test_surfel_needles(machine: Machine, length: float) -> None:
 @on_both_branches
 @pytest.mark.parametrize("sine", [1e-2, 2e-3, 1.1e-3, 9e-4, 1e-4, 1e-5, 1e-6])
 def test_seen_from_the_edge(machine: Machine, branch: str, sine: float) -> None:
-    """Across the angle, 1e-3, below which a surfel's disk no longer counts; volumes as flat as surfels."""
+    """Check splats across the angle, 1e-3, below which a surfel's disk no longer counts; volumes as flat as surfels."""
     splats = edge_on_splats(30, sine)
     if branch == "volumes":
         flat = torch.cat([splats["scales"], 1e-4 * splats["scales"][:, :1]], dim=1)
@@ -150,7 +164,10 @@ def test_seen_from_the_edge(machine: Machine, branch: str, sine: float) -> None:
 
 @on_every_kernel
 def test_an_exactly_edge_on_surfel_has_either_normal(machine: Machine) -> None:
-    """Under 1e-7 rad float32 can't say which side is seen; everything else is right, and the normal up to its sign."""
+    """Check that an exactly edge-on surfel has its normal up to the sign, and everything else right.
+
+    Under 1e-7 rad float32 can't say which side is seen.
+    """
     splats, images = held(edge_on_splats(1, 1e-8)), ("color", "alpha", "depth")
     got = render(machine, "surfels", splats, camera(), Setting(images=images))
     expected = brute_force("surfels", splats, camera(), Setting(images=images))
@@ -163,8 +180,11 @@ def test_an_exactly_edge_on_surfel_has_either_normal(machine: Machine) -> None:
 @on_every_kernel
 @pytest.mark.parametrize("size", [0.8, 0.95, 1.0, 1.05, 1.3])
 def test_disks_as_small_as_the_low_pass(machine: Machine, size: float) -> None:
-    """Facing surfels of about the low-pass's own width: the stronger of the two changes from pixel to pixel, or, at 1,
-    both are equal everywhere and only the gradient says which was taken."""
+    """Check facing surfels of about the low-pass's own width.
+
+    The stronger of the two changes from pixel to pixel, or, at 1, both are equal everywhere and only the gradient says
+    which was taken.
+    """
     splats = before_camera("surfels", 12)
     splats["quats"][:] = torch.tensor([1.0, 0, 0, 0])
     pixel = splats["means"][:, 2:] / 45
@@ -176,7 +196,10 @@ def test_disks_as_small_as_the_low_pass(machine: Machine, size: float) -> None:
 @on_every_kernel
 @on_both_branches
 def test_opacity_logits_from_minus_to_plus_30(machine: Machine, branch: str) -> None:
-    """sigmoid(30) is 1 in float32, sigmoid(-30) 9e-14: culled, and without a gradient."""
+    """Check opacity logits from -30, whose sigmoid is 9e-14, to 30, whose sigmoid is 1 in float32.
+
+    Faint surfels are culled, and get no gradient.
+    """
     splats = before_camera(branch, 31)
     logits = torch.linspace(-30, 30, 31)
     splats["opacities"] = logits.sigmoid().double()
@@ -188,7 +211,10 @@ def test_opacity_logits_from_minus_to_plus_30(machine: Machine, branch: str) -> 
 
 @on_both_branches
 def test_log_scales_over_floats_range_send_no_nan(branch: str) -> None:
-    """exp(90) is infinite in float32, and a gradient of zero times that is none."""
+    """Check that log-scales over float32's range send no NaN.
+
+    exp(90) is infinite in float32, and a gradient of zero times that is NaN.
+    """
     model = _model(branch, before_camera(branch, 12))
     model.log_scales.data[ODD] = 90.0
     model.log_scales.requires_grad_()

@@ -32,7 +32,7 @@ JUST_BEYOND = float(np.nextafter(np.float32(NEAR), np.float32(1)))
 @pytest.mark.parametrize("beside", [0.0, 0.002])
 @pytest.mark.parametrize("depth", [-0.01, -1e-7, 0.0, 0.0099, NEAR, JUST_BEYOND, 0.0101, 0.02])
 def test_a_centre_around_the_near_plane(machine: Machine, branch: str, depth: float, beside: float) -> None:
-    """At the plane and behind it a splat is left out; just beyond it counts."""
+    """Check that a splat is left out at the near plane and behind it, and counts just beyond it."""
     splats = before_camera(branch, 12)
     splats["means"][ODD] = torch.tensor([beside, 0.5 * beside, depth])
     got = compare(machine, branch, held(splats), facing_camera(), STEEP)
@@ -60,7 +60,7 @@ def test_a_camera_amid_large_splats(machine: Machine, branch: str) -> None:
 @on_every_kernel
 @pytest.mark.parametrize("distance", [0.0, 1e-30, 1e-20, 1e-13])
 def test_a_splat_at_the_camera_has_no_direction(machine: Machine, distance: float) -> None:
-    """Its colour is the constant term's and of those that do not vanish there, its mean gets no gradient."""
+    """Check that a splat at the camera has the colour of the terms that do not vanish there, and no mean gradient."""
     sh = torch.randn(2, 16, 3, generator=torch.Generator().manual_seed(0)).to(machine.device).requires_grad_()
     means = torch.tensor([[distance, 0, 0], [0.3, 0.1, 1]], device=machine.device, requires_grad=True)
     with machine.running():
@@ -77,7 +77,7 @@ def test_a_splat_at_the_camera_has_no_direction(machine: Machine, distance: floa
 @on_both_branches
 @pytest.mark.parametrize("unit", [1e-3, 1e3])
 def test_a_scene_in_another_unit(machine: Machine, branch: str, unit: float) -> None:
-    """Millimetres or kilometres: the same image, depths and gradients in that unit."""
+    """Check that in millimetres or kilometres the image is the same, and depths and gradients are in that unit."""
     splats = scene(branch, 40)
     splats["means"] *= unit
     splats["scales"] *= unit
@@ -91,8 +91,10 @@ def test_a_scene_in_another_unit(machine: Machine, branch: str, unit: float) -> 
 @on_every_kernel
 @on_both_branches
 def test_a_scene_far_from_the_origin(machine: Machine, branch: str) -> None:
-    """Moved by 10,000 along all axes, where float32 still holds steps of 1/1024: with a camera along the axes nothing
-    is rounded, and the same bits come out."""
+    """Check that the same bits come out where a scene is moved by 10,000 along all axes.
+
+    float32 still holds steps of 1/1024 there: with a camera along the axes nothing is rounded.
+    """
     splats = before_camera(branch, 20)
     splats["means"] = (splats["means"] * 512).round() / 512
     shift = torch.tensor([10_000.0, -10_000.0, 10_000.0], dtype=torch.float64)
@@ -110,7 +112,10 @@ def test_a_scene_far_from_the_origin(machine: Machine, branch: str) -> None:
 @on_every_kernel
 @on_both_branches
 def test_a_turned_camera_far_from_the_origin(machine: Machine, branch: str) -> None:
-    """Its own translation is rounded to 1e-3 there, 0.03 of a pixel; the image is that of a camera moved by as much."""
+    """Check that the image is that of a camera moved by the rounding of its translation.
+
+    That is 1e-3 there, 0.03 of a pixel.
+    """
     splats = scene(branch, 40)
     shift = np.array([10_000.0, -10_000.0, 10_000.0])
     view = camera()

@@ -1,4 +1,4 @@
-"""What must hold of any scene, drawn at random: order, background, transmittance, rigid motion, refinement."""
+"""Properties of any scene, drawn at random: order, background, transmittance, rigid motion, refinement."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ def drawn(branch: str, count: int, seed: int, size: float, opacity: float) -> Sp
 
 
 def property_of(examples: int) -> Any:
-    """A test over drawn scenes, the same ones at every run: on the processor's kernels, and a few under the shim."""
+    """Return a decorator for tests over drawn scenes, the same ones at every run.
+
+    They run on the processor's kernels, and a few under the shim.
+    """
 
     def decorate(test: Any) -> Any:
         machines = pytest.mark.parametrize("machine", [PROCESSOR, SHIM], ids=lambda machine: machine.name)
@@ -60,7 +63,10 @@ def render(machine: Machine, branch: str, splats: Splats, view: Camera) -> Resul
 @property_of(12)
 @given(drawn_scenes, st.integers(0, 2**31))
 def test_the_order_of_the_splats_does_not_matter(machine: Machine, drawn_scene: tuple[str, Splats], seed: int) -> None:
-    """To the bit: depths differ, and nothing is summed in the order of the splats."""
+    """Check that the order of the splats does not matter, to the bit.
+
+    Depths differ, and nothing is summed in the order of the splats.
+    """
     branch, splats = drawn_scene
     order = torch.randperm(len(splats["means"]), generator=torch.Generator().manual_seed(seed))
     straight = render(machine, branch, splats, camera())
@@ -72,7 +78,10 @@ def test_the_order_of_the_splats_does_not_matter(machine: Machine, drawn_scene: 
 @property_of(12)
 @given(drawn_scenes)
 def test_the_background_adds_by_the_transmittance(machine: Machine, drawn_scene: tuple[str, Splats]) -> None:
-    """Linear in it: what black splats let through plus what the splats show on black is the image."""
+    """Check that the image is linear in the background.
+
+    What black splats let through plus what the splats show on black is the image.
+    """
     branch, splats = drawn_scene
     image = render(machine, branch, splats, camera()).images
     dark = render(machine, branch, splats | {"colors": 0 * splats["colors"]}, camera()).images
@@ -85,7 +94,10 @@ def test_the_background_adds_by_the_transmittance(machine: Machine, drawn_scene:
 @property_of(12)
 @given(drawn_scenes)
 def test_transmittance_lies_between_0_and_1(machine: Machine, drawn_scene: tuple[str, Splats]) -> None:
-    """And never rises when a splat is added in front, which may only be lost where a pixel stops before the cut-off."""
+    """Check that transmittance lies between 0 and 1, and never rises when a splat is added in front.
+
+    The splat may only be lost where a pixel stops before the cut-off.
+    """
     branch, splats = drawn_scene
     got = render(machine, branch, splats, camera())
     got.assert_finite()
@@ -101,7 +113,7 @@ def test_transmittance_lies_between_0_and_1(machine: Machine, drawn_scene: tuple
 def test_a_rigid_motion_of_the_world_changes_nothing(
     machine: Machine, drawn_scene: tuple[str, Splats], seed: int, distance: float
 ) -> None:
-    """Splats and camera moved together: the same images, and gradients that turn with the world."""
+    """Check that splats and camera moved together give the same images, and gradients that turn with the world."""
     branch, splats = drawn_scene
     turn = Rotation.random(rng=np.random.default_rng(seed))
     shift = distance * turn.as_matrix()[0]
@@ -132,7 +144,10 @@ def test_a_rigid_motion_of_the_world_changes_nothing(
 @property_of(4)
 @given(st.sampled_from(["surfels", "volumes"]), st.integers(0, 2**31))
 def test_refinement_converges(machine: Machine, branch: str, seed: int) -> None:
-    """Cameras of ever more pixels see the same scene: the mean over a coarse pixel settles, each step by less."""
+    """Check that the mean over a coarse pixel settles as cameras of ever more pixels see the same scene.
+
+    Each step changes it by less.
+    """
     splats = scene(branch, 10, seed, size=0.6)
     coarse = camera(20, 14, off_center=False)
     images = []
@@ -147,7 +162,7 @@ def test_refinement_converges(machine: Machine, branch: str, seed: int) -> None:
 @on_every_kernel
 @pytest.mark.parametrize("branch", ["surfels", "volumes"])
 def test_gradients_turn_with_the_world(machine: Machine, branch: str) -> None:
-    """The colour's and opacity's gradients of a moved world are the same, the centres' are turned."""
+    """Check that the colour's and opacity's gradients of a moved world are the same, and the centres' are turned."""
     splats, view, turn = scene(branch, 30, 2), camera(), Rotation.from_euler("xyz", [0.3, -1.0, 2.0])
     matrix = torch.tensor(turn.as_matrix())
     x, y, z, w = turn.as_quat()
@@ -164,7 +179,7 @@ def test_gradients_turn_with_the_world(machine: Machine, branch: str) -> None:
 
 
 def _product(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Quaternion a [4] times each of b [N,4], wxyz."""
+    """Multiply the quaternion a [4] by each of b [N,4], wxyz."""
     w, v = a[0], a[1:]
     scalar = w * b[:, 0] - b[:, 1:] @ v
     vector = w * b[:, 1:] + b[:, :1] * v + torch.linalg.cross(v.expand(len(b), 3), b[:, 1:])

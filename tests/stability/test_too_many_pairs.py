@@ -27,7 +27,10 @@ int main() {
 
 
 def test_more_than_32_bits_are_refused(tmp_path: Path) -> None:
-    """Before anything is allocated, with what is too many and the cure."""
+    """Check that more pairs than 32 bits hold are refused before anything is allocated.
+
+    The message says what is too many, and the cure.
+    """
     source, program = tmp_path / "pairs.cpp", tmp_path / "pairs"
     source.write_text(PROGRAM)
     flags = ["-std=gnu++17", "-O0", "-DMGSR_ISA=baseline", "-Wno-psabi", "-pthread", "-I", str(NATIVE)]

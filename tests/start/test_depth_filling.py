@@ -10,13 +10,13 @@ HEIGHT, WIDTH = 48, 64
 
 
 def plane(slope_x: float, slope_y: float, middle: float) -> np.ndarray:
-    """Inverse depths [h,w] of a plane before a pinhole camera: they change evenly over the image."""
+    """Return inverse depths [h,w] of a plane before a pinhole camera: they change evenly over the image."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     return middle + slope_x * (x - WIDTH / 2) + slope_y * (y - HEIGHT / 2)
 
 
 def on_lines(inverse: np.ndarray, every: int) -> np.ndarray:
-    """What stereo's windows find where a floor's joints run: depth up to two pixels beside them."""
+    """Return what stereo's windows find where a floor's joints run: depth up to two pixels beside them."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     beside = (np.minimum(y % every, -y % every) <= 2) | (np.minimum(x % every, -x % every) <= 2)
     return np.where(beside, inverse, 0.0)

@@ -22,7 +22,7 @@ def unmasked(views: list[View]) -> list[View]:
 
 
 def heights(positions: np.ndarray) -> np.ndarray:
-    """How far [P] points lie outside the ball with the flat cap."""
+    """Return how far [P] points lie outside the ball with the flat cap."""
     return np.maximum(np.linalg.norm(positions, axis=1) - RADIUS, positions[:, 2] - CAP)
 
 
@@ -118,7 +118,7 @@ def test_cameras_that_share_nothing_show_nothing(matte: list[View]) -> None:
 
 
 def test_noise_at_unknown_pixels_changes_nothing(matte: list[View]) -> None:
-    """Points come from known pixels, and to the byte the same whatever stands at others."""
+    """Check that points come from known pixels, and are to the byte the same whatever stands at others."""
     near = sorted(matte, key=lambda view: np.linalg.norm(view.camera.center - matte[0].camera.center))[:12]
     first, second = (sweep_planes([with_noise(view, seed) for view in near]) for seed in (1, 2))
     assert len(first.positions) > 200

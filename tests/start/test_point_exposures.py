@@ -16,7 +16,7 @@ POINTS = ball_points(4000, RADIUS)
 
 
 def exposed_ball(gloss: float = 0.0) -> tuple[list[View], list[View], np.ndarray]:
-    """Training and test views of a ball, each under a factor of its own, and the factors [V,3]."""
+    """Return training and test views of a ball, each under a factor of its own, and the factors [V,3]."""
     scene = ball_scene(96, train=20, test=4, gloss=gloss)
     draw = np.random.default_rng(2)
     factors = np.exp(draw.normal(-0.4, 0.3, (24, 1)) + draw.normal(0, 0.03, (24, 3)))
@@ -27,7 +27,10 @@ def exposed_ball(gloss: float = 0.0) -> tuple[list[View], list[View], np.ndarray
 
 @pytest.mark.parametrize(("normals", "off"), [(POINTS.normals, 0.02), (None, 0.03)])
 def test_the_factors_of_a_matte_surface_are_found(normals: np.ndarray | None, off: float) -> None:
-    """With normals that tell which points are turned away, and with points alone, which hide each other."""
+    """Check that factors are found with normals that tell which points are turned away, and with points alone.
+
+    Points alone hide each other.
+    """
     train, test, truth = exposed_ball()
     found = point_exposures(train, test, POINTS.positions, normals)
     np.testing.assert_allclose(found, truth, rtol=off)

@@ -64,7 +64,7 @@ def test_without_masks_or_points_a_ball(tmp_path):
 
 @pytest.mark.parametrize("masks", [Masks.AUTO, Masks.OFF])
 def test_the_share_of_the_work_that_is_done(tmp_path, masks):
-    """Told on the way of both the hull and stereo, never falling."""
+    """Check that progress is told on the way of both the hull and stereo, and never falls."""
     scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
     told = []
     starting_points(scene, 500, seed=0, progress=told.append)
@@ -137,7 +137,7 @@ def test_hull_against_ground_truth(shared_data, name):
 
 @pytest.mark.slow
 def test_the_example_under_its_flash_begins_beside_its_surface():
-    """Half of all points within a twentieth of a pixel."""
+    """Check that half of all points lie within a twentieth of a pixel of the surface."""
     root = find_example()
     scene = load_scene(root, DataConfig())
     points = starting_points(scene, 5000, seed=0)
@@ -168,8 +168,11 @@ def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the
-    hull is."""
+    """Check that a mirror is not carved.
+
+    What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the hull
+    is.
+    """
     compared: list[Unexplained] = []
 
     def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[Unexplained]:
@@ -204,7 +207,7 @@ def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypat
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A painted ball: mirrored surroundings explain little of it, wherever its surface is."""
+    """Check that a painted ball is carved: a mirrored environment explains little of it, wherever its surface is."""
     views = painted_photographs(128)
     scene = Scene("painted", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
     monkeypatch.setattr(masked_surface, "match_views", nothing_found)

@@ -17,12 +17,12 @@ BALL = ball_points(4000, RADIUS).positions
 
 
 def wall_color(places: np.ndarray) -> np.ndarray:
-    """A smooth pattern, waves of 2 to 3 units."""
+    """Return a smooth pattern, waves of 2 to 3 units."""
     return 0.5 + 0.35 * np.sin(places * [2.5, 3.0, 2.0] + [0.5, 1.5, 2.5])
 
 
 def room(pattern: bool = True) -> list[View]:
-    """Views of the ball from all around it, in a round room with a pattern or a plain wall."""
+    """Return views of the ball from all around it, in a round room with a pattern or a plain wall."""
     cameras = [view.camera for view in ball_scene(64, 60).train]
     wide = [replace(camera, K=camera.K * [[0.5, 1, 1], [1, 0.5, 1], [1, 1, 1]]) for camera in cameras]
     return [View("v", camera, _picture(camera, pattern)) for camera in wide]

@@ -20,8 +20,11 @@ ZOOM = 3.0  # of the last camera's lens, before which some planes' pixels are to
 
 @dataclass(frozen=True)
 class PatternedPlane:
-    """photographs of the plane z = 0; depth [h,w] and normal [h,w,3], of the camera's frame: a plane for each pixel of
-    the first; span: the least and the largest depth that count."""
+    """A patterned plane, and a guess of it in each pixel.
+
+    photographs: of the plane z = 0; depth [h,w] and normal [h,w,3], of the camera's frame: a plane for each pixel of
+    the first; span: the least and the largest depth that count.
+    """
 
     photographs: StereoPhotographs
     depth: np.ndarray
@@ -38,8 +41,11 @@ class PatternedPlane:
 
 
 def patterned_plane(distance: float, seed: int) -> PatternedPlane:
-    """Draw waves, a little noise and an object with holes, seen from a distance with a lens that shows as much of them;
-    most planes nearly fit, some tilt anywhere, and some lie outside the depths that count."""
+    """Draw waves, a little noise and an object with holes, and photograph them from a distance.
+
+    The lens shows as much of them from any distance. Most planes nearly fit, some tilt anywhere, and some lie outside
+    the depths that count.
+    """
     random = np.random.default_rng(seed)
     ways = np.array([0.3, 0.2, 1.0]) + np.concatenate([np.zeros((1, 3)), random.normal(0, 0.35, (OTHERS, 3))])
     centers = distance * ways / np.linalg.norm(ways, axis=1, keepdims=True)

@@ -25,7 +25,7 @@ def hull() -> trimesh.Trimesh:
 
 
 def bowl_depth(places: np.ndarray) -> np.ndarray:
-    """How far [P] the bowl lies under the cap at x and y."""
+    """Return how far [P] the bowl lies under the cap at x and y."""
     return DEPTH * np.clip(1 - (np.linalg.norm(places[:, :2], axis=1) / WIDTH) ** 2, 0, None)
 
 
@@ -39,14 +39,14 @@ def pressed() -> trimesh.Trimesh:
 
 
 def paint(places: np.ndarray, pattern: bool) -> np.ndarray:
-    """Linear light: blotches of two colours, or one colour."""
+    """Return the linear light of the paint: blotches of two colours, or one colour."""
     blend = 0.5 + 0.5 * np.sin(23 * places[..., 0] + 5) * np.sin(19 * places[..., 1]) * np.cos(21 * places[..., 2])
     blend = blend[..., None] if pattern else 0.5
     return blend * np.array([0.6, 0.4, 0.1]) + (1 - blend) * np.array([0.1, 0.3, 0.6])
 
 
 def cameras_above(count: int, side: int) -> list[Camera]:
-    """Cameras that look at the bowl from up to 45 degrees beside its axis, spread evenly."""
+    """Return cameras that look at the bowl from up to 45 degrees beside its axis, spread evenly."""
     turns = np.arange(count) * np.pi * (3 - 5**0.5)
     tilts = np.radians(45) * np.sqrt((np.arange(count) + 0.5) / count)
     centers = 3 * np.stack([np.sin(tilts) * np.cos(turns), np.sin(tilts) * np.sin(turns), np.cos(tilts)], axis=1)
@@ -54,7 +54,7 @@ def cameras_above(count: int, side: int) -> list[Camera]:
 
 
 def photographs(pattern: bool, gloss: float, cameras: Sequence[Camera]) -> list[View]:
-    """Return the pressed ball, lit by a white lamp that stands still; gloss: strength of its highlight."""
+    """Photograph the pressed ball, lit by a white lamp that stands still; gloss: strength of its highlight."""
     mesh = pressed()
     caster = RayCaster(mesh.vertices, mesh.faces)
     return [_photograph(str(index), camera, caster, pattern, gloss) for index, camera in enumerate(cameras)]

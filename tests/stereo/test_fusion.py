@@ -70,27 +70,27 @@ def heavy(maps: list[DepthMap], weight: float = 1.0) -> list[np.ndarray]:
 
 
 def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """How far [P] points lie from a mesh."""
+    """Return how far [P] points lie from a mesh."""
     face, shares = RayCaster(vertices, faces).nearest(points)
     return np.asarray(np.linalg.norm((vertices[faces[face]] * shares[..., None]).sum(axis=1) - points, axis=1))
 
 
 def apart(mesh: Triangles, ball: trimesh.Trimesh, voxel: float) -> tuple[np.ndarray, np.ndarray]:
-    """Distances in voxels: from the surface's vertices to the ball, and from the ball's to the surface."""
+    """Return the distances in voxels from the surface's vertices to the ball, and from the ball's to the surface."""
     forth, back = distances(mesh[0], ball.vertices, ball.faces), distances(ball.vertices, *mesh)
     return forth / voxel, back / voxel
 
 
 @pytest.fixture(scope="module")
 def fused(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
-    """Perfect depths, fused."""
+    """Fuse perfect depths."""
     maps = perfect(ball)
     return fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
 
 
 @pytest.fixture(scope="module")
 def untold(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
-    """Depths without weight, fused."""
+    """Fuse depths without weight."""
     maps = perfect(ball, lambda depths: depths + 0.1)
     return fuse(CAMERAS, maps, heavy(maps, 0), hull, PIXEL)
 
@@ -115,7 +115,7 @@ def test_maps_that_say_nothing_leave_the_hull(hull: Hull, untold: Triangles) -> 
 
 
 def test_nothing_lies_outside_the_hull(ball: trimesh.Trimesh, hull: Hull) -> None:
-    """Depths that would put all two voxels before its place."""
+    """Check that nothing lies outside the hull, with depths that would put all two voxels before its place."""
     maps, grid = perfect(ball, lambda depths: depths - 0.05), grid_of(hull)
     fused = fusion._fused(votes_of(maps), grid, hull, None)
     inside = np.argwhere(fused.field > 0) * fused.voxel + fused.origin
@@ -126,7 +126,7 @@ def test_nothing_lies_outside_the_hull(ball: trimesh.Trimesh, hull: Hull) -> Non
 
 
 def test_wild_depths_hardly_matter(ball: trimesh.Trimesh, hull: Hull) -> None:
-    """A third of them, up to twelve voxels off to either side."""
+    """Check that a third of wild depths, up to twelve voxels off to either side, hardly matter."""
     random = np.random.default_rng(0)
 
     def wild(depths: np.ndarray) -> np.ndarray:
@@ -138,7 +138,10 @@ def test_wild_depths_hardly_matter(ball: trimesh.Trimesh, hull: Hull) -> None:
 
 
 def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
-    """Of two maps that each camera has, one is right and the other puts all two voxels deeper along its rays."""
+    """Check that the heavier of two maps counts more.
+
+    Of two maps that each camera has, one is right and the other puts all two voxels deeper along its rays.
+    """
     maps, deeper = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.05)[::2]
     right, wrong = (
         apart(
@@ -152,7 +155,7 @@ def test_heavier_words_count_more(ball: trimesh.Trimesh, hull: Hull) -> None:
 
 
 def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each camera has a right map, and a faint one that looks through the ball's skin into its middle."""
+    """Check that the ball stays solid where each camera has a right map, and a faint one that looks into its middle."""
     maps, through = perfect(ball)[::2], perfect(ball, lambda depths: depths + 0.6)[::2]
 
     weights, grid = heavy(maps) + heavy(through, 0.06), grid_of(hull)
@@ -195,7 +198,7 @@ def plate() -> trimesh.Trimesh:
 
 
 def in_a_room(sheet: trimesh.Trimesh) -> list[DepthMap]:
-    """Perfect maps of a sheet before far walls."""
+    """Return perfect maps of a sheet before far walls."""
     return [DepthMap(np.where(found.score > 0, found.depth, 6), found.normal, found.score) for found in perfect(sheet)]
 
 
@@ -233,8 +236,10 @@ def well() -> RayCaster:
 def test_faint_words_empty_a_deep_cavity(
     weight: float, variation: float, well: RayCaster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Few cameras see its floor. Under total variation, which prefers the short way across its mouth, they must say
-    more."""
+    """Check that faint words of the few cameras that see its floor empty a deep cavity.
+
+    Under total variation, which prefers the short way across its mouth, they must say more.
+    """
     monkeypatch.setattr(fusion, "VARIATION", variation)
     cameras = cameras_above(COUNT, SIDE)
     hits = [well.cast(camera) for camera in cameras]
@@ -254,7 +259,7 @@ def test_faint_words_empty_a_deep_cavity(
 
 
 def test_small_pieces_are_dropped() -> None:
-    """Beside a block one of a fifth of its size, and one of a tenth."""
+    """Check that a piece of a tenth of a block's size is dropped, and that one of a fifth stays."""
     field = np.full((60, 40, 40), -0.03, np.float32)
     for low, size in ((5, 20), (30, 4), (40, 2)):
         field[low : low + size, 10 : 10 + size, 10 : 10 + size] = 0.03
@@ -284,7 +289,7 @@ def rod(radius: float, half: float, voxel: float = 0.02) -> Hull:
 
 
 def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of about two pixels across: the least surface would be none."""
+    """Check that a rod of about two pixels across stays, though the least surface would be none."""
     maps = [DepthMap(*(np.zeros((SIDE, SIDE, *more), np.float32) for more in ((), (3,), ())))] * COUNT
     thin = rod(PIXEL, 0.6)
 
@@ -298,7 +303,7 @@ def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Depths that scatter behind the hull: the surface is about as large as its own convex hull's."""
+    """Check that depths that scatter behind the hull give a surface about as large as its own convex hull's."""
     random = np.random.default_rng(0)
     outer = hull_surface(hull)
 

@@ -37,7 +37,10 @@ def test_scores_are_those_of_exact_homographies(distance: float, settings: Match
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("settings", [MatchSettings(), MatchSettings(best=1)], ids=["three", "one"])
 def test_neighbours_that_do_not_show_a_patch_are_left_out(settings: MatchSettings, isa: str) -> None:
-    """In a hollow, or at an image's border: most of five neighbours show the left half of the plane alone."""
+    """Check that neighbours that do not show a patch are left out, as in a hollow, or at an image's border.
+
+    Most of five neighbours show the left half of the plane alone.
+    """
     plane = patterned_plane(48.0, seed=1)
     for blind in plane.photographs.images[3:]:
         blind[:, SIDE // 2 :, 3] = 0
@@ -69,7 +72,7 @@ def test_one_photograph_alone_has_no_score() -> None:
 
 
 def assert_alike(found: np.ndarray, true: oracle.Judged, tolerance: float) -> None:
-    """Where the rules decide clearly, the scores [P] are the true ones."""
+    """Check that the scores [P] are the true ones where the rules decide clearly."""
     np.testing.assert_allclose(found[true.clear], true.scores[true.clear], rtol=0, atol=tolerance)
 
 

@@ -27,15 +27,17 @@ def start() -> RayCaster:
 
 @pytest.fixture(scope="module")
 def few() -> StereoPhotographs:
-    """Five small photographs, for what does not need a good surface."""
+    """Return five small photographs, for what does not need a good surface."""
     return stereo_photographs(photographs(True, 0.0, cameras_above(5, 48)))
 
 
 @dataclass(frozen=True)
 class Found:
-    """Of all pixels [P] that show the object: how far the depth lies behind the truth and behind the start, and the
-    truth behind the start, all in pixels; the degrees between the normal and the true one; the weight; and whether they
-    show what is far from the cap."""
+    """The depths found at all pixels [P] that show the object.
+
+    They tell how far the depth lies behind the truth and behind the start, and the truth behind the start, all in
+    pixels; the degrees between the normal and the true one; the weight; and whether they show what is far from the cap.
+    """
 
     error: np.ndarray
     moved: np.ndarray
@@ -75,7 +77,7 @@ def test_the_bowl_is_found_and_the_rest_stays(gloss: float, start: RayCaster) ->
 
 
 def test_one_colour_says_nothing(start: RayCaster) -> None:
-    """Depths stay where they begin, and what noise moves is hardly believed."""
+    """Check that depths stay where they begin, and that what noise moves is hardly believed."""
     found = find(photographs(False, 0.0, cameras_above(COUNT, SIDE)), start)
     away = np.abs(found.moved)
     assert np.median(away) < 0.2 and np.percentile(away, 75) < 0.7
@@ -84,7 +86,10 @@ def test_one_colour_says_nothing(start: RayCaster) -> None:
 
 
 def test_scores_are_what_judge_says_less_the_prior(few: StereoPhotographs, start: RayCaster) -> None:
-    """And no plane is worse than the start's own, which the search tries first."""
+    """Check that scores are what `judge` says less the prior, and that no plane is worse than the start's own.
+
+    The search tries the start's plane first.
+    """
     camera, shown = few.cameras[0], few.images[0][..., 3] > 0.5
     settings = MatchSettings(prior=0.2, prior_reach=0.6)
     found, seen = match_views(few, start, 0, settings)[0], start.cast(camera)
@@ -151,7 +156,7 @@ def test_a_view_with_less_than_two_neighbours_shows_nothing(
 
 
 def test_an_empty_mask_shows_nothing(few: StereoPhotographs, start: RayCaster) -> None:
-    """Of its own view, and it tells nothing of the others'."""
+    """Check that an empty mask shows nothing of its own view, and tells nothing of the others'."""
     empty = few.images[1] * np.array([1, 1, 1, 0], np.float32)
     maps = match_views(replace(few, images=[few.images[0], empty, *few.images[2:]]), start, seed=0)
     assert (maps[1].depth == 0).all() and (maps[1].score == -1).all()
@@ -161,7 +166,7 @@ def test_an_empty_mask_shows_nothing(few: StereoPhotographs, start: RayCaster) -
 
 
 def test_noise_at_unknown_pixels_changes_nothing(start: RayCaster) -> None:
-    """Maps tell of known pixels alone, and to the byte the same whatever stands at others."""
+    """Check that maps tell of known pixels alone, and are to the byte the same whatever stands at others."""
     views = photographs(True, 0.0, cameras_above(6, 80))
     noisy = [[with_noise(view, seed) for view in views] for seed in (1, 2)]
     first, second = (match_views(stereo_photographs(some), start, seed=0) for some in noisy)
@@ -182,7 +187,7 @@ def perfect(few: StereoPhotographs) -> list[DepthMap]:
 
 
 def in_the_bowl(few: StereoPhotographs, maps: list[DepthMap]) -> np.ndarray:
-    """Weights of the first map's pixels that show the bowl."""
+    """Return the weights of the first map's pixels that show the bowl."""
     places = few.cameras[0].center + pixel_rays(few.cameras[0]) * maps[0].depth[..., None]
     return weigh(few, maps)[0][(maps[0].depth > 0) & (np.linalg.norm(places - [0, 0, CAP], axis=-1) < 0.2)]
 
@@ -192,7 +197,7 @@ def farther(found: DepthMap, pixels: float, few: StereoPhotographs) -> DepthMap:
 
 
 def test_perfect_maps_confirm_one_another(few: StereoPhotographs, perfect: list[DepthMap]) -> None:
-    """What correlates well weighs as much as it is seen head-on; what doesn't, less."""
+    """Check that what correlates well weighs as much as it is seen head-on, and what doesn't, less."""
     rays = pixel_rays(few.cameras[0])
     cosines = -(rays * perfect[0].normal).sum(axis=-1) / np.linalg.norm(rays, axis=-1)
     weights = weigh(few, perfect)[0]
@@ -204,7 +209,7 @@ def test_perfect_maps_confirm_one_another(few: StereoPhotographs, perfect: list[
 
 
 def test_what_other_views_deny_weighs_nothing(few: StereoPhotographs, perfect: list[DepthMap]) -> None:
-    """Depths that lie elsewhere confirm nothing, nor do normals that look elsewhere."""
+    """Check that depths that lie elsewhere confirm nothing, nor do normals that look elsewhere."""
     for pixels, confirms in ((0.0, True), (1.5, True), (-1.5, True), (3.0, False), (-3.0, False)):
         moved = [perfect[0], *(farther(found, pixels, few) for found in perfect[1:])]
         assert ((in_the_bowl(few, moved) > 0) == confirms).mean() > 0.9
@@ -215,7 +220,10 @@ def test_what_other_views_deny_weighs_nothing(few: StereoPhotographs, perfect: l
 def test_views_that_look_past_a_place_outvote_those_that_confirm_it(
     few: StereoPhotographs, perfect: list[DepthMap]
 ) -> None:
-    """Two against two; what views see nearer hides the place from them and says nothing."""
+    """Check that two views that look past a place outvote two that confirm it.
+
+    What views see nearer hides the place from them and says nothing.
+    """
     past, before = ([*perfect[:3], *(farther(found, off, few) for found in perfect[3:])] for off in (6.0, -6.0))
     assert (in_the_bowl(few, past) == 0).mean() > 0.9
     assert (in_the_bowl(few, before) > 0).mean() > 0.9

@@ -1,4 +1,4 @@
-"""Which photographs stereo compares, at what size, and with which neighbours."""
+"""Tests of the photographs that stereo compares: their choice, size and neighbours."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.mesh.shapes import cameras_around, looking_at_origin
 
 
 def views(count: int, side: int = 24) -> list[View]:
-    """Photographs of noise, each with a mask that shows the middle quarter."""
+    """Return photographs of noise, each with a mask that shows the middle quarter."""
     random = np.random.default_rng(0)
     alpha = np.zeros((side, side), np.uint8)
     alpha[side // 4 : 3 * side // 4, side // 4 : 3 * side // 4] = 255
@@ -82,7 +82,10 @@ def test_unknown_pixels_show_no_object_and_change_nothing(shrunk: int, monkeypat
 
 
 def turned(*degrees: float) -> StereoPhotographs:
-    """Photographs from these angles around the object; angles differ between two cameras as the numbers do."""
+    """Return photographs from these angles around the object.
+
+    Angles differ between two cameras as the numbers do.
+    """
     angles = np.radians(degrees)
     centers = 3 * np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], axis=1)
     cameras = [looking_at_origin(center, side=8) for center in centers]

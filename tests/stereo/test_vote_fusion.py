@@ -88,7 +88,7 @@ def test_without_variation_each_voxel_is_its_median() -> None:
 
 
 def test_what_is_not_sought_stays_and_draws_the_rest() -> None:
-    """Between fixed ends, voxels without votes take their value; with a limit, no more than it."""
+    """Check that voxels without votes take the value of the fixed ends around; with a limit, no more than it."""
     field, most = np.zeros((5, 1, 1), np.float32), np.ones((5, 1, 1), np.float32)
     field[[0, 4]] = 0.8
     votes, voxels = np.zeros((3, BINS), np.float32), np.array([1, 2, 3])

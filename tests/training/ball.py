@@ -25,8 +25,10 @@ class Points:
 
 
 def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = True, gloss: float = 0.0) -> Scene:
-    """Views all around the ball, `size` pixels square; without masks on white. gloss: how bright the highlight of a
-    flash on the camera is."""
+    """Return views all around the ball, `size` pixels square; without masks on white.
+
+    gloss: how bright the highlight of a flash on the camera is.
+    """
     directions = _sphere(train + test)
     views = [_view(f"r_{i}", _camera(direction, size), masked, gloss) for i, direction in enumerate(directions)]
     step = (train + test) // test
@@ -37,18 +39,18 @@ def ball_scene(size: int = 48, train: int = 10, test: int = 2, masked: bool = Tr
 
 
 def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> Points:
-    """Points on a slightly larger ball, in paler colours than the ball's."""
+    """Return points on a slightly larger ball, in paler colours than the ball's."""
     normals = _sphere(count)
     return Points(normals * radius, normals, _bytes(0.25 + 0.5 * ball_color(normals * RADIUS)))
 
 
 def ball_color(points: np.ndarray) -> np.ndarray:
-    """The texture at points of the surface."""
+    """Return the texture at points of the surface."""
     return 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
 
 
 def _sphere(count: int) -> np.ndarray:
-    """Evenly spread directions."""
+    """Return evenly spread directions."""
     i = np.arange(count) + 0.5
     z, turn = 1 - 2 * i / count, i * np.pi * (1 + 5**0.5)
     ring = np.sqrt(1 - z * z)
@@ -67,7 +69,7 @@ def _camera(direction: np.ndarray, size: int) -> Camera:
 
 
 def surface_points(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each pixel's ray first meets the ball [H,W,3], the ray's unit direction [H,W,3], and whether it does."""
+    """Return where each pixel's ray first meets the ball [H,W,3], its unit direction [H,W,3], and whether it does."""
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     local = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
     rays = local @ camera.cam_from_world[:3, :3]
@@ -79,7 +81,7 @@ def surface_points(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 3) -> View:
-    """One view with samples x samples rays a pixel."""
+    """Render one view with samples x samples rays a pixel."""
     fine = camera.resized(camera.width * samples, camera.height * samples)
     points, rays, hit = surface_points(fine)
     blocks = (camera.height, samples, camera.width, samples)
@@ -97,7 +99,7 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 
 def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False, scene: Scene | None = None) -> Scene:
-    """A masked scene, by default the ball, before a backdrop, photographed with noise, with or without its masks."""
+    """Photograph a masked scene, by default the ball, before a backdrop with noise, with or without its masks."""
     random = np.random.default_rng(0)
     scene = ball_scene(48, train=6) if scene is None else scene
 

@@ -19,8 +19,10 @@ START = ball_points(1500)
 
 
 def varied(scene: Scene, deviation: float = 0.3) -> tuple[Scene, np.ndarray]:
-    """The scene with each photograph's exposure, and its white balance a little, drawn at random; the factors [V,3] of
-    the training views, then the test views."""
+    """Draw each photograph's exposure, and its white balance a little, and return the scene and the factors [V,3].
+
+    The factors are of the training views, then of the test views.
+    """
     draw = np.random.default_rng(5)
     views = [*scene.train, *scene.test]
     factors = np.exp(draw.normal(-0.3, deviation, (len(views), 1)) + draw.normal(0, 0.1 * deviation, (len(views), 3)))

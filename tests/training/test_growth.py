@@ -34,7 +34,7 @@ def test_at_most_a_share_of_the_count_is_added() -> None:
 
 
 def test_gaussians_are_added_on_the_surface() -> None:
-    """Within a pixel of it, 0.026 there, which is a new Gaussian's own size."""
+    """Check that Gaussians are added within a pixel of the surface, 0.026 there, which is a new Gaussian's own size."""
     dense = config("volumes.densify.replace=0", "volumes.start_scale=0.5", "volumes.start_opacity=0.95")
     made = make_plan(ball_scene(48, train=16), ball_points(3000, RADIUS), dense)
     stage, branch = made.stages[1], made.parts.volumes

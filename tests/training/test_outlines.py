@@ -17,14 +17,14 @@ from tests.training.ball import ball_scene, before, surface_points
 
 
 def overlaps(masks: Sequence[np.ndarray], truth: Scene) -> np.ndarray:
-    """Of each view, the share of the pixels in the mask or in the true one that are in both."""
+    """Return for each view the share of the pixels in the mask or in the true one that are in both."""
     pairs = [(mask > 127, view.alpha > 127) for mask, view in zip(masks, truth.train, strict=True)]
     return np.array([(mask & true).sum() / (mask | true).sum() for mask, true in pairs])
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ball needs no more."""
+    """Shorten the training, of which a ball needs no more."""
     monkeypatch.setattr(outlines, "ITERATIONS", 300)
 
 
@@ -35,7 +35,10 @@ def truth() -> Scene:
 
 @pytest.mark.parametrize("color", [(255, 255, 255), (90, 120, 60)])
 def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int, int, int]) -> None:
-    """The ball's paint has both light and dark patches, and a highlight that clips."""
+    """Check that what splats come to cover is the object.
+
+    The ball's paint has both light and dark patches, and a highlight that clips.
+    """
     told: list[float] = []
     masks = learned_outlines(before(color, noise=0, scene=truth), seed=0, progress=told.append)
     assert masks is not None and all(mask.shape == (64, 64) and mask.dtype == np.uint8 for mask in masks)
@@ -44,7 +47,10 @@ def test_what_splats_come_to_cover_is_the_object(truth: Scene, color: tuple[int,
 
 
 def test_paint_of_the_backdrops_colour_makes_no_hole(truth: Scene) -> None:
-    """A white disk painted around the ball's pole: a mask by colour has a hole there, seen from above."""
+    """Check that a white disk painted around the ball's pole makes no hole.
+
+    A mask by colour has a hole there, seen from above.
+    """
 
     def painted(view: View) -> View:
         disk = surface_points(view.camera)[0][..., 2] > 0.45
@@ -72,7 +78,10 @@ def test_the_same_seed_gives_the_same_masks(truth: Scene, monkeypatch: pytest.Mo
 
 
 def test_none_where_photographs_contradict_each_other(truth: Scene) -> None:
-    """Every other one shows the backdrop alone: splats fill all of space with its colour."""
+    """Check that no masks come out where every other photograph shows the backdrop alone.
+
+    Splats fill all of space with its colour.
+    """
     scene = before((255, 255, 255), noise=0, scene=truth)
     gone = [replace(view, image=np.full_like(view.image, 255)) for view in scene.train[::2]]
     assert learned_outlines(replace(scene, train=gone + scene.train[1::2]), seed=0) is None

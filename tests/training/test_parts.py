@@ -133,7 +133,10 @@ def feed(test: EpochMeans | LossRange, losses: list[float], epoch: int = 4) -> i
 
 
 def test_epoch_means_ignore_the_difference_of_views() -> None:
-    """Losses that differ between views but not between epochs have converged; the paper's range sees only noise."""
+    """Check that losses that differ between views but not between epochs have converged.
+
+    The paper's range sees only noise.
+    """
     views = [0.1, 0.5, 0.2, 0.9]
     assert feed(EpochMeans(0, 2, 0.01), views * 30) == 16
     assert feed(LossRange(0, 0.01), views * 30) is None

@@ -48,9 +48,11 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
 
 @pytest.mark.parametrize("masked", [True, False])
 def test_training_finds_the_ball(masked: bool) -> None:
-    """From a ball a fifth too large, 300 iterations each bring the renders near the views and the surface to within a
-    pixel, 0.033 here, of the ball. So few iterations need long steps, and the start is so far off that the masks'
-    outlines must pull."""
+    """Check that 300 iterations each, from a ball a fifth too large, bring renders near the views.
+
+    The surface comes to within a pixel, 0.033 here, of the ball. So few iterations need long steps, and the start is so
+    far off that the masks' outlines must pull.
+    """
     overrides = ["warmup.surfel_iterations=300", "warmup.volume_iterations=300", "mutual.iterations=150"]
     overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "volumes")]
     overrides += ["edge_band=0", "surfels.rates.scale=1e-2", "surfels.start_scale=1", "surfels.start_opacity=0.1"]
@@ -64,7 +66,7 @@ def test_training_finds_the_ball(masked: bool) -> None:
 
 
 def surface_error(result: TrainResult, camera: Camera) -> float:
-    """Mean distance of the surfels' depth points from the ball."""
+    """Return the mean distance of the surfels' depth points from the ball."""
     outputs = render_surfels(result.surfels, camera)
     depth, alpha = outputs.depth.numpy(), outputs.alpha.numpy()
     rows, columns = np.nonzero(alpha > 0.5)
@@ -93,7 +95,10 @@ def test_same_seed_same_bytes() -> None:
 def test_a_resumed_run_equals_one_that_was_not_stopped(
     tmp_path: Path, rule: str, stop_at: int, reflection: str
 ) -> None:
-    """With reflection auto the third stop lies in the trial, and the second and the first before it."""
+    """Check that a resumed run equals one that was not stopped.
+
+    With reflection auto the third stop lies in the trial, and the second and the first before it.
+    """
     settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "held_back_every=6"]
     settings += ["stop_after=0.5", f"reflection={reflection}", "trial.iterations=10", "trial.views=2"]
     config = short("mgsr", f"stop_rule={rule}", *settings)

@@ -82,7 +82,7 @@ def test_what_was_asked_for_is_not_tried() -> None:
 
 
 def test_too_few_photographs_are_not_held_back() -> None:
-    """Three of them are too few to spare one: then the start's word counts, and it had none."""
+    """Check that three photographs are too few to spare one: then the start's word counts, and it had none."""
     scene = ball_scene(32, train=3, test=1)
     result = Training(scene, ball_points(600, RADIUS), make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])).run()
     assert result.reflection is Reflection.BOTH and not result.tried

@@ -14,7 +14,7 @@ import zstandard
 
 
 def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -> bytes:
-    """A zip of names and contents."""
+    """Return a zip of names and contents."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED if packed else zipfile.ZIP_STORED) as target:
         for name, data in members:
@@ -23,7 +23,7 @@ def zip_of(*members: tuple[str | zipfile.ZipInfo, bytes], packed: bool = True) -
 
 
 def tar_of(*members: tuple[tarfile.TarInfo, bytes], mode: Literal["w", "w:gz"] = "w") -> bytes:
-    """A tar of members and contents."""
+    """Return a tar of members and contents."""
     held = io.BytesIO()
     with tarfile.open(fileobj=held, mode=mode) as target:
         for member, data in members:
@@ -32,46 +32,46 @@ def tar_of(*members: tuple[tarfile.TarInfo, bytes], mode: Literal["w", "w:gz"] =
 
 
 def zst(data: bytes) -> bytes:
-    """Packed with zstd."""
+    """Return data packed with zstd."""
     return zstandard.compress(data)
 
 
 def plain(name: str, data: bytes) -> tuple[tarfile.TarInfo, bytes]:
-    """An ordinary file of a tar."""
+    """Return an ordinary file of a tar."""
     member = tarfile.TarInfo(name)
     member.size = len(data)
     return member, data
 
 
 def special(name: str, kind: bytes, target: str = "") -> tuple[tarfile.TarInfo, bytes]:
-    """A link or a device of a tar."""
+    """Return a link or a device of a tar."""
     member = tarfile.TarInfo(name)
     member.type, member.linkname, member.devmajor, member.devminor = kind, target, 1, 5
     return member, b""
 
 
 def zip_link() -> bytes:
-    """A symbolic link to the system's passwords, as `zip -y` stores it."""
+    """Return a zip with a symbolic link to the system's passwords, as `zip -y` stores it."""
     member = zipfile.ZipInfo("images/0.png")
     member.create_system, member.external_attr = 3, 0o120777 << 16
     return zip_of((member, b"/etc/passwd"))
 
 
 def zip_that_claims_5_gb() -> bytes:
-    """A stored member of ten bytes whose sizes say over four thousand million."""
+    """Return a zip with a stored member of ten bytes whose sizes say over four thousand million."""
     data = zip_of(("a.bin", b"0123456789"), packed=False)
     return data.replace(struct.pack("<II", 10, 10), struct.pack("<II", 4_294_967_294, 4_294_967_294))
 
 
 def zip_that_lies_about_its_size() -> bytes:
-    """A packed member of 20 MB whose sizes say ten bytes."""
+    """Return a zip with a packed member of 20 MB whose sizes say ten bytes."""
     data = zip_of(("a.bin", bytes(20 << 20)))
     (packed,) = struct.unpack("<I", data[18:22])
     return data.replace(struct.pack("<II", packed, 20 << 20), struct.pack("<II", packed, 10))
 
 
 def png_bomb(side: int, rows: int) -> bytes:
-    """A black PNG of side x side pixels, with the data of so many rows: some kilobytes."""
+    """Return a black PNG of side x side pixels, with the data of so many rows: some kilobytes."""
     head = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
     packed = zlib.compress(bytes((side // 8 + 1) * rows), 9)
     chunks = b"".join(
@@ -82,7 +82,7 @@ def png_bomb(side: int, rows: int) -> bytes:
 
 
 def encrypted_zip() -> bytes:
-    """A member whose flag says that it is encrypted."""
+    """Return a zip with a member whose flag says that it is encrypted."""
     data = bytearray(zip_of(("a.bin", b"0123456789")))
     data[6] |= 1
     data[data.rindex(b"PK\x01\x02") + 8] |= 1

@@ -29,7 +29,7 @@ def cards_of(parent: int) -> dict[int, str]:
 
 @pytest.mark.slow
 def test_a_worker_for_each_card(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Jobs that ask for a card wait for a worker that has one; a signal to the first process ends all."""
+    """Check that jobs that ask for a card wait for a worker with one, and that a signal to the first ends all."""
     with Stack(tmp_path, workers=1) as stack:
         job = stack.submitted(tiny_archive, TINY_OPTIONS | {"device": "cuda"})
         other = stack.submitted(tiny_archive, TINY_OPTIONS)
@@ -60,8 +60,11 @@ def test_a_cards_worker_that_dies_starts_again(tmp_path: Path) -> None:
 
 
 class Nvml(ModuleType):
-    """In the place of pynvml. cards: by uuid, model, and what MIG makes of it: the uuids at its places, None where
-    there is no instance; "off"; or "none" where the card has no MIG. fails: the function that does."""
+    """A stand-in for pynvml.
+
+    cards: by uuid, model, and what MIG makes of it: the uuids at its places, None where there is no instance; "off"; or
+    "none" where the card has no MIG. fails: the function that fails.
+    """
 
     NVML_DEVICE_MIG_ENABLE = 1
 

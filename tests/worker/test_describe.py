@@ -1,4 +1,4 @@
-"""What the service believes of the library is what the library says of itself."""
+"""The service's description of the library matches what the library says of itself."""
 
 from __future__ import annotations
 

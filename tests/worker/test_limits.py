@@ -22,7 +22,7 @@ from worker.job import JobSpec
 
 @pytest.fixture(scope="module")
 def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A service without workers: each test starts its own."""
+    """Yield a service without workers: each test starts its own."""
     with Stack(tmp_path_factory.mktemp("limited"), workers=0) as running:
         running.worker_names.append("worker0")
         yield running
@@ -30,7 +30,7 @@ def limited(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
 
 @pytest.fixture(autouse=True)
 def worker_ends(limited: Stack) -> Iterator[None]:
-    """No worker, and nothing of one, outlives its test."""
+    """Check that no worker, and nothing of one, outlives its test."""
     yield
     if "worker0" in limited.processes:
         limited.stop("worker0")
@@ -67,7 +67,7 @@ def test_a_submit_to_a_full_disk(tmp_path: Path, tiny_archive: bytes) -> None:
 
 @pytest.mark.slow
 def test_too_many_jobs(tmp_path: Path, tiny_archive: bytes) -> None:
-    """Of one key: another's have room. A job that has ended makes room."""
+    """Check the limit of open jobs for each key: another key's jobs have room, and a job that ended makes room."""
     keys = Keys(Store(str(tmp_path / "store"), 1.0))
     anna, bert = ({"Authorization": f"Bearer {keys.create(name)[0]}"} for name in ("anna", "bert"))
     with Stack(tmp_path, workers=0, MGSR_MAX_OPEN_JOBS="2") as small:

@@ -1,4 +1,4 @@
-"""Webhooks: signed, tried again, delivered whatever dies, and never to where they must not go."""
+"""Webhooks: signed, retried, delivered whatever dies, and never sent to forbidden addresses."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Receiver:
                     receiver.arrived.set()
 
             def log_message(self, format: str, *arguments: Any) -> None:
-                """Nothing: the tests look at what came."""
+                """Log nothing: the tests look at what came."""
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.url = f"http://localhost:{self.server.server_port}/hook?token=1"
@@ -61,14 +61,14 @@ def receiver() -> Iterator[Receiver]:
 
 @pytest.fixture(scope="module")
 def calling(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A service that may call this machine."""
+    """Yield a service that may call this machine."""
     with Stack(tmp_path_factory.mktemp("calling"), MGSR_WEBHOOK_PRIVATE="1") as running:
         yield running
 
 
 @pytest.mark.slow
 def test_the_end_of_a_job_is_told_and_signed(calling: Stack, receiver: Receiver) -> None:
-    """The receiver fails at first. The signature is checked by Standard Webhooks' own library."""
+    """Check the signature by Standard Webhooks' own library; the receiver fails at first."""
     receiver.answers = [500, 302]
     answer = calling.submit(zip_of(("readme.txt", b"nothing")), {"webhook": receiver.url, "name": "empty"})
     assert receiver.arrived.wait(90), calling.logs()
@@ -86,7 +86,7 @@ def test_the_end_of_a_job_is_told_and_signed(calling: Stack, receiver: Receiver)
 
 
 def ended(store: Store, url: str) -> Jobs:
-    """A job of another worker that has just been cancelled."""
+    """Return the jobs of a store with one of another worker that has just been cancelled."""
     jobs = Jobs(store)
     options = JobOptions(webhook=url)
     jobs.create(
@@ -128,7 +128,7 @@ def test_a_job_that_is_removed_has_no_more_to_tell(tmp_path: Path) -> None:
 
 
 def test_a_private_address_is_not_called(calling: Stack, receiver: Receiver, tmp_path: Path) -> None:
-    """Whatever the name looked like at the submit, the address that it has now decides."""
+    """Check that the address that a name has at the call decides, whatever it was at the submit."""
     calling.redis.flushall()
     jobs = ended(Store(str(tmp_path), 1.0), receiver.url.replace("localhost", "127.1"))
     Post(jobs, calling.redis, allow_private=False).look()

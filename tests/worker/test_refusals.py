@@ -1,5 +1,4 @@
-"""Strangers' archives, by the job process's own way: each kind that nobody should send is refused by its code, and
-nothing of it stays."""
+"""Strangers' archives, read as the job process does: each bad kind is refused by its code, and nothing of it stays."""
 
 from __future__ import annotations
 

@@ -118,14 +118,14 @@ def test_a_long_step_before_training_moves_and_says_how_long_it_takes(
 
 @pytest.mark.parametrize("step", BEFORE)
 def test_each_step_before_training_may_tell_how_far_it_is(tmp_path: Path, step: str) -> None:
-    """Exposures that differ make the start be found anew, under their step."""
+    """Check progress within a step; unequal exposures make the start be found again, under their step."""
     begun, halfway = report(tmp_path, [Event(step, step), Event(step, step, done=0.5)])
     assert begun["progress"] <= halfway["progress"] <= max(BEFORE.values())
     assert halfway["step_progress"] == 0.5
 
 
 def test_training_after_a_long_start_goes_on_where_that_ended(tmp_path: Path) -> None:
-    """The bar neither waits nor jumps: what came before training is a fixed share of it."""
+    """Check that the bar neither waits nor jumps: what came before training is a fixed share of it."""
     told = report(tmp_path, [Event("train", "training"), *(training(i, total=100) for i in (2, 100))])
     assert BEFORE["train"] == told[0]["progress"] < told[1]["progress"] < told[-1]["progress"]
     assert told[1]["progress"] < BEFORE["train"] + 0.02
@@ -139,7 +139,7 @@ def test_curves_of_two_attempts_are_one() -> None:
 
 @pytest.mark.parametrize(("name", "kind"), [("mesh.obj", "model/obj"), ("mesh_textured.glb", "model/gltf-binary")])
 def test_results_have_the_type_of_their_form(name: str, kind: str) -> None:
-    """Also where the machine's own list says otherwise, as Debian's does of .obj."""
+    """Check media types, also where the machine's own list says otherwise, as Debian's does of .obj."""
     assert media_type(name) == kind
 
 
@@ -205,7 +205,7 @@ def _alive(pid: int) -> bool:
 
 
 def test_all_cards_of_a_machine_without_any_are_one_message() -> None:
-    """And CUDA is not loaded for it."""
+    """Check that the error is one message, for which CUDA is not loaded."""
     if nvidia_smi_runs():
         pytest.skip("this machine has a card")
     environment = os.environ | {"MGSR_REDIS_URL": "redis://127.0.0.1:1"}

@@ -1,8 +1,7 @@
-"""BlocksExchange: the XML in which ContextCapture (iTwin Capture), Metashape, DJI Terra and others exchange cameras,
-and the photographs.
+"""BlocksExchange: XML with which ContextCapture (iTwin Capture), Metashape, DJI Terra and others exchange cameras.
 
 Source: Bentley's ContextCapture user guide, "BlocksExchange XML/XMLZ format" and its camera models. Rotations take
-world coordinates to a camera's axes, which CameraOrientation names; pixels are counted from the centre of the upper
+world coordinates to a camera's axes, which CameraOrientation names. Pixels are counted from the centre of the upper
 left one.
 """
 
@@ -64,8 +63,10 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A photograph: its path, its element, the group that has its camera, and whether the others are aligned without
-    it."""
+    """A photograph with its path, its element and the group that has its camera.
+
+    It also says whether the others are aligned without it.
+    """
 
     path: str
     photo: Element
@@ -84,7 +85,7 @@ def _is_exchange(path: Path) -> bool:
 
 
 def _plain(root: Element) -> Element:
-    """The tree with its tags without namespace."""
+    """Return the tree with the namespaces stripped from its tags, in place."""
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
     return root
@@ -143,7 +144,10 @@ def _check_system(system: str, exchange: Element, source: str) -> None:
 
 
 def _rotation(pose: Element, source: str) -> np.ndarray:
-    """The rotation [3,3] from the world to the camera's axes: a matrix, or omega, phi and kappa in degrees."""
+    """Return the rotation [3,3] from the world to the camera's axes.
+
+    The file gives a matrix, or omega, phi and kappa in degrees. Raises SceneError where it gives neither.
+    """
     rotation = pose.find("Rotation")
     assert rotation is not None
     if rotation.find("M_00") is not None:
@@ -161,7 +165,10 @@ def _rotation(pose: Element, source: str) -> np.ndarray:
 
 
 def _axes(group: Element, source: str) -> np.ndarray:
-    """The camera's axes as rows [3,3], in OpenCV's axes; x right and y down where the group names none."""
+    """Return the camera's axes as rows [3,3] in OpenCV's axes; x right and y down where the group names none.
+
+    Raises SceneError for unknown names.
+    """
     name = _text(group, "CameraOrientation") or "XRightYDown"
     match = _ORIENTATION.fullmatch(name)
     if match is None:
@@ -187,7 +194,7 @@ def _camera(group: Element, source: str) -> tuple[np.ndarray, Lens, tuple[int, i
 
 
 def _perspective(group: Element, side: int, source: str) -> tuple[float, float, Lens]:
-    """fx and fy, pixels, and the lens. Brown's P1 and P2 are OpenCV's p2 and p1."""
+    """Return fx and fy, pixels, and the lens. Brown's P1 and P2 are OpenCV's p2 and p1."""
     focal = _focal_length(group, side, source)
     ratio, skew = _number(group, "AspectRatio", source, 1.0), _number(group, "Skew", source, 0.0)
     if focal == 0:
@@ -197,14 +204,17 @@ def _perspective(group: Element, side: int, source: str) -> tuple[float, float, 
 
 
 def _focal_length(group: Element, side: int, source: str) -> float:
-    """The focal length in pixels. side: the image's larger one, which SensorSize is of."""
+    """Return the focal length in pixels.
+
+    side: the image's larger side, pixels, which SensorSize refers to.
+    """
     if group.find("FocalLengthPixels") is not None:
         return _number(group, "FocalLengthPixels", source)
     return _number(group, "FocalLength", source) / _pixel(group, side, source)
 
 
 def _pixel(group: Element, side: int, source: str) -> float:
-    """A pixel's size, millimetres."""
+    """Return a pixel's size, millimetres. Raises SceneError where it is not above 0."""
     given = group.find("PixelSize") is not None
     size = _number(group, "PixelSize", source) if given else _number(group, "SensorSize", source) / max(side, 1)
     if size <= 0:
@@ -213,8 +223,11 @@ def _pixel(group: Element, side: int, source: str) -> float:
 
 
 def _principal_point(group: Element, size: tuple[int, int], source: str) -> tuple[float, float]:
-    """In pixels whose centres lie at +0.5. The file has it in pixels, in millimetres from the middle along the camera's
-    axes, or not at all. Programs that count from the image's corner write exactly half its sides for the middle."""
+    """Return the principal point in pixels whose centres lie at +0.5.
+
+    The file gives it in pixels, in millimetres from the middle along the camera's axes, or not at all. Programs that
+    count from the image's corner write exactly half its sides for the middle.
+    """
     middle = size[0] / 2, size[1] / 2
     point = group.find("PrincipalPoint")
     if point is None:
@@ -228,7 +241,11 @@ def _principal_point(group: Element, size: tuple[int, int], source: str) -> tupl
 
 
 def _fisheye(group: Element, source: str) -> tuple[float, float, Lens]:
-    """fx and fy, pixels, and the lens: a polynomial of the ray's angle over 90 degrees, times the focal matrix."""
+    """Return fx and fy, pixels, and the fisheye lens.
+
+    The file's lens is a polynomial of the ray's angle over 90 degrees, times the focal matrix. Raises SceneError for
+    terms that have no equal in MGSR's lens.
+    """
     f00, f01, f10, f11 = (_number(group, f"FisheyeFocalMatrix/M_{index}", source) for index in ("00", "01", "10", "11"))
     p0, p1, p2, p3, p4 = (
         _number(group, f"FisheyeDistortion/P{power}", source, float(power == 1)) for power in range(5)
@@ -244,7 +261,7 @@ def _fisheye(group: Element, source: str) -> tuple[float, float, Lens]:
 
 
 def _number(element: Element, path: str, source: str, default: float | None = None) -> float:
-    """The number in an element below; `default` where there is no such element."""
+    """Return the number in the element at `path`; `default` where there is no such element."""
     text = element.findtext(path)
     if text is None and default is not None:
         return default
@@ -252,7 +269,7 @@ def _number(element: Element, path: str, source: str, default: float | None = No
 
 
 def _points(block: Element) -> PointCloud | None:
-    """The tie points that have a position; colours are 0 to 1 in the file."""
+    """Return the tie points that have a position; the file's colours range from 0 to 1."""
     places, colors = [], []
     for tie in block.iterfind("TiePoints/TiePoint"):
         position, color = tie.find("Position"), tie.find("Color")

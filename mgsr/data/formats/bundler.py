@@ -1,5 +1,6 @@
-"""Bundler: bundle.out, the list of its photographs, and the photographs. COLMAP, VisualSFM, RealityCapture and others
-export it too.
+"""Bundler: bundle.out, the list of its photographs, and the photographs.
+
+COLMAP, VisualSFM, RealityCapture and others export it too.
 
 Source: Bundler's user manual, "Output format and scene representation": cameras look along -z with y up; pixels are
 counted from the image's middle; the radial terms act on x / z and y / z. Lists have a photograph on each line, in some
@@ -43,7 +44,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera, with the photograph that stands on its line of the list, and every point."""
+    """Read every camera, with the photograph on its line of the list, and every point."""
     file = recognises(folder.root)
     assert file is not None, "read() is for folders that were recognised"
     bundle = _bundle(folder.root / file)
@@ -58,7 +59,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Bundle:
-    """cameras: for each its numbers, as words."""
+    """A bundle file's content. cameras: each camera's numbers, as words."""
 
     cameras: list[list[str]]
     points: PointCloud | None
@@ -110,7 +111,7 @@ class _Words:
         self._lines, self._words, self._at = lines, [""], 1
 
     def take(self, count: int) -> list[str]:
-        """The next `count` words. Raises ValueError where the text ends before."""
+        """Return the next `count` words. Raises ValueError where the text ends too early."""
         taken: list[str] = []
         while len(taken) < count:
             if self._at == len(self._words):
@@ -121,7 +122,7 @@ class _Words:
         return taken
 
     def whole(self) -> int:
-        """The next word as a whole number that counts something."""
+        """Return the next word as a whole number. Raises ValueError where it is negative."""
         value = int(self.take(1)[0])
         if value < 0:
             raise ValueError(f"expected a count, got {value}")
@@ -135,7 +136,7 @@ class _Words:
 
 
 def _points(words: _Words, count: int) -> PointCloud | None:
-    """Positions and colours; where the points are seen is passed over."""
+    """Return positions and colours of the points, without the list of views that see them."""
     places, colors = [], []
     for _ in range(count):
         places.append(words.take(3))
@@ -145,7 +146,10 @@ def _points(words: _Words, count: int) -> PointCloud | None:
 
 
 def _list(root: Path, bundle: Path, cameras: int) -> _List:
-    """The list of the bundle's photographs: by its usual names, else the only one of as many photographs."""
+    """Find the list of the bundle's photographs: by its usual names, else the only list with as many photographs.
+
+    Raises SceneError where no list, or more than one, fits.
+    """
     folders = list(dict.fromkeys((bundle.parent, root)))
     usual = (folder / name for folder in folders for name in _usual_lists(bundle))
     for path in usual:
@@ -168,14 +172,17 @@ def _list(root: Path, bundle: Path, cameras: int) -> _List:
 
 
 def _usual_lists(bundle: Path) -> list[str]:
-    """What programs call the list of a bundle: Bundler and VisualSFM, COLMAP, multicore bundle adjustment, others."""
+    """Return the names that programs give the list.
+
+    They are those of Bundler and VisualSFM, COLMAP, multicore bundle adjustment, and others.
+    """
     stem = bundle.name.removesuffix(".out")
     names = [stem.replace("bundle", "list") + ".txt"] if "bundle" in stem else []
     return [*names, f"{stem}-list.txt", f"{stem}.list.txt", f"{bundle.name}.list.txt", f"{stem}.lst", f"{stem}.out.lst"]
 
 
 def _names(path: Path) -> list[str]:
-    """The names in a list; none where it is no text."""
+    """Return the names in a list; none where the file is no text."""
     try:
         if path.stat().st_size > _LARGEST_LIST:
             return []

@@ -1,5 +1,6 @@
-"""COLMAP: a sparse model in sparse/0 or sparse (binary or text) and the photographs in images/, or as other programs
-lay them out.
+"""COLMAP: a sparse model, binary or text, in sparse/0 or sparse, and the photographs in images/.
+
+Layouts of other programs are read too.
 
 The files' layout is that of COLMAP's documentation, "Output Format". Newer models also have rigs and frames files; the
 images file still holds every photograph's own pose, so they say nothing more about it.
@@ -76,8 +77,11 @@ _ONE_FOCAL = {
 
 @dataclass(frozen=True)
 class ColmapCamera:
-    """A camera as COLMAP has it. model: the name of its model; width and height: of its images, pixels; params: the
-    model's parameters, in COLMAP's order."""
+    """A camera as COLMAP has it.
+
+    model: the name of its model. width, height: of its images, pixels. params: the model's parameters, in COLMAP's
+    order.
+    """
 
     model: str
     width: int
@@ -95,7 +99,7 @@ class _Image:
 
 @dataclass(frozen=True)
 class _Model:
-    """marker: the model's images file; where: the model's folder, for messages."""
+    """A sparse model. marker: the model's images file. where: the model's folder, for messages."""
 
     marker: Path
     where: str
@@ -122,8 +126,10 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _find_models(root: Path) -> tuple[str, list[Path]]:
-    """The first of _PLACES that has models, and their images files; none beside a transforms.json, which is made from
-    them and has masks and splits besides."""
+    """Return the first of _PLACES that has models, and their images files.
+
+    Beside a transforms.json it returns none: that file is made from the models and has masks and splits besides.
+    """
     if (root / "transforms.json").is_file():
         return "", []
     for place in _PLACES:
@@ -135,13 +141,13 @@ def _find_models(root: Path) -> tuple[str, list[Path]]:
 
 
 def _marker(folder: Path) -> Path | None:
-    """The images file of the model in a folder."""
+    """Return the images file of the model in a folder, or None."""
     found = (folder / ("images" + suffix) for suffix in _IMAGES)
     return next((path for path in found if path.is_file()), None)
 
 
 def _is_model(folder: Path) -> bool:
-    """Whether a folder with an images file is more than another program's list of images."""
+    """Return whether a folder with an images file is more than another program's list of images."""
     return any((folder / ("cameras" + suffix)).is_file() for suffix in _CAMERAS)
 
 
@@ -151,7 +157,7 @@ def _read_images(root: Path, marker: Path) -> _Model:
 
 
 def _read_scene(model: _Model) -> tuple[dict[int, ColmapCamera], PointCloud | None]:
-    """The cameras and points of a model."""
+    """Return the cameras and points of a model; the points are None where it has no such file."""
     cameras, points = model.marker.with_stem("cameras"), model.marker.with_stem("points3D")
     return (
         _parsed(_CAMERAS, cameras, model.where),
@@ -160,7 +166,7 @@ def _read_scene(model: _Model) -> tuple[dict[int, ColmapCamera], PointCloud | No
 
 
 def _parsed(parsers: Mapping[str, Callable[[Path], _Content]], path: Path, where: str) -> _Content:
-    """A model's file, binary or text. Raises SceneError where it is missing or damaged."""
+    """Parse a model's file, binary or text. Raises SceneError where it is missing or damaged."""
     if parsers is not _POINTS:  # models of known poses have an empty file of points
         require_content(path)
     try:
@@ -177,7 +183,7 @@ def _other_models(models: Sequence[_Model], used: _Model) -> tuple[str, ...]:
 
 
 def _left_out(found: FoundPhotos, model: _Model) -> tuple[str, ...]:
-    """A note on the photographs that COLMAP did not register. Raises SceneError where it registered few."""
+    """Return a note on the photographs that COLMAP did not register. Raises SceneError where it registered few."""
     folders = {path.parent for path in found.files}
     there = {path for folder in folders for path in folder.iterdir() if is_photo(path)}
     registered = len(model.images)
@@ -197,7 +203,7 @@ def _photo(path: Path, image: _Image, cameras: dict[int, ColmapCamera], file: st
 
 
 def to_pinhole(camera: ColmapCamera, source: str) -> tuple[np.ndarray, AnyLens | None]:
-    """Return the intrinsics [3,3], pixels, and the lens that the photographs must be rid of, None for a pinhole.
+    """Return the intrinsics [3,3], pixels, and the lens whose distortion must be removed; None for a pinhole.
 
     The formulas of the models are those of COLMAP's sensor/models.h. Raises SceneError with `source` for panoramas, for
     other models that are not supported, and for parameters that are not finite.
@@ -245,7 +251,10 @@ def _lens(model: str, terms: tuple[float, ...]) -> AnyLens | None:
 
 
 def _pose(image: _Image, source: str) -> np.ndarray:
-    """cam_from_world [4,4] from COLMAP's quaternion (wxyz) and translation."""
+    """Return cam_from_world [4,4] from COLMAP's quaternion (wxyz) and translation.
+
+    Raises SceneError for a zero quaternion.
+    """
     norm = np.linalg.norm(image.quat)
     if not np.isfinite(norm) or norm == 0:
         raise SceneError(f"{source}: the pose's quaternion is {list(image.quat)}; remove this view or mend its pose")
@@ -293,7 +302,10 @@ def _text_images(path: Path) -> list[_Image]:
 
 
 def _is_points(line: str) -> bool:
-    """Whether a line is triples of numbers and nothing else. An image's has a name: were that a number, ten fields."""
+    """Return whether a line is triples of numbers and nothing else.
+
+    An image's line has a name; if that were a number, the line would have ten fields.
+    """
     return _NUMBERS.fullmatch(line) is not None and len(line.split()) % 3 == 0
 
 
@@ -364,8 +376,10 @@ def _binary_points(path: Path) -> PointCloud:
 
 
 def checked_camera(model: str, width: int, height: int, params: tuple[float, ...]) -> ColmapCamera:
-    """Return the camera of a model's name and parameters. Raises ValueError if a known model has another number of
-    parameters; `to_pinhole` refuses models that are not known."""
+    """Return the camera of a model's name and parameters.
+
+    Raises ValueError if a known model has another number of parameters; `to_pinhole` refuses unknown models.
+    """
     count = dict(_MODELS.values()).get(model)
     if count is not None and len(params) != count:
         raise ValueError(f"camera model {model} has {count} parameters, got {len(params)}")

@@ -29,14 +29,16 @@ _RENDERS = re.compile(r"ours_\d+")  # renders are numbered, whatever their photo
 
 
 def recognises(root: Path) -> str | None:
-    """Return cameras.json, if it is a list of cameras of this form (other programs write files of that name too)."""
+    """Return cameras.json, if it is a list of cameras of this form; other programs write files of that name too."""
     head = head_of(root / _FILE).lstrip(b"\xef\xbb\xbf \t\r\n")
     return _FILE if head.startswith(b"[") and all(key in head for key in _KEYS) else None
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera. The photographs are found by name below the scene's folder; what cfg_args names elsewhere is
-    not followed. Raises SceneError where none is there."""
+    """Read every camera, and find the photographs by name below the scene's folder.
+
+    What cfg_args names elsewhere is not followed. Raises SceneError where no photograph is there.
+    """
     cameras = read_json(folder.root / _FILE)
     if not isinstance(cameras, list) or not cameras or not all(isinstance(camera, dict) for camera in cameras):
         raise SceneError(f"{_FILE}: expected a list of cameras; copy it again")
@@ -76,7 +78,7 @@ def _photo(folder: SceneFolder, image: Path, camera: dict[str, Any], name: str, 
 
 
 def _points(root: Path) -> tuple[PointCloud | None, tuple[str, ...]]:
-    """The points that training began with, or a note where they can't be read."""
+    """Return the points that training began with, or a note where they can't be read."""
     if not (root / _POINTS).is_file():
         return None, ()
     try:

@@ -30,7 +30,7 @@ _DEEPEST_RIG = 10
 
 
 def recognises(root: Path) -> str | None:
-    """Return the list of cameras' records, if the one of sensors is there too."""
+    """Return the list of cameras' records, if the list of sensors is there too."""
     return _RECORDS if all((root / name).is_file() for name in (_SENSORS, _RECORDS)) else None
 
 
@@ -47,8 +47,11 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Dataset:
-    """sensors: the fields of each, after its id. poses: the fields of each, by time and device. rigs: for each device
-    the rigs that it is in, and the fields of its pose there."""
+    """A dataset's sensors, poses and rigs.
+
+    sensors: the fields of each, after its id. poses: the fields of each, by time and device. rigs: for each device the
+    rigs that it is in, and the fields of its pose there.
+    """
 
     sensors: dict[str, list[str]]
     poses: dict[tuple[str, str], list[str]]
@@ -68,12 +71,12 @@ def _dataset(root: Path) -> _Dataset:
 
 
 def _time(text: str) -> str:
-    """A time without leading zeros: files of one dataset may write them differently."""
+    """Return a time without leading zeros, which files of one dataset may write differently."""
     return text.lstrip("0") or "0"
 
 
 def _rows(root: Path, name: str, least: int) -> Iterator[list[str]]:
-    """The rows of a file of values with commas between them. Raises SceneError for those with fewer than `least`."""
+    """Yield the rows of a file of comma-separated values. Raises SceneError for rows with fewer than `least` values."""
     path = root / name
     require_content(path)
     try:
@@ -119,7 +122,10 @@ def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndar
 
 
 def _pose(time: str, device: str, dataset: _Dataset, source: str, depth: int) -> np.ndarray | None:
-    """cam_from_world [4,4] of a device: its own, or its place in a rig after the rig's; None where it has none."""
+    """Return cam_from_world [4,4] of a device, or None where it has no pose.
+
+    It is the device's own pose, or its place in a rig after the rig's.
+    """
     own = dataset.poses.get((time, device))
     if own is not None:
         return _rigid(own, source)
@@ -136,7 +142,7 @@ def _rigid(fields: list[str], source: str) -> np.ndarray:
 
 
 def _points(root: Path) -> PointCloud | None:
-    """The points, if there are any: positions, and colours or none."""
+    """Return the points' positions and colours, grey where they have none; None without a file of points."""
     if not (root / _POINTS).is_file():
         return None
     rows = list(_rows(root, _POINTS, 3))

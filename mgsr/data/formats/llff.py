@@ -37,7 +37,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _rows(path: Path) -> np.ndarray:
-    """The file's rows [N,17]."""
+    """Read the file's rows [N,17]. Raises SceneError for damaged files and other shapes."""
     require_content(path)
     try:
         rows = _load(path)
@@ -52,7 +52,10 @@ def _rows(path: Path) -> np.ndarray:
 
 
 def _load(path: Path) -> np.ndarray:
-    """The array of an .npy file (numpy.lib.format), whose size is checked before memory is taken for it."""
+    """Load the array of an .npy file (numpy.lib.format), after checking its size against the file's.
+
+    Raises ValueError for arrays of another type or a false size.
+    """
     with path.open("rb") as file:
         major, _ = np.lib.format.read_magic(file)
         header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
@@ -65,8 +68,11 @@ def _load(path: Path) -> np.ndarray:
 
 
 def _names(folder: SceneFolder, count: int) -> list[str]:
-    """The photographs of the poses, by order: those of the first folder that has as many; or those that view_imgs.txt
-    lists, which some programs write where COLMAP left photographs out."""
+    """Return the photographs of the poses, in order: those of the first folder that has as many.
+
+    view_imgs.txt comes first if it lists as many; some programs write it where COLMAP left photographs out. Raises
+    SceneError where no folder fits.
+    """
     listed = _listed(folder.root / _REGISTERED)
     if len(listed) == count:
         return listed
@@ -84,7 +90,7 @@ def _listed(path: Path) -> list[str]:
 
 
 def _places(folder: SceneFolder) -> list[Path]:
-    """images/, then its reduced forms from the largest on, then all else."""
+    """Return the folders to look in: images/, its reduced forms from the largest on, the root, and all others."""
     reduced = sorted(folder.root.glob("images_*"), key=lambda path: (len(path.name), path.name))
     others = [path for path in folders_in(folder.root) if path not in reduced and path.name != "images"]
     return [folder.root / "images", *reduced, folder.root, *others]

@@ -44,7 +44,7 @@ _UNDISTORT = "add a node ExportImages (or PrepareDenseScene) and give its images
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .sfm of the folder that has poses, or the same as .json; one with landmarks comes first."""
+    """Return the first .sfm or .json of the folder that has poses; one with landmarks comes first."""
     names = [path.name for path in sorted(root.glob("[!.]*.sfm"))] + list(_JSON)
     found = [name for name in names if _has(root / name, _POSES)]
     return next((name for name in found if _has(root / name, _LANDMARKS)), found[0] if found else None)
@@ -64,7 +64,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Scene:
-    """intrinsics, poses and rigs: by their numbers, as text."""
+    """A scene's intrinsics, poses and rigs, by their numbers as text."""
 
     version: tuple[int, ...]
     views: list[dict[str, Any]]
@@ -75,7 +75,7 @@ class _Scene:
 
 
 def _has(path: Path, part: re.Pattern[bytes]) -> bool:
-    """Whether a file is AliceVision's and has that part."""
+    """Return whether a file is AliceVision's and contains `part`."""
     try:
         with path.open("rb") as file:
             if b'"version"' not in file.read(4096):
@@ -123,7 +123,10 @@ def _photo(image: Path, view: dict[str, Any], scene: _Scene, source: str) -> Pho
 
 
 def _pose(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
-    """cam_from_world [4,4] of a view: its pose, or its place in a rig after the rig's pose."""
+    """Return cam_from_world [4,4] of a view: its pose, or its place in a rig after the rig's pose.
+
+    Raises SceneError where it has no pose.
+    """
     entry = scene.poses.get(str(view.get("poseId")))
     if entry is None:
         raise SceneError(f"{source}: no pose: it was not placed")
@@ -164,7 +167,7 @@ def _camera(
 
 
 def _focal_lengths(camera: dict[str, Any], version: tuple[int, ...], width: float, source: str) -> tuple[float, float]:
-    """fx and fy, pixels."""
+    """Return fx and fy, pixels."""
     if version < _TWO_FOCALS:
         focal = _one(camera, "pxFocalLength", source)
         return focal, focal
@@ -186,7 +189,7 @@ def _one(camera: dict[str, Any], name: str, source: str) -> float:
 
 
 def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
-    """The lens, and what the focal length is multiplied by."""
+    """Return the lens, and the factor of the focal length. Raises SceneError for distortions that are not supported."""
     kind = _kind(camera, source)
     undone = camera.get("undistortionParams") or []
     if not isinstance(undone, list) or numbers(undone, len(undone), "undistortionParams", source).any():
@@ -207,12 +210,12 @@ def _lens(camera: dict[str, Any], source: str) -> tuple[AnyLens | None, float]:
 
 
 def _zeros(kind: str) -> list[float]:
-    """For the terms that a kind of distortion does not have."""
+    """Return zeros for the terms that a kind of distortion does not have."""
     return [0.0] * (5 - _TERMS[kind])
 
 
 def _kind(camera: dict[str, Any], source: str) -> str:
-    """The kind of distortion, one of _TERMS."""
+    """Return the kind of distortion, one of _TERMS. Raises SceneError for other kinds."""
     camera_type = str(camera.get("type", "pinhole")).lower()
     if camera_type == "equirectangular":
         raise SceneError(f"{source}: camera type {camera_type} is not supported: {PANORAMA_CURE}")

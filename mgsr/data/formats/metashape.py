@@ -29,8 +29,7 @@ _TERMS = ("f", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "b1", "b2")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xml of the folder that begins as Metashape's documents do and has cameras, else the first that
-    begins so."""
+    """Return the first .xml of the folder that begins as Metashape's documents do; one with cameras comes first."""
     paths = (path for path in sorted(root.glob("[!.]*.[xX][mM][lL]")) if path.is_file())
     documents = [path for path in paths if _is_document(path)]
     best = min(documents, key=lambda path: not _has_cameras(path), default=None)
@@ -38,11 +37,11 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every enabled camera, in the chunk's world frame. Its photograph is found by its label anywhere in the
-    folder; where labels repeat, the labels of the camera's groups tell its folder.
+    """Read every enabled camera, in the chunk's world frame.
 
-    Slaves of multi-camera systems are left out: their sensors say where they stand from a master, in a convention that
-    no export has confirmed yet.
+    Its photograph is found by its label anywhere in the folder; where labels repeat, the labels of the camera's groups
+    name its folder. Slaves of multi-camera systems are left out: their sensors give their place relative to a master,
+    in a convention that no export has confirmed yet.
     """
     name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
@@ -59,7 +58,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _cameras(chunk: Element) -> Iterator[tuple[Element, str]]:
-    """All cameras in the file's order, with their labels after those of the groups that they are in."""
+    """Yield all cameras in the file's order, each with its label after those of its groups."""
     waiting = [(item, "") for item in reversed(chunk.findall("cameras"))]
     while waiting:
         item, path = waiting.pop()
@@ -92,7 +91,7 @@ def _has_cameras(path: Path) -> bool:
 
 
 def _decoded(data: bytes, errors: str = "strict") -> str:
-    """XML's text: UTF-16 with a byte order mark, or UTF-8."""
+    """Return an XML document's text: UTF-16 with a byte order mark, or UTF-8."""
     return data.decode("utf-16" if data[:2] in (BOM_UTF16_LE, BOM_UTF16_BE) else "utf-8-sig", errors)
 
 
@@ -114,13 +113,16 @@ def _by_id(chunk: Element, path: str) -> dict[str | None, Element]:
 
 
 def _worlds(chunk: Element) -> dict[str | None, Element]:
-    """Where the components of the chunk, and (by None) the chunk itself, say how they lie in the world."""
+    """Return the world transforms of the chunk's components, by their id; None stands for the chunk itself."""
     found = {item.get("id"): item.find("transform") for item in chunk.iterfind("components/component")}
     return {key: item for key, item in (found | {None: chunk.find("transform")}).items() if item is not None}
 
 
 def _world(camera: Element, worlds: dict[str | None, Element], source: str) -> tuple[np.ndarray, np.ndarray, float]:
-    """Rotation [3,3], translation [3] and scale from the camera's component to the world."""
+    """Return rotation [3,3], translation [3] and scale from the camera's component to the world.
+
+    Raises SceneError where the scale is not above 0.
+    """
     item = worlds.get(camera.get("component_id"), worlds.get(None))
     if item is None:
         return np.eye(3), np.zeros(3), 1.0
@@ -151,7 +153,11 @@ def _photo(
 
 
 def _intrinsics(sensor: Element | None, source: str) -> tuple[np.ndarray, Lens | None, tuple[int, int]]:
-    """The adjusted calibration, else the first one. Metashape's p1 and p2 are OpenCV's p2 and p1."""
+    """Return K [3,3], the lens, and the image's size (width, height): the adjusted calibration, else the first one.
+
+    Metashape's p1 and p2 are OpenCV's p2 and p1. Raises SceneError for a missing calibration and for camera types and
+    terms that are not supported.
+    """
     if sensor is None:
         raise SceneError(f"{source}: its sensor is not in the file; export the cameras again")
     found = sensor.findall("calibration")
@@ -189,7 +195,10 @@ def _size(own: Element | None, shared: Element | None, source: str) -> tuple[int
 
 
 def _numbers(item: Element, name: str, count: int, source: str, default: np.ndarray | None = None) -> np.ndarray:
-    """The numbers of an element's child; `default` where there is no such child."""
+    """Return the `count` finite numbers of an element's child; `default` where there is no such child.
+
+    Raises SceneError for anything else.
+    """
     child = item.find(name)
     if child is None and default is not None:
         return default

@@ -29,7 +29,7 @@ def recognises(root: Path) -> str | None:
 def read(folder: SceneFolder) -> Capture:
     """Read a photograph for each line after the first, which counts them: name, K, R and t, row by row.
 
-    People hand on parts of these data with the whole file, so that any share of the photographs will do.
+    People share parts of these data with the whole file, so any share of the photographs is enough.
     """
     name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"

@@ -1,4 +1,4 @@
-"""MVSNet's camera files: cams/00000000_cam.txt, as in BlendedMVS, in DTU and Tanks and Temples as MVSNet has them.
+"""MVSNet's camera files, cams/00000000_cam.txt, also those of BlendedMVS, DTU and Tanks and Temples.
 
 Source: the README of MVSNet (YoYo000/MVSNet), "File Formats": the extrinsic matrix takes the world to the camera, with
 OpenCV's axes. MVSNet's pixels have their centres at +0.5 (its homography warping).
@@ -31,7 +31,7 @@ def recognises(root: Path) -> str | None:
 
 
 def _cameras(root: Path) -> list[Path]:
-    """The camera files of the first folder that has some."""
+    """Return the camera files of the first folder that has some."""
     for name in _FOLDERS:
         files = texts_in(root / name, "*_cam.txt")
         if files and head_of(files[0], 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"extrinsic"):
@@ -40,8 +40,10 @@ def _cameras(root: Path) -> list[Path]:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera file whose photograph has its number. Photographs with the backdrop masked out, which
-    BlendedMVS has under another name, are not used."""
+    """Read every camera file whose photograph has its number.
+
+    Photographs with the backdrop masked out, which BlendedMVS has under another name, are not used.
+    """
     files = _cameras(folder.root)
     names = _names(folder.root, [path.name.removesuffix("_cam.txt") for path in files])
     found = folder.find_photos(files[0].parent.relative_to(folder.root).as_posix(), names, _PLACES, labels=True)
@@ -49,8 +51,11 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _names(root: Path, numbers: list[str]) -> list[str]:
-    """The photographs' names: the cameras' numbers; in DTU as it comes rect_001_3_r5000 for number 0, in the fourth of
-    its seven lights, as is usual."""
+    """Return the photographs' names, which are the cameras' numbers.
+
+    In the original DTU layout they are rect_001_3_r5000 for number 0. It has seven lights; the fourth is used, as is
+    usual.
+    """
     lights = {match[1] for path in images_below(root) if (match := _DTU.fullmatch(path.stem))}
     if not lights or not all(number.isdecimal() and len(number) < 10 for number in numbers):
         return numbers
@@ -65,14 +70,14 @@ def _photo(folder: SceneFolder, image: Path, file: Path) -> Photo:
 
 
 def _matrices(file: Path, source: str) -> tuple[np.ndarray, np.ndarray]:
-    """The extrinsic [4,4] and intrinsic [3,3] matrix."""
+    """Return the extrinsic [4,4] and intrinsic [3,3] matrix. Raises SceneError."""
     lines = [line.strip() for line in read_lines(file)]
     extrinsic, intrinsic = _part(lines, "extrinsic", 4, source), _part(lines, "intrinsic", 3, source)
     return pose_from(extrinsic, "extrinsic", source), matrix_from(intrinsic, 3, 3, "intrinsic", source)
 
 
 def _part(lines: list[str], title: str, count: int, source: str) -> list[list[float]]:
-    """The rows of numbers after the line that says `title`."""
+    """Return the rows of numbers after the line that says `title`. Raises SceneError where there is none."""
     if title not in lines:
         raise SceneError(f"{source}: expected a line {title!r} and {count} rows of numbers after it; mend the file")
     start = lines.index(title) + 1

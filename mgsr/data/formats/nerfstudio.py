@@ -26,10 +26,10 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame, in the world frame that the poses had before `applied_transform` and `applied_scale`; the
-    file's own split where it names one; the points of `ply_file_path`.
+    """Read every frame, in the world frame before `applied_transform` and `applied_scale`.
 
-    Raises SceneError where a photograph is there twice.
+    The file's own split is used where it names one, and the points of `ply_file_path`. Raises SceneError where a
+    photograph is there twice.
     """
     content = read_content(folder.root / _FILE)
     splits = _splits(content)
@@ -43,7 +43,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _points(folder: SceneFolder, content: dict[str, Any]) -> tuple[PointCloud | None, tuple[str, ...]]:
-    """The points that the file names, or a note that they are missing."""
+    """Return the points that the file names, or a note that they are missing."""
     name = content.get("ply_file_path")
     if not name:
         return None, ()
@@ -54,7 +54,10 @@ def _points(folder: SceneFolder, content: dict[str, Any]) -> tuple[PointCloud | 
 
 
 def _splits(content: dict[str, Any]) -> dict[str, Split]:
-    """What the file's lists of names say; validation frames are tests where there are no others."""
+    """Return each listed name's split; validation frames are tests where there are no others.
+
+    Raises SceneError where a name is in two lists, or a list is none.
+    """
     lists = {part: content.get(f"{part}_filenames") for part in ("train", "val", "test")}
     if not all(names is None or isinstance(names, list) for names in lists.values()):
         raise SceneError(f"{_FILE}: expected lists of paths as train_filenames, val_filenames, test_filenames")
@@ -76,7 +79,7 @@ def _key(path: Any) -> str:
 
 
 class _Applied:
-    """The way back from a transform and scale that were applied to the poses when the file was written."""
+    """Undoes the transform and scale that were applied to the poses when the file was written."""
 
     def __init__(self, content: dict[str, Any]) -> None:
         source = f"{_FILE}, applied_transform"

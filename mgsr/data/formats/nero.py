@@ -22,13 +22,13 @@ _SUFFIX = "-camera.pkl"
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first camera's file."""
+    """Return the first camera file."""
     files = _cameras(root)
     return files[0].name if files else None
 
 
 def _cameras(root: Path) -> list[Path]:
-    """The camera files, by number."""
+    """Return the camera files, ordered by number."""
     files = [path for path in root.glob(f"*{_SUFFIX}") if re.fullmatch(r"\d{1,9}", _number(path))]
     return sorted(files, key=lambda path: int(_number(path)))
 

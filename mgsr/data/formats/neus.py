@@ -30,8 +30,10 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame; `scale_mat`
-    says where others normalise to, and is not needed here."""
+    """Read every photograph of image/ by name, with world_mat_0, world_mat_1, ... in the world's frame.
+
+    `scale_mat`, which gives the normalisation of other programs, is not needed.
+    """
     root, name = folder.root, recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
     matrices = _matrices(root / name)
@@ -47,7 +49,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _matrices(path: Path) -> list[np.ndarray]:
-    """world_mat_0, world_mat_1, ... as far as they go."""
+    """Return world_mat_0, world_mat_1, ... as far as they go. Raises SceneError for damaged files."""
     try:
         arrays = read_arrays(path, largest=_MAX_MATRIX)
         count = sum(name.startswith("world_mat_") and name[10:].isdecimal() for name in arrays)
@@ -85,7 +87,10 @@ def _photo(image: Path, mask: Path | None, matrix: np.ndarray, source: str) -> P
 
 
 def _factorise(projection: np.ndarray, source: str) -> tuple[np.ndarray, np.ndarray]:
-    """K and cam_from_world of a projection matrix [3,4], known up to a factor (Hartley and Zisserman, 6.2.4)."""
+    """Return K [3,3] and cam_from_world [4,4] of a projection matrix [3,4], known up to a factor.
+
+    Source: Hartley and Zisserman, 6.2.4. Raises SceneError where the matrix has NaN or is singular.
+    """
     singular = SceneError(f"{source}: the projection matrix has NaN or is singular; export it again")
     with np.errstate(all="ignore"):  # damaged numbers, which are refused
         determinant = np.linalg.det(projection[:, :3])

@@ -44,7 +44,7 @@ class _View:
 
     @property
     def intrinsics(self) -> Path:
-        """The photograph's own file where there is one, else the one of all."""
+        """Return the photograph's own file of intrinsics where there is one, else the shared one."""
         own = (self.place / folder / self.pose.name for folder in _MANY_FILES)
         return next((path for path in own if path.is_file()), self.place / _ONE_FILE)
 
@@ -53,12 +53,12 @@ class _View:
         return None if self.part is None else Split.TEST if self.part is _Part.TEST else Split.TRAIN
 
     def photograph(self, root: Path) -> str:
-        """The photograph's path below the root, without extension."""
+        """Return the photograph's path below the root, without extension."""
         folder = next((self.place / name for name in _PHOTOGRAPHS if (self.place / name).is_dir()), self.place)
         return (folder / self.pose.stem).relative_to(root).as_posix()
 
     def as_test(self) -> _View:
-        """The same view for testing."""
+        """Return the same view for testing."""
         return replace(self, part=_Part.TEST)
 
 
@@ -87,7 +87,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _views(root: Path) -> list[_View]:
-    """Every view with its part of the split: by the beginning of its name, or by the folder that it lies in."""
+    """Return every view with its split: by the beginning of its name, or by the folder that it lies in."""
     if _is_scene(root):
         return [_View(root, pose, _named_part(pose.stem)) for pose in _poses(root)]
     parts = {"train": _Part.TRAIN, "validation": _Part.VALIDATION, "val": _Part.VALIDATION, "test": _Part.TEST}
@@ -101,7 +101,10 @@ def _named_part(name: str) -> _Part | None:
 
 
 def _used(views: list[_View]) -> tuple[list[_View], tuple[str, ...]]:
-    """The views that train or test, and a note on those that do not."""
+    """Return the views that train or test, and a note on the others.
+
+    Validation views are tests where there are no test views.
+    """
     if not any(view.part is _Part.TEST for view in views):
         return [view.as_test() if view.part is _Part.VALIDATION else view for view in views], ()
     used = [view for view in views if view.part is not _Part.VALIDATION]

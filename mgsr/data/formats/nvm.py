@@ -64,7 +64,7 @@ class _Model:
 
 @dataclass(frozen=True)
 class _Content:
-    """calibration: fx, cx, fy, cy of all photographs, as words, where they are fixed."""
+    """An NVM file's content. calibration: fx, cx, fy, cy of all photographs, as words, where they are fixed."""
 
     version: str
     calibration: list[str] | None
@@ -72,7 +72,7 @@ class _Content:
 
 
 def _version(path: Path) -> str | None:
-    """What the file begins with, if that is a version of NVM that is read."""
+    """Return the file's NVM version if MGSR reads it, else None."""
     try:
         with path.open("rb") as file:
             head = file.read(100).removeprefix(b"\xef\xbb\xbf").split()
@@ -109,7 +109,7 @@ def _next(lines: Iterator[str]) -> str:
 
 
 def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_Model]:
-    """The models, of which a zero in place of the next one's count of photographs, or the file's end, is the last."""
+    """Yield the models; a count of zero photographs, or the file's end, ends them."""
     while (count := int(line.split()[0])) > 0:
         cameras = [_camera(_next(lines), version) for _ in range(count)]
         points = int(next(lines, "0").split()[0])
@@ -118,7 +118,10 @@ def _models(line: str, lines: Iterator[str], version: str) -> Iterator[_Model]:
 
 
 def _camera(line: str, version: str) -> _Camera:
-    """A photograph's line. VisualSFM writes quotes for blanks in the name; some programs leave the last zero out."""
+    """Parse a photograph's line. Raises ValueError where numbers are missing.
+
+    VisualSFM writes quotes for blanks in the name; some programs leave the last zero out.
+    """
     words = _WORDS[version]
     parts = line.rsplit(maxsplit=words)
     if len(parts) <= words:
@@ -160,7 +163,7 @@ def _photo(image: Path, camera: _Camera, content: _Content, source: str) -> Phot
 
 
 def _pose(values: np.ndarray, source: str) -> np.ndarray:
-    """cam_from_world [4,4] of a quaternion and the camera's centre, or of a rotation matrix and a translation."""
+    """Return cam_from_world [4,4] of a quaternion and the camera's centre, or of a rotation and a translation."""
     if len(values) == 12:
         return rigid(values[:9].reshape(3, 3), values[9:])
     return from_center(rotation_of(values[:4], source), values[4:])

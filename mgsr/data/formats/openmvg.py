@@ -43,7 +43,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every view that has a pose, and every point, which have no colours."""
+    """Read every view that has a pose, and every point; points have no colours."""
     file = recognises(folder.root)
     assert file is not None, "read() is for folders that were recognised"
     scene = _scene(read_json(folder.root / file), file)
@@ -55,7 +55,7 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Scene:
-    """intrinsics and poses: by their numbers."""
+    """A scene's intrinsics and poses, by their numbers."""
 
     root_path: str
     views: list[dict[str, Any]]
@@ -95,7 +95,10 @@ def _scene(content: Any, file: str) -> _Scene:
 
 
 def _entries(content: dict[str, Any], part: str, file: str) -> list[tuple[Any, dict[str, Any]]]:
-    """A map as cereal writes it: a list of objects with key and value."""
+    """Return the keys and values of a map as cereal writes it: a list of objects with key and value.
+
+    Raises SceneError for anything else.
+    """
     rows = content.get(part) or []
     if not isinstance(rows, list) or not all(isinstance(x, dict) and isinstance(x.get("value"), dict) for x in rows):
         raise SceneError(f"{file}: {part}: expected a list of objects with 'key' and 'value'; export it again")
@@ -103,13 +106,13 @@ def _entries(content: dict[str, Any], part: str, file: str) -> list[tuple[Any, d
 
 
 class _Pointers:
-    """What cereal wrote once and refers to afterwards."""
+    """Objects that cereal wrote once and refers to by number afterwards."""
 
     def __init__(self) -> None:
         self._known: dict[int, Any] = {}
 
     def resolve(self, wrapper: Any, name: str) -> Any:
-        """The wrapper's content, which is here or where its number stood first; None where it is nowhere."""
+        """Return the wrapper's content, given here or where its number came first; None where it is nowhere."""
         if not isinstance(wrapper, dict):
             return None
         number = wrapper.get("id")
@@ -123,7 +126,7 @@ class _Pointers:
 
 
 def _flat(data: Any) -> dict[str, Any]:
-    """An object with the values of its base classes (value0 and so on), which some versions write as objects in it."""
+    """Return an object merged with its base classes (value0 and so on), which some versions nest in it."""
     if not isinstance(data, dict):
         return {}
     bases = [value for name, value in data.items() if name.startswith("value") and isinstance(value, dict)]
@@ -131,12 +134,12 @@ def _flat(data: Any) -> dict[str, Any]:
 
 
 def _id(value: Any) -> Any:
-    """A number that can be looked up; None for what is none."""
+    """Return a value if it is a whole number, which can be looked up, else None."""
     return value if isinstance(value, int) else None
 
 
 def _path(root_path: str, view: dict[str, Any]) -> Any:
-    """Where the view's photograph lies; its file's name alone where that is no text."""
+    """Return the path of the view's photograph; the file's entry alone where that is no text."""
     name = view.get("filename")
     if not isinstance(name, str) or not root_path or re.match(r"/|[A-Za-z]:|\\", name):
         return name

@@ -27,13 +27,15 @@ _FISHEYE = ("fisheye", "fisheye_opencv", "fisheye62")
 
 
 def recognises(root: Path) -> str | None:
-    """reconstruction.json, OpenSfM's or OpenDroneMap's place."""
+    """Return the path of reconstruction.json, at OpenSfM's or OpenDroneMap's place, or None."""
     return next((place for place in _PLACES if (root / place).is_file()), None)
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read the photographs and points of the largest reconstruction, in its frame (metres, z up, where it knows
-    them)."""
+    """Read the photographs and points of the largest reconstruction, in its frame.
+
+    That is in metres with z up, where OpenSfM knows them.
+    """
     name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
     largest = _largest(read_json(folder.root / name), name)
@@ -56,7 +58,7 @@ def _largest(content: Any, name: str) -> dict[str, Any]:
 
 
 def _maps(*values: Any) -> bool:
-    """Whether all are objects of objects."""
+    """Return whether all values are objects of objects."""
     return all(isinstance(value, dict) and all(isinstance(x, dict) for x in value.values()) for value in values)
 
 
@@ -76,7 +78,10 @@ def _photo(image: Path, shot: dict[str, Any], cameras: dict[str, Any], source: s
 
 
 def _camera(camera: dict[str, Any], size: tuple[int, int], source: str) -> tuple[np.ndarray, Lens | None]:
-    """Lengths are in units of the image's larger side, and the principal point is counted from the middle."""
+    """Return K [3,3] and the lens of a camera. Raises SceneError for projections that are not supported.
+
+    The file's lengths are in units of the image's larger side, and its principal point is counted from the middle.
+    """
     kind = str(camera.get("projection_type"))
     if kind in PANORAMAS:
         raise SceneError(f"{source}: projection_type {kind!r} is not supported: {PANORAMA_CURE}")

@@ -16,7 +16,7 @@ _FILE = "cameras.json"
 
 
 def recognises(root: Path) -> str | None:
-    """Return cameras.json, if it has "views" (other programs write files of that name too)."""
+    """Return cameras.json, if it has "views"; other programs write files of that name too."""
     path = root / _FILE
     if not path.is_file():
         return None

@@ -29,8 +29,10 @@ _FILM = 36.0  # millimetres: the focal length is that of 35 mm film, whose large
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .csv of the folder whose header has the needed columns, else the first with one of
-    RealityCapture's other headers."""
+    """Return the first .csv of the folder whose header has the needed columns.
+
+    Without one, return the first with one of RealityCapture's other headers.
+    """
     paths = (path for path in sorted(root.glob("[!.]*.[cC][sS][vV]")) if path.is_file())
     found = [(path.name, header) for path in paths if (header := _header(path))]
     return min(found, key=lambda item: not item[1].fits)[0] if found else None
@@ -47,19 +49,22 @@ def read(folder: SceneFolder) -> Capture:
 
 @dataclass(frozen=True)
 class _Header:
-    """The line with the columns' names: how many lines stand before it, and the names, in small letters."""
+    """The line with the columns' names: how many lines stand before it, and the names in lower case."""
 
     line: int
     columns: tuple[str, ...]
 
     @property
     def fits(self) -> bool:
-        """Whether all needed columns are there."""
+        """Return whether all needed columns are there."""
         return set(_NEEDED) <= set(self.columns)
 
 
 def _header(path: Path) -> _Header | None:
-    """The first line, or the second after one that counts the cameras, if it begins as RealityCapture's do."""
+    """Return the header in the first line, or in the second after a count of the cameras.
+
+    It is None if the line is not RealityCapture's.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             head = [file.readline(10_000).strip().lower() for _ in range(2)]

@@ -32,7 +32,7 @@ _BROWN = ("brown3", "brown4", "brown3t2", "brown4t2")
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .xmp with a pose in the folder, or in two or more folders of it."""
+    """Return the first .xmp with a pose in the folder, or in two or more subfolders of it."""
     if found := _first(root):
         return found.name
     try:
@@ -44,7 +44,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every photograph beside which such a file lies."""
+    """Read every photograph that has such a file beside it."""
     sidecars = [path for path in _sidecars(folder.root) if _is_camera(path)]
     names = [path.relative_to(folder.root).with_suffix("").as_posix() for path in sidecars]
     found = folder.find_photos("the .xmp files", names, labels=True)
@@ -57,13 +57,13 @@ def _first(folder: Path) -> Path | None:
 
 
 def _sidecars(root: Path) -> list[Path]:
-    """Every .xmp in the folder; where it has none with a camera, those in its folders."""
+    """Return every .xmp in the folder; where none there has a camera, those in its subfolders."""
     direct = sorted(root.glob("[!.]*.[xX][mM][pP]"))
     return direct if _first(root) else sorted(root.glob("[!.]*/[!.]*.[xX][mM][pP]"))
 
 
 def _is_camera(path: Path, also: re.Pattern[bytes] = re.compile(b"")) -> bool:
-    """Whether the file has RealityCapture's values, and `also` in it."""
+    """Return whether the file has RealityCapture's values and matches `also`."""
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD).replace(b"\0", b"")  # UTF-16 too
@@ -95,7 +95,7 @@ def _photo(image: Path, sidecar: Path, source: str) -> Photo:
 
 
 def _values(root: Element) -> dict[str, str]:
-    """RealityCapture's values by their names, of whatever element they are attributes or children."""
+    """Return RealityCapture's values by name, whether they are attributes or child elements."""
     found: dict[str, str] = {}
     for element in root.iter():
         for tag, text in ((element.tag, element.text or ""), *element.attrib.items()):
@@ -112,7 +112,10 @@ def _number(values: dict[str, str], name: str, source: str, default: float | Non
 
 
 def _lens(values: dict[str, str], source: str) -> Lens:
-    """The lens. The tangential terms are OpenCV's p2 and p1, in this order."""
+    """Return the lens. Raises SceneError for models that are not supported.
+
+    The file's tangential terms are OpenCV's p2 and p1, in this order.
+    """
     text = values.get("DistortionCoeficients", values.get("DistortionCoefficients", ""))
     terms = numbers(text, len(text.split()), "DistortionCoeficients", source)
     model = values.get("DistortionModel", "perspective").lower()

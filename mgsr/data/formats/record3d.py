@@ -26,7 +26,7 @@ _PLACES = ("rgb", "rgbd", "EXR_RGBD/rgb", "images", ".")
 
 
 def recognises(root: Path) -> str | None:
-    """Return metadata.json or metadata, if it has "K" and "poses" (other programs write files of that name too)."""
+    """Return metadata.json or metadata, if it has "K" and "poses"; other programs write files of that name too."""
     return next((name for name in _FILES if _is_record3d(root / name)), None)
 
 
@@ -38,7 +38,7 @@ def _is_record3d(path: Path) -> bool:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every frame: photographs by number, intrinsics of the frame where the file has them."""
+    """Read every frame: photographs by number, and intrinsics of the frame where the file has them."""
     name = recognises(folder.root)
     assert name is not None, "read() is for folders that were recognised"
     content = read_json(folder.root / name)
@@ -52,7 +52,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _names(root: Path, count: int) -> list[str]:
-    """The photographs of the frames, in the numbering that the folder has: 0.jpg, or 000000.jpg, from 0 or from 1."""
+    """Return the frames' photographs in the folder's numbering: 0.jpg or 000000.jpg, from 0 or from 1."""
     for place in _PLACES:
         found = {int(path.stem): path for path in photographs_in(root / place) if re.fullmatch(r"\d{1,9}", path.stem)}
         if found:
@@ -73,7 +73,10 @@ def _photo(image: Path, content: dict[str, Any], pose: Any, frame: int, source: 
 
 
 def _intrinsics(content: dict[str, Any], frame: int, source: str) -> np.ndarray:
-    """The frame's fx fy cx cy, or else the file's K. ARKit counts pixels from the image's left upper corner."""
+    """Return K [3,3] of the frame's fx fy cx cy, or else of the file.
+
+    ARKit counts pixels from the upper left corner.
+    """
     frames = content.get("perFrameIntrinsicCoeffs")
     if isinstance(frames, list) and frame < len(frames):
         return intrinsics(*numbers(frames[frame], 4, "perFrameIntrinsicCoeffs", source))
@@ -88,7 +91,7 @@ def _size(content: dict[str, Any], image: Path, source: str) -> tuple[int, int]:
 
 
 def _cam_from_world(pose: np.ndarray, source: str) -> np.ndarray:
-    """The pose [4,4] of qx qy qz qw tx ty tz; all are 0 where the app had no pose."""
+    """Return cam_from_world [4,4] of qx qy qz qw tx ty tz. Raises SceneError where all are 0: the app had no pose."""
     return from_opengl(rigid(rotation_of(np.roll(pose[:4], 1), source), pose[4:]), source)
 
 

@@ -1,13 +1,14 @@
-"""Logs of Tanks and Temples, of Open3D and of Elastic Reconstruction: a line of three numbers and a pose for each
-photograph, and photographs in the order of their names.
+"""Pose logs of Tanks and Temples, Open3D and Elastic Reconstruction.
+
+A log has a line of three numbers and a pose for each photograph; photographs come in the order of their names.
 
 Source: the benchmark's toolbox (isl-org/TanksAndTemples, convert_to_logfile.py) and its issue 36: poses take the camera
 to the world, with OpenCV's axes; the line above is the photograph's number, from 0 for 000001.jpg, and -1 after it
 where the photograph has no pose.
 
-The log holds no intrinsics, so that they must lie beside it. The benchmark's download page suggests a focal length of
-0.7 times the width, but its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920), so that
-the suggestion can't be used unasked.
+The log holds no intrinsics, so they must lie beside it. The benchmark's download page suggests a focal length of 0.7
+times the width, but its own models have about 0.6 (MVSNet's cameras of Auditorium: 1163 pixels of 1920). The suggestion
+is therefore not used by default.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def recognises(root: Path) -> str | None:
 
 @dataclass(frozen=True)
 class _Entry:
-    """An entry of the log. number: its photograph's, by which photographs are in order; pose: its 16 numbers."""
+    """An entry of the log. number: its photograph's, which orders the photographs. pose: its 16 numbers."""
 
     number: int
     pose: list[float]
@@ -61,7 +62,7 @@ class _Entry:
 
 @dataclass(frozen=True)
 class _Calibration:
-    """K [3,3] of all photographs, and the size of the image that it is for where its file says it."""
+    """K [3,3] of all photographs, and the size of its image where the file says it."""
 
     K: np.ndarray
     size: tuple[int, int] | None
@@ -85,7 +86,7 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _entries(path: Path) -> list[_Entry]:
-    """The entries of a log, each of five lines."""
+    """Read the entries of a log, each of five lines. Raises SceneError for others."""
     rows = read_rows(path, LARGEST_CAPTURE)
     blocks = [rows[i : i + 5] for i in range(0, len(rows), 5)]
     for i, block in enumerate(blocks):
@@ -102,13 +103,16 @@ def _entries(path: Path) -> list[_Entry]:
 
 
 def _are_a_choice(firsts: list[float]) -> bool:
-    """Whether an entry's first number may be its photograph's: whole, none twice, and 0 among them."""
+    """Return whether the entries' first numbers can be photographs' numbers: whole, distinct, with 0 among them."""
     return 0 in firsts and len(set(firsts)) == len(firsts) and all(0 <= n < 1e6 and n == int(n) for n in firsts)
 
 
 def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, str]:
-    """The photographs of the entries' numbers, by the order of their names: those of the folder that has as many as the
-    log has entries; or else, where they have the benchmark's names, those of these names, which may be missing."""
+    """Return the photograph of each entry's number, by the order of their names.
+
+    They come from the folder that has as many photographs as the log has entries. Without one, they have the
+    benchmark's names if the first folder's photographs do; some may be missing. Raises SceneError otherwise.
+    """
     root = folder.root
     scene = name.removesuffix(".log").removesuffix("_COLMAP_SfM")
     known = [root / place for place in ("images", scene, "color", "image", "rgb", ".")]
@@ -127,7 +131,7 @@ def _photographs(folder: SceneFolder, name: str, order: list[int]) -> dict[int, 
 
 
 def _calibration(root: Path, name: str) -> _Calibration:
-    """The intrinsics that lie beside a log."""
+    """Read the intrinsics that lie beside a log. Raises SceneError where there are none."""
     texts = [path for path in texts_in(root, "*") if _TEXTS.fullmatch(path.name)]
     if texts:
         return _Calibration(*read_intrinsics(texts[0]))
@@ -141,7 +145,10 @@ def _calibration(root: Path, name: str) -> _Calibration:
 
 
 def _from_json(content: Any, source: str) -> _Calibration:
-    """The intrinsics of Open3D's PinholeCameraIntrinsic, whose matrix is stored by columns, or of fx fy cx cy."""
+    """Return the intrinsics of Open3D's PinholeCameraIntrinsic, or of fx fy cx cy.
+
+    Open3D stores its matrix by columns. Raises SceneError for anything else.
+    """
     values = content.get("intrinsic", content) if isinstance(content, dict) else None
     if not isinstance(values, dict):
         raise SceneError(f"{source}: expected intrinsics, as Open3D writes them; mend the file")

@@ -1,4 +1,4 @@
-"""From stored to used numbers, on a card: several tensors in one launch."""
+"""Activations of stored parameters on a card, of several tensors in one launch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_ARRAYS, THREADS, BLOCK_FLOATS = 8, 256, 1024
 
 
 class Activation(IntEnum):
-    """Of kernels/activations/activations.cu."""
+    """The activations of kernels/activations/activations.cu."""
 
     EXP = 0
     SIGMOID = 1
@@ -32,7 +32,7 @@ class Params(ctypes.Structure):
 def activate(
     launcher: Launcher, kinds: Sequence[Activation], largest: float, stored: Sequence[Tensor], used: Sequence[Tensor]
 ) -> None:
-    """Write the used numbers; exponentials of more than `largest` are that of it."""
+    """Write the activated values; exponentials of more than `largest` are that of it."""
     _launch(launcher, "forward", kinds, largest, stored, [None] * len(used), used)
 
 
@@ -44,7 +44,7 @@ def activate_vjp(
     v_used: Sequence[Tensor | None],
     v_stored: Sequence[Tensor],
 ) -> None:
-    """Write the gradients of the stored numbers."""
+    """Write the gradients of the stored parameters."""
     _launch(launcher, "backward", kinds, largest, used, v_used, v_stored)
 
 

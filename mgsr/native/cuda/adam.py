@@ -14,7 +14,7 @@ MAX_GROUPS, MAX_JUDGED, THREADS, BLOCK_FLOATS = 16, 32, 256, 1024
 
 
 class Group(ctypes.Structure):
-    """AdamGroup of kernels/adam/group.h."""
+    """The struct AdamGroup of kernels/adam/group.h."""
 
     _fields_ = (
         ("rows", Long),
@@ -33,7 +33,7 @@ class Group(ctypes.Structure):
 
 
 class Params(ctypes.Structure):
-    """AdamParams of kernels/adam/adam.cu."""
+    """The struct AdamParams of kernels/adam/adam.cu."""
 
     _fields_ = (("groups", Int), ("ends", Int * MAX_GROUPS), *pointers("bad"), ("group", Group * MAX_GROUPS))
 
@@ -51,7 +51,7 @@ class VerdictParams(ctypes.Structure):
 
 
 def judge(launcher: Launcher, tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Whether a number in the tensors is not finite, or has a square that is not: [] bool, not read."""
+    """Return whether a number in the tensors is not finite, or has a square that is not: [] bool, not read."""
     assert len(tensors) <= MAX_JUDGED, f"expected at most {MAX_JUDGED} tensors, got {len(tensors)}"
     params, end = SquaresParams(len(tensors)), 0
     for array, tensor in zip(params.array, tensors, strict=False):
@@ -74,7 +74,7 @@ def make_group(
     betas: tuple[float, float],
     epsilon: float,
 ) -> Group:
-    """One parameter [rows, columns] with its moments, which must outlive the group."""
+    """Describe one parameter [rows, columns] with its moments, which must outlive the group, for the kernel."""
     group = Group(*values.shape, pointer(values), None, *addresses(first, second, column_scales))
     group.beta1, group.beta2, group.epsilon = *betas, epsilon
     return group
@@ -83,8 +83,11 @@ def make_group(
 def update(
     launcher: Launcher, groups: Sequence[tuple[Group, torch.Tensor, float, int]], bad: torch.Tensor | None
 ) -> None:
-    """Update parameters in place: each group's gradients [rows, columns], rate, and the number of this update, from 1.
-    bad [] bool: whether all gradients count as zero."""
+    """Update parameters in place.
+
+    groups: each one's gradients [rows, columns], rate, and the number of this update, from 1. bad [] bool: whether all
+    gradients count as zero.
+    """
     for begin in range(0, len(groups), MAX_GROUPS):
         some = groups[begin : begin + MAX_GROUPS]
         params, end = Params(len(some)), 0

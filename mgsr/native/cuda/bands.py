@@ -29,15 +29,17 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class _OutOfMemory:
-    """What torch says of it, without the traceback, which would keep the failed band's tensors."""
+    """What torch says of lacking memory, without the traceback, which would keep the failed band's tensors."""
 
     reason: str
 
 
 def most_pairs(device: torch.device, wanted: int) -> int:
-    """How many pairs a band may have, of an image that has `wanted` of them: what half of the device's free memory
-    holds, so that the other half is there for what follows a rendering. Memory that torch's allocator keeps for later
-    counts as free. The driver is asked only for an image with many pairs."""
+    """Return how many pairs a band may have, of an image that has `wanted` of them.
+
+    It is what half of the device's free memory holds, so that the other half is there for what follows a rendering.
+    Memory that torch's allocator keeps for later counts as free. The driver is asked only for an image with many pairs.
+    """
     if device.type != "cuda" or wanted * PAIR_BYTES * FEW <= _total_memory(device):
         return MAX_PAIRS
     free, _ = torch.cuda.mem_get_info(device)
@@ -46,9 +48,11 @@ def most_pairs(device: torch.device, wanted: int) -> int:
 
 
 def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
-    """Return the image as bands of `most_pairs` at most, or of one row of tiles, in their order: one, unless there are
-    too many pairs for that. Then rows are halved until they fit, and for each part its count is waited for. Raises
-    GpuError where a single row of tiles has more than MAX_PAIRS."""
+    """Cut the image into bands of `most_pairs` at most, or of one row of tiles, in their order.
+
+    There is one, unless there are too many pairs for that. Then rows are halved until they fit, and for each part its
+    count is waited for. Raises GpuError where a single row of tiles has more than MAX_PAIRS.
+    """
     most = most_pairs(projected.records.device, projected.whole.pairs)
     return list(_cut(launcher, projected, projected.whole, most))
 
@@ -56,8 +60,11 @@ def cut_into_bands(launcher: Launcher, projected: Projected) -> list[Band]:
 def work_bands(
     launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Result]
 ) -> Iterator[tuple[Band, Result]]:
-    """Bands with what `work` makes of them, in their order, one at a time. One that the memory does not hold is worked
-    again from the start, in halves. Raises GpuError where the memory does not hold a single row of tiles."""
+    """Yield the bands with what `work` makes of them, in their order, one at a time.
+
+    A band that the memory does not hold is worked again from the start, in halves. Raises GpuError where the memory
+    does not hold a single row of tiles.
+    """
     waiting = bands[::-1]
     while waiting:
         band = waiting.pop()
@@ -72,8 +79,11 @@ def work_bands(
 def blend_bands(
     launcher: Launcher, projected: Projected, blend: Callable[[Band, bool], Blended], keep: bool
 ) -> tuple[list[Band], Blended | None]:
-    """Blend an image in as few bands as memory allows: the bands, and with `keep`, where one was enough, that one.
-    blend: of a band, into the images, with the pixels' states or without. Raises GpuError as `work_bands`."""
+    """Blend an image in as few bands as memory allows, and return the bands.
+
+    With `keep`, the blended band is returned too, where one was enough. blend: of a band, into the images, with the
+    pixels' states or without. Raises GpuError as `work_bands`.
+    """
 
     def blend_whole_or_part(band: Band) -> Blended | None:
         kept = keep and band is projected.whole
@@ -85,7 +95,10 @@ def blend_bands(
 
 
 def add_bands(launcher: Launcher, projected: Projected, bands: list[Band], work: Callable[[Band], Tensor]) -> Tensor:
-    """Return the sum [N,16] of what `work` makes of each band, in their order. Raises GpuError as `work_bands`."""
+    """Return the sum [N,16] of what `work` makes of each band, in their order.
+
+    Raises GpuError as `work_bands`.
+    """
     parts = work_bands(launcher, projected, bands, work)
     _, total = next(parts)
     for _, part in parts:
@@ -119,8 +132,10 @@ def _cut(launcher: Launcher, projected: Projected, band: Band, most: int) -> Ite
 
 
 def _halve(launcher: Launcher, projected: Projected, band: Band, reason: str) -> tuple[Band, Band]:
-    """Return the halves of a band that the memory did not hold, once all that can be is given back to the driver, which
-    has needs of its own beside torch's."""
+    """Halve a band that the memory did not hold.
+
+    All that can be is given back to the driver before, which has needs of its own beside torch's.
+    """
     if projected.records.is_cuda:
         torch.cuda.empty_cache()
     if band.end - band.first > 1:

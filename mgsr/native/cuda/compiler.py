@@ -1,4 +1,4 @@
-"""Compiles kernel families with NVRTC, through the cache on disk."""
+"""Compilation of kernel families with NVRTC, through the cache on disk."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INSTALL = "install MGSR with its cuda extra: pip install 'mgsr[cuda]'"
 
 
 def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> bytes:
-    """The machine code (cubin) of kernels/<family>/<family>.cu for an architecture such as sm_90.
+    """Return the machine code (cubin) of kernels/<family>/<family>.cu for an architecture such as sm_90.
 
     Taken from the cache on disk when the same sources, options, architecture and NVRTC version were compiled before.
     Where the cache can't be used, a warning says so once a process. cache_dir: by default `default_cache_dir()`.
@@ -50,7 +50,10 @@ def compile_family(family: str, arch: str, cache_dir: Path | None = None) -> byt
 
 
 def supported_archs() -> list[str]:
-    """The architectures that this NVRTC compiles for, oldest first. Raises GpuError without NVRTC."""
+    """Return the architectures that this NVRTC compiles for, oldest first.
+
+    Raises GpuError without NVRTC.
+    """
     try:
         from cuda.bindings import nvrtc
 
@@ -61,8 +64,10 @@ def supported_archs() -> list[str]:
 
 
 def arch_for(major: int, minor: int) -> str:
-    """The architecture to compile for, for a card of that compute capability: its own, or the nearest one before it
-    of the same major number. Raises GpuError when there is none."""
+    """Return the architecture to compile for, for a card of that compute capability.
+
+    It is the card's own, or the nearest one before it of the same major number. Raises GpuError when there is none.
+    """
     archs = supported_archs()
     capable = [arch for arch in archs if arch[3:-1] == str(major) and int(arch[-1]) <= minor]
     if not capable:
@@ -75,8 +80,10 @@ def arch_for(major: int, minor: int) -> str:
 
 
 def default_cache_dir() -> Path | None:
-    """Where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder; None where the user has
-    no home to have one in."""
+    """Return where machine code is kept: `MGSR_CUDA_CACHE`, or mgsr/cuda in the user's cache folder.
+
+    None where the user has no home to have one in.
+    """
     if own := os.environ.get("MGSR_CUDA_CACHE"):
         return Path(own)
     try:
@@ -88,7 +95,7 @@ def default_cache_dir() -> Path | None:
 
 @cache
 def headers_digest() -> bytes:
-    """A hash of every header that a kernel may include."""
+    """Return a hash of every header that a kernel may include."""
     digest = hashlib.sha256()
     for path in sorted([*SOURCES.glob("math/**/*.h"), *SOURCES.glob("kernels/**/*.h")]):
         digest.update(path.relative_to(SOURCES).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

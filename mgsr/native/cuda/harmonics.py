@@ -13,7 +13,7 @@ THREADS = 64
 
 
 class Params(ctypes.Structure):
-    """HarmonicsParams of kernels/harmonics/harmonics.cu."""
+    """The struct HarmonicsParams of kernels/harmonics/harmonics.cu."""
 
     _fields_ = (
         ("n", Long),
@@ -26,7 +26,7 @@ class Params(ctypes.Structure):
 
 
 class HarmonicsKernels:
-    """Colours and their gradients on one launcher."""
+    """The kernels of colours and their gradients on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher

@@ -19,7 +19,7 @@ RegionTuple = tuple[int, int, int, int]
 
 
 class Region(ctypes.Structure):
-    """Region of kernels/image/loss_cuda.h."""
+    """The struct Region of kernels/image/loss_cuda.h."""
 
     _fields_ = tuple((name, Int) for name in ("y0", "y1", "x0", "x1"))
 
@@ -62,7 +62,7 @@ class AgreementParams(ctypes.Structure):
 
 
 class ImageKernels:
-    """Losses and normals of images on one launcher."""
+    """The kernels of losses and normals of images on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
@@ -121,8 +121,10 @@ class ImageKernels:
         from_depth: Tensor,
         v_depth: Tensor | None,
     ) -> Sums:
-        """Return the mean of 1 - n . n_depth. Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times
-        -1, of its sum."""
+        """Return the mean of 1 - n . n_depth.
+
+        Writes from_depth [H,W,3], and v_depth [H,W]: the gradients, each times -1, of its sum.
+        """
         shape, blocks = depth.shape, -(-depth.numel() // PIXEL_THREADS)
         sums = depth.new_empty(blocks, 2, dtype=torch.float64)
         inputs = (*shape, *addresses(depth, alpha, covered), *intrinsics, (Float * 9)(*world_from_cam))
@@ -170,7 +172,7 @@ class ImageKernels:
 
 
 def _grown(region: RegionTuple, height: int, width: int) -> RegionTuple:
-    """Where windows reach into the region; empty where it is."""
+    """Return the region grown by the SSIM window's radius, inside the image; an empty region stays empty."""
     y0, y1, x0, x1 = region
     if y0 >= y1 or x0 >= x1:
         return (0, 0, 0, 0)

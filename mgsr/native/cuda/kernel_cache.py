@@ -15,17 +15,20 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 @cache
 def kernel_cache(folder: Path | None) -> KernelCache:
-    """Return the cache in a folder, made once a process: it knows whether it has told that the folder can't be used."""
+    """Return the cache in a folder, made once a process.
+
+    It remembers whether it has told that the folder can't be used.
+    """
     return KernelCache(folder)
 
 
 class KernelCache:
-    """Machine code by key. Processes may share the folder: a file appears there whole or not at all.
+    """A cache of machine code by key, on disk.
 
-    A file ends with a hash of its key and its code, so that one that was cut off, altered or put there under another
-    name is no hit, and is replaced. The hash comes last, since NVIDIA's tools then read the files. folder: made
-    where it is missing; None, where there is none to use, keeps nothing. No method raises: what the system says of the
-    folder is logged once.
+    Processes may share the folder: a file appears there whole or not at all. A file ends with a hash of its key and its
+    code, so that one that was cut off, altered or put there under another name is no hit, and is replaced. The hash
+    comes last, since NVIDIA's tools then read the files. folder: made where it is missing; None, where there is none to
+    use, keeps nothing. No method raises: what the system says of the folder is logged once.
     """
 
     def __init__(self, folder: Path | None) -> None:

@@ -1,4 +1,4 @@
-"""Runs kernels: every launch goes through a Launcher, which on a card is CudaLauncher."""
+"""Launching of kernels: every launch goes through a Launcher, which on a card is CudaLauncher."""
 
 from __future__ import annotations
 
@@ -34,17 +34,22 @@ class Launcher(Protocol):
     """A machine for kernels of CUDA C++."""
 
     def launch(self, family: str, kernel: str, blocks: int, threads: int, params: ctypes.Structure) -> None:
-        """Run a kernel of kernels/<family>/<family>.cu on `blocks` blocks of `threads` threads, after what was
-        launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it can't be run, and
-        torch.OutOfMemoryError when memory for its code is lacking."""
+        """Run a kernel of kernels/<family>/<family>.cu on `blocks` blocks of `threads` threads.
+
+        It runs after what was launched before; `params` is copied. Nothing is run for 0 blocks. Raises GpuError when it
+        can't be run, and torch.OutOfMemoryError when memory for its code is lacking.
+        """
 
 
 _chosen: ContextVar[Launcher | None] = ContextVar("launcher", default=None)
 
 
 def launcher_for(tensor: torch.Tensor) -> Launcher | None:
-    """Who runs the CUDA kernels on a tensor: its card; or, inside `use_launcher`, the launcher given there; or None,
-    for a tensor on the CPU, which has kernels of its own. Raises GpuError when the card can't be used."""
+    """Return the launcher of the CUDA kernels for a tensor, or None for a tensor on the CPU, which has its own kernels.
+
+    It is that of the tensor's card, or, inside `use_launcher`, the launcher given there. Raises GpuError when the card
+    can't be used.
+    """
     chosen = _chosen.get()
     if chosen is not None or tensor.device.type != "cuda":
         return chosen
@@ -53,7 +58,7 @@ def launcher_for(tensor: torch.Tensor) -> Launcher | None:
 
 @contextmanager
 def use_launcher(launcher: Launcher) -> Iterator[None]:
-    """Within the block, this context's operations run as CUDA kernels on `launcher`, wherever their tensors are."""
+    """Let this context's operations run as CUDA kernels on `launcher` in the block, wherever their tensors are."""
     token = _chosen.set(launcher)
     try:
         yield
@@ -68,7 +73,7 @@ def cuda_launcher(device: int) -> CudaLauncher:
 
 
 class CudaLauncher:
-    """Launches on one card, on torch's current stream there.
+    """A launcher on one card, on torch's current stream there.
 
     Raises GpuError for a driver older than the compiler, and for a card that the compiler doesn't know.
     """
@@ -104,14 +109,17 @@ class CudaLauncher:
             self._ask((self._driver.CUresult(status),), kernel)
 
     def maps_memory(self) -> bool:
-        """Whether the driver maps memory of this card piece by piece, which some virtual cards refuse."""
+        """Return whether the driver maps memory of this card piece by piece, which some virtual cards refuse."""
         card = self._ask(self._driver.cuDeviceGet(self._device))
         attribute = self._driver.CUdevice_attribute.CU_DEVICE_ATTRIBUTE_VIRTUAL_MEMORY_MANAGEMENT_SUPPORTED
         return bool(self._ask(self._driver.cuDeviceGetAttribute(attribute, card)))
 
     def _make_current(self) -> Any:
-        """Return the card's context, current in this thread. Torch's threads for backward have none until torch itself
-        has launched something there, and the driver refuses a launch without one."""
+        """Return the card's context, current in this thread.
+
+        Torch's threads for backward have none until torch itself has launched something there, and the driver refuses a
+        launch without one.
+        """
         card = self._ask(self._driver.cuDeviceGet(self._device))
         context = self._ask(self._driver.cuDevicePrimaryCtxRetain(card))
         self._ask(self._driver.cuCtxSetCurrent(context))
@@ -139,8 +147,10 @@ class CudaLauncher:
 
 
 def launch_function() -> Callable[..., int]:
-    """Return the driver's cuLaunchKernel, by ctypes: cuda-bindings makes objects of every argument and of the
-    result, which takes longer."""
+    """Return the driver's cuLaunchKernel, by ctypes.
+
+    cuda-bindings makes objects of every argument and of the result, which takes longer.
+    """
     library = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
     function: Any = library.cuLaunchKernel
     sizes = [ctypes.c_uint] * 7
@@ -150,15 +160,20 @@ def launch_function() -> Callable[..., int]:
 
 
 def _failure(text: str) -> GpuError | torch.OutOfMemoryError:
-    """Return what the driver says, as the error to raise. Memory is short for it where torch keeps it all; whoever can
-    do with less takes torch's error for that."""
+    """Return what the driver says, as the error to raise.
+
+    Memory is short for it where torch keeps it all; whoever can do with less takes torch's error for that.
+    """
     if "CUDA_ERROR_OUT_OF_MEMORY" in text:
         return torch.OutOfMemoryError(text)
     return LostCardError(text) if any(name in text for name in LOST) else GpuError(text)
 
 
 def compiler_version() -> tuple[int, int]:
-    """NVRTC's version, which is that of the CUDA toolkit it belongs to. Raises GpuError without NVRTC."""
+    """Return NVRTC's version, which is that of the CUDA toolkit it belongs to.
+
+    Raises GpuError without NVRTC.
+    """
     try:
         from cuda.bindings import nvrtc
 
@@ -169,8 +184,10 @@ def compiler_version() -> tuple[int, int]:
 
 
 def check_driver(driver_version: int, compiler: tuple[int, int]) -> None:
-    """Raise GpuError when a driver (its number as cuDriverGetVersion gives it: 12040 for 12.4) is of an older major
-    version than the compiler, whose machine code it would refuse."""
+    """Check that a driver is not of an older major version than the compiler, whose machine code it would refuse.
+
+    driver_version: as cuDriverGetVersion gives it, 12040 for 12.4. Raises GpuError where it is older.
+    """
     major, minor = driver_version // 1000, driver_version % 1000 // 10
     if major < compiler[0]:
         raise GpuError(

@@ -13,7 +13,7 @@ THREADS = 256
 
 
 class ReflectionParams(ctypes.Structure):
-    """These structs are those of kernels/lights/lights.cu."""
+    """The struct ReflectionParams of kernels/lights/lights.cu, as are the structs below."""
 
     _fields_ = (("pixels", Long), *pointers("transmitted", "weight", "own", "mirrored", "color", "reflected"))
 
@@ -45,7 +45,7 @@ class LightUpVjpParams(ctypes.Structure):
 
 
 class LightKernels:
-    """Lights on one launcher."""
+    """The kernels of reflected light and of a flash's on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher

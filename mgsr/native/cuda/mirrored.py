@@ -16,7 +16,7 @@ Intrinsics = tuple[float, float, float, float]
 
 
 class PixelParams(ctypes.Structure):
-    """MirroredParams of kernels/mirrored/mirrored.cu."""
+    """The struct MirroredParams of kernels/mirrored/mirrored.cu."""
 
     _fields_ = (
         ("count", Long),
@@ -44,7 +44,7 @@ class TexelParams(ctypes.Structure):
 
 
 class MirroredKernels:
-    """The light and its gradients on one launcher."""
+    """The kernels of the mirrored light and its gradients on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher

@@ -15,18 +15,24 @@ Double = ctypes.c_double
 
 
 def pointers(*names: str) -> tuple[tuple[str, Any], ...]:
-    """Fields of a struct that are pointers."""
+    """Return the fields of a struct that are pointers, by these names."""
     return tuple((name, Pointer) for name in names)
 
 
 def pointer(tensor: torch.Tensor | None) -> int | None:
-    """Where a tensor's data begins; None, the null pointer, for none. The tensor must be contiguous and outlive the
-    launch (on a card: stay in use on the stream of the launch, as torch's memory does)."""
+    """Return where a tensor's data begins; for None, the null pointer None.
+
+    The tensor must be contiguous and outlive the launch (on a card: stay in use on the stream of the launch, as torch's
+    memory does).
+    """
     return None if tensor is None else tensor.data_ptr() if tensor.is_contiguous() else _refuse(tensor)
 
 
 def addresses(*tensors: torch.Tensor | None) -> list[int | None]:
-    """`pointer` of each tensor. An iteration of training asks for four hundred: at once, they cost half."""
+    """Return the `pointer` of each tensor.
+
+    An iteration of training asks for four hundred: at once, they cost half.
+    """
     return [None if t is None else t.data_ptr() if t.is_contiguous() else _refuse(t) for t in tensors]
 
 

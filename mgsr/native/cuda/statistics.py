@@ -1,4 +1,4 @@
-"""What densification gathers of each splat, on the card."""
+"""Screen-space statistics of each splat for densification, on the card."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ THREADS = 256
 
 
 class Params(ctypes.Structure):
-    """StatisticsParams of kernels/statistics/statistics.cu."""
+    """The struct StatisticsParams of kernels/statistics/statistics.cu."""
 
     _fields_ = (
         ("count", Long),
@@ -33,7 +33,10 @@ def gather(
     scale: tuple[float, float],
     bad: Tensor | None,
 ) -> None:
-    """gradient_sum [N] += |v_means2d [N,2] * scale| unless bad [] bool, seen [N] += 1 where radii [N] > 0; in place."""
+    """Add |v_means2d [N,2] * scale| to gradient_sum [N], and 1 to seen [N] where radii [N] > 0, in place.
+
+    bad [] bool: nothing is added to gradient_sum where it is True.
+    """
     arrays = addresses(bad, gradient_sum, seen)
     params = Params(len(seen), pointer(v_means2d), pointer(radii), *scale, *arrays)
     launcher.launch("statistics", "statistics_gather", -(-len(seen) // THREADS), THREADS, params)

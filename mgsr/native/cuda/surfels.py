@@ -38,7 +38,7 @@ DEPTHS = (("near", Float), ("far", Float), ("low_pass", Float))
 
 
 class Splats(ctypes.Structure):
-    """SurfelSplats of kernels/surfels/projection_cuda.h."""
+    """The struct SurfelSplats of kernels/surfels/projection_cuda.h."""
 
     _fields_ = (
         ("count", Long),
@@ -93,8 +93,11 @@ class GradientParams(ctypes.Structure):
 
 @dataclass
 class Frame:
-    """What backward needs kept from forward. blended: of the one band that most images are, until backward takes it;
-    bands of an image too large for that are blended again in backward, one after the other."""
+    """What backward needs kept from forward.
+
+    blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
+    blended again in backward, one after the other.
+    """
 
     projected: Projected
     transmittance: Tensor
@@ -103,21 +106,25 @@ class Frame:
     blended: Blended | None = None
 
     def take_blended(self) -> Blended | None:
-        """Return what is kept, which then lives no longer than its user: memory may be short."""
+        """Return the blended band that is kept, and keep it no longer: memory may be short."""
         blended, self.blended = self.blended, None
         return blended
 
 
 class SurfelKernels:
-    """Renders and differentiates on one launcher. Arguments as in `mgsr.native._surfels`; keep: whether backward
-    will be called for the frame."""
+    """The kernels that render and differentiate surfels on one launcher.
+
+    Arguments as in `mgsr.native._surfels`; keep: whether backward will be called for the frame.
+    """
 
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
     def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes. Raises GpuError where the card's
-        memory is too small."""
+        """Render into the images and radii given, and return what `backward` takes.
+
+        Raises GpuError where the card's memory is too small.
+        """
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, radii = arguments[13:19], arguments[19]
         projected = project(self._launcher, "surfels", ProjectParams, _splats_struct(splats, view), radii)
@@ -129,8 +136,10 @@ class SurfelKernels:
         return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
-        """Write the splats' gradients from those of the images. Raises GpuError where the card's memory is too
-        small."""
+        """Write the splats' gradients from those of the images.
+
+        Raises GpuError where the card's memory is too small.
+        """
         assert self._keep, "rendered without a backward pass in mind"
         splats, background, view = arguments[:5], arguments[5], arguments[6:13]
         images, v_images, v_splats = arguments[13:19], arguments[19:25], arguments[25:]
@@ -160,7 +169,7 @@ class SurfelKernels:
         return Blended(lists, states, reached)
 
     def _walk_back(self, frame: Frame, blended: Blended, view: Any, images: Any, v_images: Any) -> Tensor:
-        """Return what a band's pixels say of each splat, [N,16]."""
+        """Return the gradients [N,16] of each splat from a band's pixels."""
         assert blended.states is not None
         kind, lists = "plain" if v_images[5] is None else "distortion", blended.lists
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)

@@ -19,7 +19,7 @@ Region = tuple[int, int, int, int]
 
 
 class TargetParams(ctypes.Structure):
-    """These structs are those of kernels/terms/."""
+    """The struct TargetParams of kernels/terms/, as are the structs below."""
 
     _fields_ = (
         ("pixels", Long),
@@ -95,10 +95,10 @@ class GradientsParams(ctypes.Structure):
 
 @dataclass(slots=True)
 class Sums:
-    """What a term's kernel left on the card. The term is the blocks' total over `factor`, over what they counted where
-    `counted`, and over `divisor` [] float32, where that is given; 0 where this is 0.
+    """What a term's kernel left on the card.
 
-    partial [blocks,2] float64.
+    The term is the blocks' total over `factor`, over what they counted where `counted`, and over `divisor` [] float32,
+    where that is given; 0 where this is 0. partial [blocks,2] float64.
     """
 
     partial: Tensor
@@ -109,7 +109,7 @@ class Sums:
 
 @dataclass(slots=True)
 class Part:
-    """What the term of that number says of an image: factor * slopes, inside the region alone."""
+    """A term's part of an image's gradient: factor * slopes, inside the region alone; term: the term's number."""
 
     slopes: Tensor
     term: int
@@ -119,14 +119,14 @@ class Part:
 
 @dataclass(slots=True)
 class Image:
-    """A tensor that gets a gradient: its shape, [H,W], [H,W,C] or any other, and what the terms say of it."""
+    """A tensor that gets a gradient: its shape, [H,W], [H,W,C] or any other, and the terms' parts of the gradient."""
 
     shape: torch.Size
     parts: list[Part] = field(default_factory=list)
 
 
 class TermKernels:
-    """Terms on one launcher."""
+    """The kernels of loss terms on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
@@ -154,7 +154,10 @@ class TermKernels:
     def silhouette(
         self, alpha: Tensor, mask: Tensor, weights: Tensor | None, entropy: bool, v_alpha: Tensor | None
     ) -> Sums:
-        """Compare alpha [H,W] with a mask; the mean over all pixels."""
+        """Return the mean over all pixels of the difference of alpha [H,W] from a mask [H,W].
+
+        entropy: of the cross entropy instead.
+        """
         count, partial = alpha.numel(), _partial(alpha)
         inputs = (pointer(alpha), pointer(mask), pointer(weights), entropy)
         self._run("terms_silhouette", count, SilhouetteParams(count, *inputs, pointer(v_alpha), pointer(partial)))
@@ -205,7 +208,7 @@ class TermKernels:
         return values, scales
 
     def gradients(self, images: Sequence[Image], v_values: Tensor, scales: Tensor) -> list[Tensor]:
-        """Each image's gradient, from those of the terms' values [T]."""
+        """Return each image's gradient, from those of the terms' values [T]."""
         split = [(index, some) for index, image in enumerate(images) for some in _at_most(MOST_PARTS, image)]
         outs = [scales.new_empty(image.shape) for _, image in split]
         for begin in range(0, len(split), MOST_IMAGES):
@@ -239,7 +242,7 @@ def _at_most(parts: int, image: Image) -> list[Image]:
 
 
 def _as_image(shape: torch.Size) -> tuple[int, int, int]:
-    """Height, width and channels; what is no image counts as one row of numbers."""
+    """Return height, width and channels; what is no image counts as one row of numbers."""
     if len(shape) == 3:
         return shape[0], shape[1], shape[2]
     return (shape[0], shape[1], 1) if len(shape) == 2 else (1, shape.numel(), 1)

@@ -1,4 +1,4 @@
-"""The tiles' lists of splats, the same for both branches; their sorts and sums are torch's."""
+"""The tiles' lists of splats, the same for both branches; sorts and sums are torch's."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ SHORT_KEYS = 2**15  # tiles that keys of 16 bits tell apart
 
 
 class TileRows(ctypes.Structure):
-    """Rows of tiles, the end excluded."""
+    """The struct of rows of tiles, the end excluded."""
 
     _fields_ = (("first", Int), ("end", Int))
 
 
 class Tiles(ctypes.Structure):
-    """Tiles of kernels/common/tiles_cuda.h."""
+    """The struct Tiles of kernels/common/tiles_cuda.h."""
 
     _fields_ = (
         *((name, Int) for name in ("width", "height", "across", "count")),
@@ -77,8 +77,10 @@ class SumParams(ctypes.Structure):
 
 @dataclass(frozen=True)
 class Band:
-    """Rows of tiles of an image, first to end (excluded). tile_counts [N] int32: how many of them each splat touches;
-    pairs: the sum."""
+    """A band of an image: rows of tiles from first to end (excluded).
+
+    tile_counts [N] int32: how many of them each splat touches; pairs: the sum.
+    """
 
     first: int
     end: int
@@ -86,14 +88,17 @@ class Band:
     pairs: int
 
     def struct(self) -> TileRows:
-        """For the kernels' parameters."""
+        """Return the band as the kernels' parameters take it."""
         return TileRows(self.first, self.end)
 
 
 @dataclass(frozen=True)
 class Projected:
-    """A view's splats on its image. records [N,16], outlines [N,12]: see the families' kernels; order [N] int64: splats
-    by depth, nearest first; whole: the band that is all of the image; splats: the family's struct of them."""
+    """A view's splats projected onto its image.
+
+    records [N,16], outlines [N,12]: see the families' kernels; order [N] int64: splats by depth, nearest first; whole:
+    the band that is all of the image; splats: the family's struct of them.
+    """
 
     width: int
     height: int
@@ -106,7 +111,7 @@ class Projected:
 
 @dataclass(slots=True)
 class TileLists:
-    """Which splats each tile of a band blends, nearest first.
+    """The splats that each tile of a band blends, nearest first.
 
     ends [N] int64: sums of the band's tile counts in the splats' order, each with its own; tiles: how many tiles the
     band has; ranges [tiles,2] and entries [pairs,2] int32, bucket_ends [tiles] int32: see Tiles in
@@ -124,17 +129,17 @@ class TileLists:
 
     @property
     def pairs(self) -> int:
-        """How many (splat, tile) pairs there are."""
+        """Return how many (splat, tile) pairs there are."""
         return self.band.pairs
 
     @property
     def most_buckets(self) -> int:
-        """A bound on the number of buckets, which only the card knows."""
+        """Return a bound on the number of buckets, which only the card knows."""
         return min(self.pairs, self.pairs // BUCKET + self.tiles)
 
     @property
     def bucket_blocks(self) -> int:
-        """Blocks of a kernel that takes a bucket to each warp."""
+        """Return the blocks of a kernel that takes a bucket to each warp."""
         return -(-self.most_buckets // BUCKET_WARPS)
 
 
@@ -171,12 +176,15 @@ def project(
 
 
 def splat_blocks(splats: int) -> int:
-    """Blocks of SPLAT_THREADS, a thread a splat."""
+    """Return the blocks of SPLAT_THREADS that give each splat a thread."""
     return -(-splats // SPLAT_THREADS)
 
 
 def list_tiles(launcher: Launcher, projected: Projected, band: Band) -> TileLists:
-    """List the splats for each tile of a band. Raises torch.OutOfMemoryError."""
+    """List the splats for each tile of a band.
+
+    Raises torch.OutOfMemoryError.
+    """
     across = -(-projected.width // TILE)
     rows, tiles = band.struct(), (band.end - band.first) * across
     ends = torch.cumsum(band.tile_counts.index_select(0, projected.order), 0, dtype=torch.int64)
@@ -190,7 +198,7 @@ def list_tiles(launcher: Launcher, projected: Projected, band: Band) -> TileList
 
 
 def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> Tensor:
-    """Sums [N,16] of the pairs' gradients [pairs,16] over each splat's tiles in the band, in a fixed order."""
+    """Sum the pairs' gradients [pairs,16] over each splat's tiles in the band, in a fixed order, to [N,16]."""
     order = lists.projected.order
     sums = pair_gradients.new_empty(order.shape[0], PAIR_FIELDS)
     arrays = (order, lists.band.tile_counts, lists.ends, pair_gradients, sums)
@@ -200,7 +208,10 @@ def sum_pairs(launcher: Launcher, lists: TileLists, pair_gradients: Tensor) -> T
 
 
 def read_later(scalar: Tensor) -> Callable[[], int]:
-    """Starts to bring one integer to the host; the result waits for it, and for nothing launched afterwards."""
+    """Start to bring one integer to the host, and return a function that waits for it.
+
+    The function waits for nothing that is launched afterwards.
+    """
     if not scalar.is_cuda:
         return lambda: int(scalar)
     held = torch.empty((), dtype=scalar.dtype, pin_memory=True).copy_(scalar, non_blocking=True)

@@ -10,7 +10,7 @@ from mgsr.native.cuda.params import Float
 
 
 class Camera(ctypes.Structure):
-    """Camera<float> of math/camera.h."""
+    """The struct Camera<float> of math/camera.h."""
 
     _fields_ = (
         ("R", Float * 9),
@@ -20,7 +20,10 @@ class Camera(ctypes.Structure):
 
 
 def camera_struct(K: np.ndarray, cam_from_world: np.ndarray, width: int, height: int) -> Camera:
-    """K [3,3] pixels and cam_from_world [4,4], float64, of an image of that size."""
+    """Return the struct of a camera with K [3,3] pixels and cam_from_world [4,4], both float64.
+
+    width, height: of its image.
+    """
     (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = cam_from_world.tolist()
     (fx, _, cx), (_, fy, cy), _ = K.tolist()
     return Camera((a, b, c, d, e, f, g, h, i), (x, y, z), fx, fy, cx, cy, width, height)

@@ -37,7 +37,7 @@ SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors", "refl_opacit
 
 
 class Splats(ctypes.Structure):
-    """VolumeSplats of kernels/volumes/projection_cuda.h."""
+    """The struct VolumeSplats of kernels/volumes/projection_cuda.h."""
 
     _fields_ = (
         ("count", Long),
@@ -85,8 +85,11 @@ class GradientParams(ctypes.Structure):
 
 @dataclass
 class Frame:
-    """What backward needs kept from forward. blended: of the one band that most images are, until backward takes it;
-    bands of an image too large for that are blended again in backward, one after the other."""
+    """What backward needs kept from forward.
+
+    blended: of the one band that most images are, until backward takes it; bands of an image too large for that are
+    blended again in backward, one after the other.
+    """
 
     projected: Projected
     radii: Tensor
@@ -95,21 +98,25 @@ class Frame:
     blended: Blended | None = None
 
     def take_blended(self) -> Blended | None:
-        """Return what is kept, which then lives no longer than its user: memory may be short."""
+        """Return the blended band that is kept, and keep it no longer: memory may be short."""
         blended, self.blended = self.blended, None
         return blended
 
 
 class VolumeKernels:
-    """Renders and differentiates on one launcher. Arguments as in `mgsr.native._volumes`; keep: whether backward
-    will be called for the frame."""
+    """The kernels that render and differentiate 3D Gaussians on one launcher.
+
+    Arguments as in `mgsr.native._volumes`; keep: whether backward will be called for the frame.
+    """
 
     def __init__(self, launcher: Launcher, keep: bool) -> None:
         self._launcher, self._keep = launcher, keep
 
     def forward(self, *arguments: Any) -> Frame:
-        """Render into the images and radii given, and return what `backward` takes. Raises GpuError where the card's
-        memory is too small."""
+        """Render into the images and radii given, and return what `backward` takes.
+
+        Raises GpuError where the card's memory is too small.
+        """
         splats, background, view, images, radii = (
             arguments[:8],
             arguments[8],
@@ -125,8 +132,10 @@ class VolumeKernels:
         return frame
 
     def backward(self, frame: Frame, *arguments: Any) -> None:
-        """Write the splats' gradients from those of the images. Raises GpuError where the card's memory is too
-        small."""
+        """Write the splats' gradients from those of the images.
+
+        Raises GpuError where the card's memory is too small.
+        """
         assert self._keep, "rendered without a backward pass in mind"
         splats, background = arguments[:8], arguments[8]
         images, v_images, v_splats = arguments[16:21], arguments[21:26], arguments[26:]
@@ -154,7 +163,7 @@ class VolumeKernels:
         return Blended(lists, states, reached)
 
     def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
-        """Return what a band's pixels say of each splat, [N,16]."""
+        """Return the gradients [N,16] of each splat from a band's pixels."""
         lists = blended.lists
         planes = self._prepare_pixels(kind, frame, lists, images, v_images)
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
@@ -177,8 +186,11 @@ def _kind(splats: Any) -> str:
 
 
 def splats_struct(splats: Any, view: Any) -> Splats:
-    """For the kernels' parameters: tensors as SPLAT_TENSORS, None for those that are not there, which must outlive the
-    launch; and the view as `mgsr.native._volumes` takes it."""
+    """Return the struct of the splats and the view, for the kernels' parameters.
+
+    splats: tensors as SPLAT_TENSORS, None for those that are not there, which must outlive the launch; view: as
+    `mgsr.native._volumes` takes it.
+    """
     K, cam_from_world, width, height, near, low_pass, compensate = view
     camera = camera_struct(K, cam_from_world, width, height)
     arrays = addresses(*splats)

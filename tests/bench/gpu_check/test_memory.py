@@ -17,7 +17,7 @@ BAND = 250  # bytes of the smallest band
 
 
 class PretendedMemory:
-    """A memory in which a rendering takes WHOLE bytes, or, in bands, BAND."""
+    """A pretended memory in which a rendering takes WHOLE bytes, or, in bands, BAND."""
 
     def __init__(self) -> None:
         self.free = 10 * WHOLE
@@ -35,7 +35,10 @@ class PretendedMemory:
 
 
 def pretended(memory: PretendedMemory, banded: Callable[[], Rendered] | None) -> Callable[[], Rendered]:
-    """Return a rendering that goes in bands, by `banded`, where it does not fit; where that is None, it never does."""
+    """Return a rendering that goes in bands, by `banded`, where it does not fit.
+
+    Where `banded` is None, it never does.
+    """
 
     def render() -> Rendered:
         if memory.free >= WHOLE:

@@ -31,7 +31,10 @@ def test_a_file_that_is_full_takes_no_more(tmp_path: Path) -> None:
 
 
 def test_limits_of_a_machine_that_is_lent() -> None:
-    """Eight files of 16 MiB: and splats.zip is two of them while it is being written."""
+    """Check that the results stay within eight files of 16 MiB.
+
+    splats.zip is two of them while it is being written.
+    """
     assert len(FILES) + 1 <= 8 and LARGEST <= 16 * 2**20
 
 

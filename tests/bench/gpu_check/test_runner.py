@@ -160,7 +160,7 @@ def test_a_check_that_is_cut_off_loses_nothing(number: signal.Signals, tmp_path:
 
 
 def test_a_check_that_is_killed_has_kept_what_was_measured(tmp_path: Path) -> None:
-    """SIGKILL can't be heeded: what was printed must be on disk already."""
+    """Check that what was printed is on disk already when SIGKILL, which can't be heeded, comes."""
     check = subprocess.Popen([sys.executable, "-c", PROGRAM, str(tmp_path)], stdout=subprocess.DEVNULL)
     log = tmp_path / "log.txt"
     waiting_for(lambda: log.is_file() and log.read_text().count("measured") == 2 and len(log.read_text().split()) > 9)

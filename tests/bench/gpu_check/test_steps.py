@@ -55,7 +55,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_limits_fit_a_part() -> None:
-    """What waits for nothing else must have its time even where all before it take all of theirs."""
+    """Check that steps that wait for nothing else have their time even where all before take all of theirs."""
     for part in steps.parts().values():
         first = [step.limit for step in part if not step.behind][:-3]
         assert steps.PART_LIMIT <= 9 * 60 and sum(first) <= steps.PART_LIMIT
@@ -97,7 +97,7 @@ def test_arguments(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 
 
 def test_a_part_without_a_card(tmp_path: Path) -> None:
-    """Of the first part, what asks for the card at once; and a second call adds to the first one's results."""
+    """Check that the first part's steps that ask for the card fail, and that a second call adds to the results."""
     skip = only("facts", "tests", part=1)
     done = check("1", tmp_path / "results", SKIP=skip)
     assert done.returncode == 1
@@ -131,7 +131,7 @@ def test_every_step_fails_singly_without_a_card(part: int, tmp_path: Path, balls
 
 @pytest.mark.slow
 def test_the_second_and_third_part_on_the_processor(tmp_path: Path, balls: Path) -> None:
-    """All of what needs no card's own features does its work."""
+    """Check that every step that needs no card's own features does its work."""
     folder = tmp_path / "results"
     for part in ("2", "3"):
         check(part, folder, balls, DEVICE="cpu", SETTINGS=SHORT, RUNS="2")
@@ -149,7 +149,7 @@ def test_the_second_and_third_part_on_the_processor(tmp_path: Path, balls: Path)
 
 @pytest.mark.slow
 def test_a_part_that_is_cut_off_keeps_what_it_measured(tmp_path: Path, balls: Path) -> None:
-    """By `timeout`, in the middle of the second of two trainings."""
+    """Check that results stay when `timeout` cuts a part off in the middle of the second of two trainings."""
     folder = tmp_path / "results"
     environment = {**os.environ, "PYTHON": sys.executable, "DEVICE": "cpu", "SETTINGS": SHORT}
     environment["WORK"] = str(tmp_path / "work")

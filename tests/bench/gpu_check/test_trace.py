@@ -30,8 +30,10 @@ def entry(kind: str, name: str, begin: float, duration: float, thread: int = 7) 
 
 @pytest.fixture
 def events(tmp_path: Path) -> list[trace.Event]:
-    """Two iterations: kernels at 100..150 and within, 120..130, on another stream, 170..180 and 400..420, a copy at
-    180..190."""
+    """Build the events of two iterations.
+
+    Kernels at 100..150 and within, 120..130, on another stream, 170..180 and 400..420, a copy at 180..190.
+    """
     entries = [
         entry("kernel", "sort", 100, 50, thread=8),
         entry("kernel", "blend", 120, 10),
@@ -69,7 +71,7 @@ def test_gaps_of_a_known_trace(events: list[trace.Event]) -> None:
 
 
 def test_operations_of_a_known_trace(events: list[trace.Event]) -> None:
-    """Neither what an operation calls, nor views, nor what autograd wraps around its own."""
+    """Check that operations are counted without what they call, without views and without autograd's own wrappers."""
     assert trace.operations(events) == {"mul": 2, "to": 1}
 
 
@@ -101,7 +103,10 @@ def test_a_profile_of_a_training(tmp_path: Path) -> None:
 
 
 def test_the_last_stretch_ends_with_a_densification(tmp_path: Path) -> None:
-    """Where the loop adds and removes splats, and the profile is to have its share of that."""
+    """Check that the last stretch ends where the loop adds and removes splats.
+
+    The profile is to have its share of that.
+    """
     watch = profile_training.Watch(CONFIG, CPU, 5, 1e9, tmp_path)
     asked = list[tuple[int, int]]()
 

@@ -32,6 +32,7 @@ from mgsr.training.pace import FINISH, StageLength
 
 AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
 UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
+LONGER_START = 1.25  # times the usual time that is kept for the starting points, which nothing shortens once they begin
 LEAST_REFINED = 0.3  # share of the refinement's time; with less it is not begun
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
@@ -101,7 +102,7 @@ class TimeBudget:
             if smaller.pixels < LEAST_PIXELS and self.scale is not None:
                 break
             self.scale = scale
-            before = costs.start_cost(smaller) + _reference_training(smaller, draft)
+            before = LONGER_START * costs.start_cost(smaller) + _reference_training(smaller, draft)
             if self.spent + self.slowness * before + self._after(smaller, draft.mesh) <= self._aim:
                 break
         assert self.scale is not None

@@ -14,7 +14,8 @@ from mgsr.config import MeshConfig
 USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians that errors add, for each pixel of a view
 STEREO = 0.4  # a view
-WAVES = 3.0  # of the surface, taken off
+WAVES = 2.5  # of the surface, taken off, at 256 cells along a side
+SHOWN = 0.6  # share of an image's side that the object takes up
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
 LEARNED = 12.0  # masks that are learned from small photographs
 
@@ -55,7 +56,7 @@ def start_cost(facts: Facts) -> float:
     """
     if not facts.masked and not facts.learned:
         return STEREO * facts.views
-    surface = (29.0 if facts.shiny else 9.0) * (facts.views / 48 * facts.size) ** 0.7
+    surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
     return LEARNED * facts.learned + 2.0 + surface
 
 
@@ -80,8 +81,10 @@ def usual_count(start: int, facts: Facts) -> int:
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
+    across = SHOWN * (rendered / facts.views) ** 0.5
+    cells = min(2**config.poisson_depth, across) / 256
     waves = WAVES if config.wave_angle and not facts.flash else 0.0
-    return 1.3 * 2.6 ** (config.poisson_depth - 6) + 2.2 * (rendered / 1e6) ** 0.8 + waves
+    return 0.3 + (12.0 + waves) * cells**2 + 0.55 * rendered / 1e6
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:

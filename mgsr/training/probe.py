@@ -13,7 +13,7 @@ import torch
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.parallel import one_torch_thread
-from mgsr.training.pace import StageLength
+from mgsr.training.pace import FINISH, StageLength
 from mgsr.training.plan import StartingPoints, make_plan
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
@@ -33,7 +33,7 @@ class Probe:
 
 
 def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.device = CPU) -> Probe:
-    """Measure how long an iteration of each stage takes at the beginning.
+    """Measure how long an iteration of each stage before FINISH takes at the beginning.
 
     Raises what `Training` does.
     """
@@ -42,7 +42,7 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing
         plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
         splats = {branch.name: len(branch.model) for branch in plan.parts.branches}
-        Trainer(plan, config.train, {}, pace=timer).run()
+        Trainer(plan, config.train, {}, pace=timer).run(before=FINISH)
     return Probe({name: timer.median(name) for name in timer.times}, splats)
 
 

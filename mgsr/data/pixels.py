@@ -1,4 +1,4 @@
-"""Where a scene's decoded images lie: in memory, or beyond a limit in files that the system pages in and out."""
+"""Where a scene's images lie: in memory, or beyond a limit in files that the system pages in and out."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ MEMORY_BYTES = 8 << 30
 
 # A file holds many images, so that a scene doesn't take a file for each.
 _FILE_BYTES = 1 << 30
+_ALIGNED = 64  # bytes at whose multiples arrays begin in a file
 
 
 class PixelStore:
@@ -23,17 +24,17 @@ class PixelStore:
         self._mapped = np.empty(0, np.uint8)
         self._used = 0
 
-    def hold(self, image: np.ndarray) -> np.ndarray:
-        """Return a uint8 array itself while there is memory, else a copy in a file; both are writable."""
+    def hold(self, array: np.ndarray) -> np.ndarray:
+        """Return an array of any type itself while there is memory, else a copy in a file; both are writable."""
         with self._lock:
-            if image.nbytes <= self._memory:
-                self._memory -= image.nbytes
-                return image
-            if self._used + image.nbytes > len(self._mapped):
-                self._mapped, self._used = _map_file(max(self._file, image.nbytes)), 0
-            place = self._mapped[self._used : self._used + image.nbytes].reshape(image.shape)
-            self._used += image.nbytes
-        place[...] = image
+            if array.nbytes <= self._memory:
+                self._memory -= array.nbytes
+                return array
+            if self._used + array.nbytes > len(self._mapped):
+                self._mapped, self._used = _map_file(max(self._file, array.nbytes)), 0
+            place = self._mapped[self._used : self._used + array.nbytes].view(array.dtype).reshape(array.shape)
+            self._used += -(-array.nbytes // _ALIGNED) * _ALIGNED
+        place[...] = array
         return place
 
 

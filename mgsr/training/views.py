@@ -10,12 +10,16 @@ from torch import Tensor
 
 from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.camera import Camera
+from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import View
 from mgsr.data.stacking import averaged
 from mgsr.losses.target import Target
 from mgsr.ops.pixels import composite
 
 CPU = torch.device("cpu")
+
+# What is made of the views lies in memory up to this, and in a file past that, as the decoded photographs do.
+MADE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -68,29 +72,43 @@ def prepare_views(
     margin: with masks, the photographic losses look only at the mask's bounding box and this many pixels around it.
     reduce: how many pixels, along each side, are averaged into one; edge_band and margin are of these.
     """
-    return [_prepared(view, masked, margin, edge_band, device, reduce) for view in views]
+    store = PixelStore(MADE_BYTES)
+    return [_prepared(view, masked, margin, edge_band, device, reduce, store) for view in views]
 
 
 def _prepared(
-    view: View, masked: bool, margin: int | None, edge_band: int, device: torch.device, reduce: int
+    view: View,
+    masked: bool,
+    margin: int | None,
+    edge_band: int,
+    device: torch.device,
+    reduce: int,
+    store: PixelStore,
 ) -> TrainingView:
     if not masked:
         view = replace(view, alpha=None)
     if reduce > 1:
-        view = _reduced(view, reduce)
+        view = _held(_reduced(view, reduce), store)
     image = _moved(view.image, device)
     # Found on the host, so that a card is never waited for.
     unknown = None if view.known is None else torch.from_numpy(np.flatnonzero(~view.known)).to(device)
     lit = None if view.lit is None else _moved(view.lit, device)
     if view.alpha is None:
         return TrainingView(view.name, view.camera, image, None, unknown=unknown, lit=lit)
-    alpha = view.alpha if view.known is None else np.where(view.known, view.alpha, np.uint8(0))
-    mask, covered = torch.from_numpy(alpha), torch.from_numpy(np.flatnonzero(alpha))
+    alpha = view.alpha if view.known is None else store.hold(np.where(view.known, view.alpha, np.uint8(0)))
+    mask, covered = torch.from_numpy(alpha), torch.from_numpy(store.hold(np.flatnonzero(alpha)))
     region = None if margin is None else bounding_region(alpha, margin)
-    off_edge = off_outline(mask, edge_band, view.known) if edge_band else None
+    off_edge = None
+    if edge_band:
+        off_edge = torch.from_numpy(store.hold(off_outline(mask, edge_band, view.known).numpy()))
     off_edge_sum = None if off_edge is None else float(off_edge.sum())
     outline = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
     return TrainingView(view.name, view.camera, image, *outline, unknown, lit, off_edge_sum)
+
+
+def _held(view: View, store: PixelStore) -> View:
+    alpha = None if view.alpha is None else store.hold(view.alpha)
+    return replace(view, image=store.hold(view.image), alpha=alpha)
 
 
 def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:

@@ -247,6 +247,7 @@ def test_the_store_gives_back_what_it_got(memory):
     store = PixelStore(memory, file=128)
     images = [RNG.integers(0, 256, (RNG.integers(1, 9), RNG.integers(1, 9), 3), dtype=np.uint8) for _ in range(40)]
     images.append(RNG.integers(0, 256, (20, 20, 3), dtype=np.uint8))  # larger than a file
+    images += [RNG.integers(0, 2, (3, 5)) > 0, np.flatnonzero(images[0] > 9), RNG.integers(0, 256, 7, dtype=np.uint8)]
     held = [store.hold(image) for image in images]
     for image, copy in zip(images, held, strict=True):
         np.testing.assert_array_equal(copy, image)

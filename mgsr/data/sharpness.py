@@ -9,7 +9,6 @@ import numpy as np
 from scipy.linalg import eigh
 
 from mgsr.config import Blurred
-from mgsr.data.images import composite_on_white
 from mgsr.data.loading import LoadedView
 from mgsr.data.scene import View
 from mgsr.parallel import map_ahead
@@ -77,8 +76,9 @@ def _sharpness(view: View) -> float:
     """
     import cv2  # late: training needs no OpenCV
 
-    image = view.image if view.alpha is None else composite_on_white(view.image, view.alpha)
-    grey: np.ndarray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey: np.ndarray = cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    if view.alpha is not None:  # on white
+        grey = 255 + (grey - 255) * (view.alpha * np.float32(1 / 255))
     shrink = _SIDE / max(grey.shape)
     if shrink < 1:
         grey = cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA)

@@ -7,8 +7,9 @@ import threading
 
 import numpy as np
 
-# Images up to this lie in memory. 1,000 photographs of 2 megapixels take 6 GB.
-MEMORY_BYTES = 8 << 30
+# Images up to this lie in memory: 1,000 photographs of 2 megapixels with masks, which take 8 GB, leave room for the rest
+# of a run in 12 GiB.
+MEMORY_BYTES = 4 << 30
 
 # A file holds many images, so that a scene doesn't take a file for each.
 _FILE_BYTES = 1 << 30

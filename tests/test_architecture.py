@@ -24,7 +24,7 @@ LAYERS = (
     ("render",),
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
-    ("bench", "budget"),
+    ("bench", "budget", "segmentation"),
     ("cli",),
     ("service",),
     ("worker",),

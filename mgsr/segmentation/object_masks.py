@@ -1,0 +1,208 @@
+"""Masks of the object in photographs that come without any: no clicks, no network weights.
+
+A 2D branch is trained briefly on small photographs of the whole scene. Its surfels that stand on the plane under the
+scene's middle, in one piece, are the object to begin with. Their share of each pixel is a mask that all views agree
+on. GrabCut moves the masks' contours to where the photographs' colours change, and the surfels take their labels from
+the refined masks in turn. After some rounds both agree, or the capture shows no single object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mgsr.config import make_config
+from mgsr.data.camera import Camera, pixel_size
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Scene, View
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.parallel import map_ahead
+from mgsr.segmentation.grab_cut import refined_mask
+from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_labels
+from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.run import Training
+
+SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
+ITERATIONS = 400
+SOLID = 0.2  # opacity of the surfels that count
+NEAR = 1.5  # radius around the scene's centre, in balls, in which the object stands
+# Distances in pixels of the small photographs, on the object.
+FLAT = 3.0  # of points from the plane that holds them
+STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on it
+RISING = 11.0  # from where the geometry counts more than the colours
+LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
+BANDS = (0.06, 0.04, 0.03)  # of GrabCut, in each round
+BY_COLOR, BY_SHAPE = 0.5, 0.3  # least labels of the object's surfels near the plane, and of those that stand higher
+LEAST_SPLATS = 50
+RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
+LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of what the surfels render
+DISAGREEING = 0.6  # of one view, below which what the surfels render is its mask
+FULL = 0.7  # share of the image that is no single object's any more
+CUT = 0.1  # share of a mask's extent that lies on the image's border, from where the object counts as cut off
+
+
+@dataclass(frozen=True)
+class FoundObject:
+    """The object that a capture shows.
+
+    train, test: its masks [H,W] uint8 in the scene's views, in their order; agreement [V]: how well each training
+    view's mask agrees with the others, as intersection over union with what the labelled surfels render; box [2,3]: the
+    least and the largest corner of its surfels, in the scene's frame; plane: what it stands on.
+    """
+
+    train: list[np.ndarray]
+    test: list[np.ndarray]
+    agreement: np.ndarray
+    box: np.ndarray
+    plane: SupportPlane
+
+
+@dataclass(frozen=True)
+class NoObject:
+    """Why a capture shows no single object, as the end of a sentence."""
+
+    reason: str
+
+
+def find_object(
+    scene: Scene,
+    start: StartingPoints,
+    seed: int,
+    should_stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda done: None,
+) -> FoundObject | NoObject:
+    """Find the object in a scene without masks; the same seed gives the same masks.
+
+    start: points of the whole scene. progress: told of the share that is done, 0..1. Raises Cancelled once should_stop
+    says so, and TrainingError where training goes bad.
+    """
+    views = [_small(view, SIDE) for view in scene.train]
+    cameras = [view.camera for view in views]
+    model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.5 * done))
+    pixel = pixel_size(cameras, np.zeros(3))
+    first = _first_labels(model, cameras, pixel, np.random.default_rng(seed))
+    if isinstance(first, NoObject):
+        return first
+    plane, standing, reach = first
+    labels = standing
+    heights = plane.heights(_centers(model))
+    for number, band in enumerate(BANDS):
+        masks = _cut(views, rendered_labels(model, labels, cameras), band)
+        lifted, weight = lifted_labels(model, masks, cameras)
+        rising = standing & (heights > RISING * pixel)
+        kept = (lifted > np.where(rising, BY_SHAPE, BY_COLOR)) & (weight > 0) & (heights > 0)
+        if kept.sum() < LEAST_SPLATS:
+            return NoObject("what stands in the middle has no contour in the photographs")
+        labels = np.zeros(len(model), bool)
+        labels[np.flatnonzero(kept)[pieces(_centers(model)[kept], reach) == 0]] = True
+        progress(0.5 + 0.4 * (number + 1) / len(BANDS))
+    rendered = [image > 0.5 for image in rendered_labels(model, labels, cameras)]
+    agreement = np.array([_overlap(mask, shown) for mask, shown in zip(masks, rendered, strict=True)])
+    if (doubt := _doubt(masks, agreement)) is not None:
+        return doubt
+    positions = _centers(model)[labels]
+    train, test = (_last_masks(model, labels, part) for part in (scene.train, scene.test))
+    progress(1.0)
+    return FoundObject(train, test, agreement, np.stack([positions.min(axis=0), positions.max(axis=0)]), plane)
+
+
+def _small(view: View, side: int) -> View:
+    return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
+
+
+def _trained(
+    scene: Scene,
+    start: StartingPoints,
+    seed: int,
+    should_stop: Callable[[], bool],
+    progress: Callable[[float], None],
+) -> SurfelModel:
+    """Train the 2D branch alone on the whole scene."""
+    stages = [f"warmup.surfel_iterations={ITERATIONS}", "mutual.iterations=0", "stop_rule=none"]
+    config = make_config(seed=seed, overrides=["branches=surfels", *stages])
+    training = Training(scene, start, config, lambda report: progress(report.done), should_stop)
+    found = training.run().surfels
+    assert found is not None
+    return found
+
+
+def _centers(model: SurfelModel) -> np.ndarray:
+    return np.asarray(model.means.detach().numpy(), np.float64)
+
+
+def _first_labels(
+    model: SurfelModel, cameras: Sequence[Camera], pixel: float, generator: np.random.Generator
+) -> tuple[SupportPlane, np.ndarray, float] | NoObject:
+    """Return the plane under the object, and which surfels [N] bool stand on it in the piece nearest to the middle.
+
+    Also returns the distance by which surfels of one piece are apart at most.
+    """
+    centers, solid = _centers(model), model.opacities().detach().numpy() > SOLID
+    near = solid & (np.linalg.norm(centers, axis=1) < NEAR)
+    plane = find_support_plane(centers[near], cameras, FLAT * pixel, generator)
+    if plane is None:
+        return NoObject("no level surface lies under what the cameras look at")
+    standing = np.flatnonzero(near & (plane.heights(centers) > STANDING * pixel))
+    if len(standing) < LEAST_SPLATS:
+        return NoObject("nothing stands in the middle of what the cameras look at")
+    reach = LINKED * float(np.median(cKDTree(centers[standing]).query(centers[standing], k=4)[0][:, 3]))
+    piece = pieces(centers[standing], reach)
+    # The cameras look at the object, so what lies near the middle counts more.
+    sizes = np.bincount(piece, np.exp(-((centers[standing] / 0.7) ** 2).sum(axis=1)))
+    largest = int(np.argmax(sizes))
+    if (np.delete(sizes, largest) > RIVAL * sizes[largest]).any():
+        return NoObject("several objects of about one size stand in the middle")
+    labels = np.zeros(len(model), bool)
+    labels[standing[piece == largest]] = True
+    if labels.sum() < LEAST_SPLATS:
+        return NoObject("nothing stands in the middle of what the cameras look at")
+    return plane, labels, reach
+
+
+def _cut(views: Sequence[View], shares: Sequence[np.ndarray], band: float) -> list[np.ndarray]:
+    """Return the views' refined masks [H,W] bool, from the object's share of each pixel."""
+    pairs = zip(views, shares, strict=True)
+    return list(map_ahead(lambda pair: refined_mask(pair[0].image, pair[1] > 0.5, band), pairs, None))
+
+
+def _last_masks(model: SurfelModel, labels: np.ndarray, views: Sequence[View]) -> list[np.ndarray]:
+    """Return the object's masks [H,W] uint8 in the views, cut once more, in larger photographs where they are large."""
+    import cv2  # late: training needs no OpenCV
+
+    fine = [_small(view, FINE_SIDE) for view in views]
+    shares = rendered_labels(model, labels, [view.camera for view in fine])
+    masks = []
+    for view, mask, share in zip(views, _cut(fine, shares, BANDS[-1]), shares, strict=True):
+        kept = mask if _overlap(mask, share > 0.5) > DISAGREEING else share > 0.5
+        size = view.camera.width, view.camera.height
+        masks.append(cv2.resize(255 * kept.astype(np.uint8), size, interpolation=cv2.INTER_LINEAR))
+    return masks
+
+
+def _overlap(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the intersection over union of two masks; 1 where both are empty."""
+    union = (one | other).sum()
+    return float((one & other).sum() / union) if union else 1.0
+
+
+def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray) -> NoObject | None:
+    """Return what speaks against masks [H,W] bool that all show one object; None where nothing does."""
+    if np.mean([mask.any() for mask in masks]) < 0.8:
+        return NoObject("many photographs do not show it")
+    if np.median([mask.mean() for mask in masks]) > FULL:
+        return NoObject("it fills the photographs")
+    if np.mean([_cut_off(mask) for mask in masks]) > 0.5:
+        return NoObject("most photographs cut it off")
+    if agreement.mean() < LEAST_AGREEMENT:
+        return NoObject("its contours in the photographs do not agree")
+    return None
+
+
+def _cut_off(mask: np.ndarray) -> bool:
+    """Return whether the image's border cuts through a mask [H,W] bool."""
+    border = sum(int(line.sum()) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
+    return border > CUT * float(mask.sum()) ** 0.5

@@ -1,0 +1,64 @@
+"""Labels of surfels: which belong to the object, from masks of the photographs, and the masks that labels render to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.render.surfels import render_surfels
+
+C0 = 0.28209479177387814  # the constant spherical harmonic
+
+
+def pieces(points: np.ndarray, reach: float) -> np.ndarray:
+    """Return the number of the connected piece [P] that each point [P,3] belongs to.
+
+    Points closer than `reach` are connected. Piece 0 has the most points.
+    """
+    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
+    count, found = connected_components(links, directed=False)
+    order = np.argsort(-np.bincount(found, minlength=count), kind="stable")
+    return np.asarray(np.argsort(order)[found])
+
+
+def rendered_labels(model: SurfelModel, labels: np.ndarray, cameras: Sequence[Camera]) -> list[np.ndarray]:
+    """Render labels [N], 0..1, of the surfels into the cameras: images [H,W] float32, the object's share of a pixel."""
+    shown = _labelled(model, torch.from_numpy(((labels - 0.5) / C0).astype(np.float32))[:, None, None].expand(-1, 1, 3))
+    black = torch.zeros(3)
+    with torch.no_grad():
+        return [render_surfels(shown, camera, black, 0).color[..., 0].numpy() for camera in cameras]
+
+
+def lifted_labels(
+    model: SurfelModel, masks: Sequence[np.ndarray], cameras: Sequence[Camera]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return each surfel's mean mask [N], 0..1, weighted by its share of the pixels, and the sum of the weights [N].
+
+    masks [H,W] in 0..1, one for each camera. The labels are the closed-form optimum of Shen and others 2024
+    (FlashSplat). Rendering is linear in the colours, so the weights are its derivatives.
+    """
+    inside, whole = torch.zeros(len(model)), torch.zeros(len(model))
+    for mask, camera in zip(masks, cameras, strict=True):
+        colors = torch.zeros(len(model), 1, 3, requires_grad=True)
+        rendered = render_surfels(_labelled(model, colors), camera, torch.zeros(3), 0).color
+        asked = torch.zeros_like(rendered)
+        asked[..., 0], asked[..., 1] = torch.from_numpy(mask.astype(np.float32)), 1.0
+        (rendered * asked).sum().backward()
+        assert colors.grad is not None
+        inside += colors.grad[:, 0, 0] / C0
+        whole += colors.grad[:, 0, 1] / C0
+    return (inside / whole.clamp_min(1e-6)).numpy(), whole.numpy()
+
+
+def _labelled(model: SurfelModel, colors: Tensor) -> SurfelModel:
+    return replace(model.detached(), sh=colors)

@@ -1,0 +1,86 @@
+"""The plane on which an object stands, found among points by RANSAC (Fischler and Bolles 1981)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+
+TRIALS = 3000
+STEEPEST = 35.0  # degrees between the plane's normal and the cameras' mean upward direction
+REFITS = 5
+LEAST_SHARE = 0.1  # of the points that lie on a plane that supports something
+ABOVE_IT = 0.8  # share of the cameras that must look down on it
+BELOW_IT = 0.25  # largest share of the points that may lie under it
+
+
+@dataclass(frozen=True)
+class SupportPlane:
+    """The points x with normal . x + offset = 0. normal [3] is a unit vector and points up, away from the ground."""
+
+    normal: np.ndarray
+    offset: float
+
+    def heights(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed heights [P] of points [P,3] over the plane, in their unit."""
+        return np.asarray(points @ self.normal + self.offset)
+
+
+def upward(cameras: Sequence[Camera]) -> np.ndarray:
+    """Return the mean direction [3] of the images' upper sides, a unit vector in the world frame."""
+    mean = -np.mean([camera.cam_from_world[1, :3] for camera in cameras], axis=0)
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12))
+
+
+def find_support_plane(
+    points: np.ndarray, cameras: Sequence[Camera], tolerance: float, generator: np.random.Generator
+) -> SupportPlane | None:
+    """Find the plane under an object, among points [P,3] of the object and what surrounds it.
+
+    It is nearly level, holds many points within `tolerance` (the points' unit), has few points below and lies below
+    the cameras. Returns None where no plane is like that. The same generator state gives the same plane.
+    """
+    if len(points) < 3:
+        return None
+    best = _most_supported(points, upward(cameras), tolerance, generator)
+    if best is None:
+        return None
+    for _ in range(REFITS):
+        near = points[np.abs(best.heights(points)) < tolerance]
+        if len(near) < 3:
+            return None
+        best = _fitted(near, best.normal)
+    heights = best.heights(points)
+    supported = (np.abs(heights) < tolerance).mean() >= LEAST_SHARE and (heights < -2 * tolerance).mean() <= BELOW_IT
+    seen_from_above = np.mean([best.heights(camera.center[None])[0] > 0 for camera in cameras]) >= ABOVE_IT
+    return best if supported and seen_from_above else None
+
+
+def _most_supported(
+    points: np.ndarray, up: np.ndarray, tolerance: float, generator: np.random.Generator
+) -> SupportPlane | None:
+    """Return the best of TRIALS planes through three points each; inliers count by a truncated quadratic (MSAC)."""
+    corners = points[generator.integers(0, len(points), (TRIALS, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    normals = normals / np.maximum(lengths, 1e-12)[:, None]
+    normals *= np.where(normals @ up < 0, -1.0, 1.0)[:, None]
+    level = np.flatnonzero((lengths > 1e-9) & (normals @ up > np.cos(np.radians(STEEPEST))))
+    best, most = None, 0.0
+    for index in level:
+        plane = SupportPlane(normals[index], float(-normals[index] @ corners[index, 0]))
+        support = float(np.clip(1 - (plane.heights(points) / tolerance) ** 2, 0, 1).sum())
+        if support > most:
+            best, most = plane, support
+    return best
+
+
+def _fitted(points: np.ndarray, normal: np.ndarray) -> SupportPlane:
+    """Return the least-squares plane of points [P,3], its normal on the side of `normal`."""
+    middle = points.mean(axis=0)
+    found = np.linalg.svd(points - middle, full_matrices=False)[2][2]
+    found = found * (1.0 if found @ normal >= 0 else -1.0)
+    return SupportPlane(found, float(-found @ middle))

@@ -1,0 +1,56 @@
+"""Finding the object of a capture without masks, against masks that a ray tracer knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mgsr.segmentation.object_masks import FoundObject, NoObject, find_object
+from mgsr.start.starting_points import starting_points
+from tests.segmentation.table_scene import TABLE, table_scene
+
+
+def overlaps(found: list[np.ndarray], truth: list[np.ndarray]) -> list[float]:
+    """Return the intersection over union of each mask with the true one."""
+    pairs = [(mask > 127, true) for mask, true in zip(found, truth, strict=True)]
+    return [float((mask & true).sum() / (mask | true).sum()) for mask, true in pairs]
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[FoundObject, list[np.ndarray]]:
+    """Provide the object that is found on the table, and its true masks."""
+    scene, truth = table_scene()
+    result = find_object(scene, starting_points(scene, 8000, 0), 0)
+    assert isinstance(result, FoundObject), result
+    return result, truth
+
+
+def test_masks_are_those_of_the_object(found: tuple[FoundObject, list[np.ndarray]]) -> None:
+    result, truth = found
+    scores = overlaps(result.train + result.test, truth)
+    assert np.mean(scores) > 0.93 and min(scores) > 0.85, scores
+    assert result.agreement.shape == (len(result.train),) and result.agreement.min() > 0.8
+
+
+def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject, list[np.ndarray]]) -> None:
+    result, _ = found
+    assert result.plane.normal @ [0, 0, 1] > 0.999
+    assert abs(result.plane.heights(np.array([[0.0, 0.0, TABLE]]))[0]) < 0.02
+    low, high = result.box
+    assert abs(low[2] - TABLE) < 0.06 and abs(high[2] - 0.65) < 0.06
+    assert np.abs(low[:2] + 0.45).max() < 0.08 and np.abs(high[:2] - 0.45).max() < 0.08
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"standing": False}, "no level surface|nothing stands|no contour"),
+        ({"copies": 2}, "several objects"),
+        ({"shift": 1.05}, "cut it off|nothing stands|do not show it|no level surface"),
+    ],
+)
+def test_a_capture_without_a_single_object_is_left_whole(options: dict, reason: str) -> None:
+    scene, _ = table_scene(**options)
+    result = find_object(scene, starting_points(scene, 8000, 0), 0)
+    assert isinstance(result, NoObject)
+    assert any(part in result.reason for part in reason.split("|")), result.reason

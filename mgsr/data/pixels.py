@@ -7,8 +7,8 @@ import threading
 
 import numpy as np
 
-# Images up to this lie in memory: 1,000 photographs of 2 megapixels with masks, which take 8 GB, leave room for the rest
-# of a run in 12 GiB.
+# Images up to this lie in memory, so that a run on 1,000 photographs of 2 megapixels, which take 8 GB with their masks,
+# has room in 12 GiB.
 MEMORY_BYTES = 4 << 30
 
 # A file holds many images, so that a scene doesn't take a file for each.

@@ -20,12 +20,13 @@ def table_scene(
 ) -> tuple[Scene, list[np.ndarray]]:
     """Return the scene, without masks, and the object's true masks [H,W] bool in its views.
 
-    copies: 2 puts two objects on the table, the middle between them; standing: whether there is an object and a table at all, else only the
-    wall is there; shift: moves the cameras' aim sideways, so that images cut the object off.
+    copies: 2 puts two objects on the table, the middle between them; standing: whether there is an object and a table
+    at all, else only the wall is there; shift: moves the cameras' aim sideways, so that images cut the object off.
     """
     cameras = [_camera(i, views, size, shift) for i in range(views)]
     drawn = [_drawn(camera, copies, standing) for camera in cameras]
-    shown = [View(f"v{i:02d}", camera, image) for i, (camera, (image, _)) in enumerate(zip(cameras, drawn, strict=True))]
+    images = [image for image, _ in drawn]
+    shown = [View(f"v{i:02d}", *pair) for i, pair in enumerate(zip(cameras, images, strict=True))]
     scene = Scene("table", Path("."), "plain", shown[: views - 2], shown[views - 2 :], None, Similarity())
     return scene, [mask for _, mask in drawn]
 

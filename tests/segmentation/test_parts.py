@@ -53,12 +53,13 @@ def test_labels_of_one_everywhere_render_to_the_opacity() -> None:
     model, camera = surfels(40), cameras()[0]
     (share,) = rendered_labels(model, np.ones(40), [camera])
     np.testing.assert_allclose(share, render_surfels(model, camera).alpha.numpy(), atol=1e-5)
-    assert C0 == pytest.approx(0.5 / np.sqrt(np.pi))
+    assert np.sqrt(np.pi) * C0 == pytest.approx(0.5)
 
 
 def test_pieces_are_numbered_by_their_size() -> None:
-    line = np.arange(5)[:, None] * [0.1, 0, 0]
-    points = np.concatenate([line[:2] + [0, 5, 0], line, line[:3] + [0, 0, 9]])
+    line, up, aside = (np.array(way) for way in ([0.1, 0, 0], [0, 0, 9], [0, 5, 0]))
+    steps = np.arange(5)[:, None] * line
+    points = np.concatenate([steps[:2] + aside, steps, steps[:3] + up])
     assert pieces(points, 0.11).tolist() == [2, 2, 0, 0, 0, 0, 0, 1, 1, 1]
 
 
@@ -66,7 +67,6 @@ def test_a_plane_is_found_under_a_crowd_of_points() -> None:
     random = np.random.default_rng(0)
     table = np.column_stack([random.uniform(-1.5, 1.5, (2000, 2)), random.normal(-0.8, 0.005, 2000)])
     others = np.column_stack([random.normal(0, 0.3, (2500, 2)), random.uniform(-0.8, 0.6, 2500)])
-    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
     points = np.concatenate([table, others])
     plane = find_support_plane(points, cameras(), 0.02, np.random.default_rng(1))
     assert plane is not None and plane.normal @ upward(cameras()) > 0.9

@@ -30,6 +30,7 @@ SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained
 ITERATIONS = 400
 SOLID = 0.2  # opacity of the surfels that count
 NEAR = 1.5  # radius around the scene's centre, in balls, in which the object stands
+MIDDLE = 0.7  # radius, in balls, within which pieces count as lying in the middle
 # Distances in pixels of the small photographs, on the object.
 FLAT = 3.0  # of points from the plane that holds them
 STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on it
@@ -51,19 +52,20 @@ class FoundObject:
 
     train, test: its masks [H,W] uint8 in the scene's views, in their order; agreement [V]: how well each training
     view's mask agrees with the others, as intersection over union with what the labelled surfels render; box [2,3]: the
-    least and the largest corner of its surfels, in the scene's frame; plane: what it stands on.
+    least and the largest corner of its surfels, in the scene's frame; plane: what it stands on, None where a person
+    said where it lies and no plane is there.
     """
 
     train: list[np.ndarray]
     test: list[np.ndarray]
     agreement: np.ndarray
     box: np.ndarray
-    plane: SupportPlane
+    plane: SupportPlane | None
 
 
 @dataclass(frozen=True)
 class NoObject:
-    """Why a capture shows no single object, as the end of a sentence."""
+    """Why a capture shows no single object, as a whole sentence without a full stop."""
 
     reason: str
 
@@ -72,42 +74,96 @@ def find_object(
     scene: Scene,
     start: StartingPoints,
     seed: int,
+    box: np.ndarray | None = None,
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
 ) -> FoundObject | NoObject:
     """Find the object in a scene without masks; the same seed gives the same masks.
 
-    start: points of the whole scene. progress: told of the share that is done, 0..1. Raises Cancelled once should_stop
-    says so, and TrainingError where training goes bad.
+    start: points of the whole scene. box [2,3]: the corners, in the scene's frame, between which a person says that
+    the object lies; without one, the object is what stands in the middle. progress: told of the share that is done,
+    0..1. Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
     views = [_small(view, SIDE) for view in scene.train]
     cameras = [view.camera for view in views]
     model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.5 * done))
-    pixel = pixel_size(cameras, np.zeros(3))
-    first = _first_labels(model, cameras, pixel, np.random.default_rng(seed))
+    first = _first_labels(model, cameras, box, np.random.default_rng(seed))
     if isinstance(first, NoObject):
         return first
-    plane, standing, reach = first
-    labels = standing
-    heights = plane.heights(_centers(model))
+    labels = first.standing
     for number, band in enumerate(BANDS):
         masks = _cut(views, rendered_labels(model, labels, cameras), band)
-        lifted, weight = lifted_labels(model, masks, cameras)
-        rising = standing & (heights > RISING * pixel)
-        kept = (lifted > np.where(rising, BY_SHAPE, BY_COLOR)) & (weight > 0) & (heights > 0)
-        if kept.sum() < LEAST_SPLATS:
+        labels = first.relabelled(*lifted_labels(model, masks, cameras))
+        if labels.sum() < LEAST_SPLATS:
             return NoObject("what stands in the middle has no contour in the photographs")
-        labels = np.zeros(len(model), bool)
-        labels[np.flatnonzero(kept)[pieces(_centers(model)[kept], reach) == 0]] = True
         progress(0.5 + 0.4 * (number + 1) / len(BANDS))
     rendered = [image > 0.5 for image in rendered_labels(model, labels, cameras)]
     agreement = np.array([_overlap(mask, shown) for mask, shown in zip(masks, rendered, strict=True)])
     if (doubt := _doubt(masks, agreement)) is not None:
         return doubt
-    positions = _centers(model)[labels]
+    positions = first.centers[labels]
     train, test = (_last_masks(model, labels, part) for part in (scene.train, scene.test))
     progress(1.0)
-    return FoundObject(train, test, agreement, np.stack([positions.min(axis=0), positions.max(axis=0)]), plane)
+    return FoundObject(train, test, agreement, np.stack([positions.min(axis=0), positions.max(axis=0)]), first.plane)
+
+
+@dataclass(frozen=True)
+class _FirstLabels:
+    """What geometry tells of the object.
+
+    centers [N,3] of the surfels; standing [N] bool: the object's; rising [N] bool: those of them so high over the plane
+    that geometry counts more than colours; allowed [N] bool: those that may belong to it; reach: the distance by which
+    surfels of one piece are apart at most.
+    """
+
+    centers: np.ndarray
+    standing: np.ndarray
+    rising: np.ndarray
+    allowed: np.ndarray
+    reach: float
+    plane: SupportPlane | None
+
+    def relabelled(self, lifted: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return the object's surfels [N] bool, by the masks' labels (see `lifted_labels`): the largest piece."""
+        kept = self.allowed & (weight > 0) & (lifted > np.where(self.rising, BY_SHAPE, BY_COLOR))
+        labels = np.zeros(len(kept), bool)
+        if kept.any():
+            labels[np.flatnonzero(kept)[pieces(self.centers[kept], self.reach) == 0]] = True
+        return labels
+
+
+def _first_labels(
+    model: SurfelModel, cameras: Sequence[Camera], box: np.ndarray | None, generator: np.random.Generator
+) -> _FirstLabels | NoObject:
+    """Return which surfels stand on the plane under the middle, in the piece nearest to it; or those in the box."""
+    pixel = pixel_size(cameras, np.zeros(3))
+    centers = np.asarray(model.means.detach().numpy(), np.float64)
+    solid = model.opacities().detach().numpy() > SOLID
+    around = np.linalg.norm(centers, axis=1) < NEAR
+    plane = find_support_plane(centers[solid & around], cameras, FLAT * pixel, generator)
+    inside = around
+    if box is not None:
+        inside = ((centers > box[0] - FLAT * pixel) & (centers < box[1] + FLAT * pixel)).all(axis=1)
+    elif plane is None:
+        return NoObject("no level surface lies under what the cameras look at")
+    heights = np.full(len(centers), np.inf) if plane is None else plane.heights(centers)
+    found = np.flatnonzero(solid & inside & (heights > STANDING * pixel))
+    if len(found) < LEAST_SPLATS:
+        return NoObject("nothing stands in the middle of what the cameras look at")
+    reach = LINKED * float(np.median(cKDTree(centers[found]).query(centers[found], k=4)[0][:, 3]))
+    piece = pieces(centers[found], reach)
+    middle = np.zeros(3) if box is None else box.mean(axis=0)
+    # The cameras look at the object, so what lies near the middle counts more.
+    sizes = np.bincount(piece, np.exp(-(((centers[found] - middle) / MIDDLE) ** 2).sum(axis=1)))
+    largest = int(np.argmax(sizes))
+    if box is None and (np.delete(sizes, largest) > RIVAL * sizes[largest]).any():
+        return NoObject("several objects of about one size stand in the middle")
+    standing = np.zeros(len(centers), bool)
+    standing[found[piece == largest]] = True
+    if standing.sum() < LEAST_SPLATS:
+        return NoObject("nothing stands in the middle of what the cameras look at")
+    allowed = (heights > 0) & (inside if box is not None else True)
+    return _FirstLabels(centers, standing, standing & (heights > RISING * pixel), allowed, reach, plane)
 
 
 def _small(view: View, side: int) -> View:
@@ -128,39 +184,6 @@ def _trained(
     found = training.run().surfels
     assert found is not None
     return found
-
-
-def _centers(model: SurfelModel) -> np.ndarray:
-    return np.asarray(model.means.detach().numpy(), np.float64)
-
-
-def _first_labels(
-    model: SurfelModel, cameras: Sequence[Camera], pixel: float, generator: np.random.Generator
-) -> tuple[SupportPlane, np.ndarray, float] | NoObject:
-    """Return the plane under the object, and which surfels [N] bool stand on it in the piece nearest to the middle.
-
-    Also returns the distance by which surfels of one piece are apart at most.
-    """
-    centers, solid = _centers(model), model.opacities().detach().numpy() > SOLID
-    near = solid & (np.linalg.norm(centers, axis=1) < NEAR)
-    plane = find_support_plane(centers[near], cameras, FLAT * pixel, generator)
-    if plane is None:
-        return NoObject("no level surface lies under what the cameras look at")
-    standing = np.flatnonzero(near & (plane.heights(centers) > STANDING * pixel))
-    if len(standing) < LEAST_SPLATS:
-        return NoObject("nothing stands in the middle of what the cameras look at")
-    reach = LINKED * float(np.median(cKDTree(centers[standing]).query(centers[standing], k=4)[0][:, 3]))
-    piece = pieces(centers[standing], reach)
-    # The cameras look at the object, so what lies near the middle counts more.
-    sizes = np.bincount(piece, np.exp(-((centers[standing] / 0.7) ** 2).sum(axis=1)))
-    largest = int(np.argmax(sizes))
-    if (np.delete(sizes, largest) > RIVAL * sizes[largest]).any():
-        return NoObject("several objects of about one size stand in the middle")
-    labels = np.zeros(len(model), bool)
-    labels[standing[piece == largest]] = True
-    if labels.sum() < LEAST_SPLATS:
-        return NoObject("nothing stands in the middle of what the cameras look at")
-    return plane, labels, reach
 
 
 def _cut(views: Sequence[View], shares: Sequence[np.ndarray], band: float) -> list[np.ndarray]:

@@ -54,3 +54,16 @@ def test_a_capture_without_a_single_object_is_left_whole(options: dict, reason: 
     result = find_object(scene, starting_points(scene, 8000, 0), 0)
     assert isinstance(result, NoObject)
     assert any(part in result.reason for part in reason.split("|")), result.reason
+
+
+def test_a_person_may_say_where_the_object_lies() -> None:
+    """Check that of two objects the one in the box is found."""
+    scene, truth = table_scene(copies=2)
+    box = np.array([[-0.55, 0.1, TABLE], [0.55, 1.2, 0.8]])
+    result = find_object(scene, starting_points(scene, 8000, 0), 0, box=box)
+    assert isinstance(result, FoundObject), result
+    both = [mask > 127 for mask in result.train + result.test]
+    inside = [float((mask & true).sum() / mask.sum()) for mask, true in zip(both, truth, strict=True)]
+    covered = [float((mask & true).sum() / true.sum()) for mask, true in zip(both, truth, strict=True)]
+    assert np.mean(inside) > 0.93 and 0.35 < np.mean(covered) < 0.75
+    assert result.box[0][1] > 0 and result.box[1][1] < 1.2

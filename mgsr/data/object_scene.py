@@ -1,0 +1,49 @@
+"""A scene of one object, made of a scene without masks and the masks that were found in its photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import compress
+
+import numpy as np
+
+from mgsr.data.normalise import OUTLINE_SIDE, normalisation
+from mgsr.data.odd_masks import agreeing_masks
+from mgsr.data.scene import PointCloud, Scene, View
+from mgsr.data.silhouettes import silhouettes
+
+
+def with_object(scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.ndarray]) -> Scene:
+    """Return the scene with masks, in the frame in which the unit ball holds the object.
+
+    train, test: masks [H,W] uint8 of the views, in their order. Views whose mask is empty are left out, and so are the
+    few training views whose masks contradict the others'; a note says so. Raises SceneError if the masks exclude each
+    other.
+    """
+    old = scene.user_from_scene
+    views, tests = (
+        [replace(view, camera=old.camera_to_user(view.camera)) for view in _masked(part, masks)]
+        for part, masks in ((scene.train, train), (scene.test, test))
+    )
+    outlines = silhouettes(views, OUTLINE_SIDE)
+    agreeing, odd = agreeing_masks(views, outlines)
+    views = list(compress(views, agreeing))
+    frame = normalisation(views, None, list(compress(outlines, agreeing)))
+    points = scene.points
+    if points is not None:
+        points = PointCloud(frame.to_scene(old.to_user(points.positions)), points.colors)
+    return replace(
+        scene,
+        train=[replace(view, camera=frame.camera_to_scene(view.camera)) for view in views],
+        test=[replace(view, camera=frame.camera_to_scene(view.camera)) for view in tests],
+        points=points,
+        user_from_scene=frame,
+        notes=(*scene.notes, *odd),
+    )
+
+
+def _masked(views: Sequence[View], masks: Sequence[np.ndarray]) -> list[View]:
+    """Return the views with their masks, without those whose mask is empty."""
+    pairs = zip(views, masks, strict=True)
+    return [replace(view, alpha=mask) for view, mask in pairs if (mask > 127).any()]

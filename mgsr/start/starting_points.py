@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import Background
 from mgsr.data.backdrop import backdrop, without_backdrop
-from mgsr.data.hull import carve, hull_surface, signed_field
+from mgsr.data.hull import carve, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.geometry.triangles import Triangles
@@ -88,20 +88,16 @@ def starting_points(
     progress: told of the share of the work that is done, 0..1; background: the setting, which tells whether a plain
     backdrop is looked for.
 
-    With masks: at most `count` of the capture's own points (COLMAP) that lie inside all of them, or else `count` points
-    on the surface that stereo, shading and parallax find inside the visual hull, spread evenly.
+    With masks: `count` points on the surface that stereo, shading and parallax find inside the visual hull, spread
+    evenly. It is nearer to the truth than the capture's own points (COLMAP).
     Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
     plain places too, a quarter of them behind it, none on a plain backdrop, and up to a quarter on surroundings where
     neither has any; `count` points anywhere in the ball where there are hardly any.
     """
     generator = np.random.default_rng(seed)
-    outlines = silhouettes(scene.train, MASK_SIDE) if scene.masked else []
-    own = _own_points(scene.points, outlines) if scene.points is not None else None
-    if outlines:
-        if own is None or len(own) < MIN_POINTS:
-            return _surface_points(scene.train, outlines, count, seed, generator, progress)
-        kept = own.rows(np.sort(_some(np.arange(len(own)), count, generator)))
-        return StartingPoints(kept.positions, kept.colors, StartSource.CAPTURE)
+    if scene.masked:
+        return _surface_points(scene.train, silhouettes(scene.train, MASK_SIDE), count, seed, generator, progress)
+    own = _own_points(scene.points) if scene.points is not None else None
     return _unmasked_points(scene, own, count, seed, progress, background)
 
 
@@ -124,13 +120,9 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
     return _seen_on_hull(scene.train, positions, normals, resolution)
 
 
-def _own_points(points: PointCloud, outlines: Sequence[Silhouette]) -> PointCloud:
-    """Return the capture's points that are finite, near enough and, with masks, inside all silhouettes."""
+def _own_points(points: PointCloud) -> PointCloud:
+    """Return the capture's points that are finite and near enough."""
     good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
-    if outlines:
-        # A point reconstructed on the outline lies a pixel off as often as not.
-        distance, judged = signed_field(outlines, points.positions[good])
-        good[good] = judged & (distance > -0.02)
     return points.rows(good)
 
 

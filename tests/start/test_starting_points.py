@@ -86,22 +86,11 @@ def test_own_points_come_first_and_are_thinned(tmp_path):
     assert len(starting_points(scene, 30, seed=0).positions) == 30
 
 
-def test_own_points_outside_the_masks_are_dropped(ball_scene):
-    rng = np.random.default_rng(0)
-    on_ball = rng.normal(size=(800, 3))
-    on_ball *= 0.8 / np.linalg.norm(on_ball, axis=1, keepdims=True)
-    table = np.c_[rng.uniform(-3, 3, (400, 2)), np.full(400, -1.2)]
-    user = np.r_[on_ball, table]
-    cloud = PointCloud(ball_scene.user_from_scene.to_scene(user), np.zeros((1200, 3), np.uint8))
-    points = starting_points(replace(ball_scene, points=cloud), 5000, seed=0)
-    assert points.normals is None and points.source is StartSource.CAPTURE
-    assert (np.linalg.norm(ball_scene.user_from_scene.to_user(points.positions), axis=1) < 0.9).all()
-    assert len(points.positions) > 700
-
-
-def test_with_few_own_points_the_hull_is_better(ball_scene):
-    cloud = PointCloud(np.zeros((10, 3)), np.zeros((10, 3), np.uint8))
-    assert len(starting_points(replace(ball_scene, points=cloud), 600, seed=0).positions) == 600
+def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_scene):
+    cloud = PointCloud(np.random.default_rng(0).normal(size=(1200, 3)), np.zeros((1200, 3), np.uint8))
+    points = starting_points(replace(ball_scene, points=cloud), 600, seed=0)
+    assert points.source is StartSource.HULL and points.surface is not None and len(points.positions) == 600
+    np.testing.assert_array_equal(points.positions, starting_points(ball_scene, 600, seed=0).positions)
 
 
 def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene):

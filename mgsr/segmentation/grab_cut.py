@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 ROUNDS = 3  # of fitting the colour models and cutting
+EDGE = 1  # pixels by which what renders as the ground may be off
 
 
-def refined_mask(image: np.ndarray, mask: np.ndarray, band: float) -> np.ndarray:
+def refined_mask(image: np.ndarray, mask: np.ndarray, band: float, outside: np.ndarray | None = None) -> np.ndarray:
     """Move a mask's contour to where the colours change, within a band around it.
 
     image [H,W,3] uint8 sRGB; mask [H,W] bool. band: half the band's width, as a share of the square root of the mask's
-    area. Returns [H,W] bool; a mask too small for a band stays as it is.
+    area. outside [H,W] bool: what is surely not the object, but for its rim of EDGE pixels. Returns [H,W] bool; a mask
+    too small for a band stays as it is.
     """
     import cv2  # late: training needs no OpenCV
 
@@ -21,6 +23,8 @@ def refined_mask(image: np.ndarray, mask: np.ndarray, band: float) -> np.ndarray
     core, wide = cv2.erode(plain, disk) > 0, cv2.dilate(plain, disk) > 0
     if not core.any() or wide.all():
         return mask
+    if outside is not None:
+        wide &= ~(cv2.erode(outside.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) > 0) | mask
     labels = np.select([core, mask, wide], [cv2.GC_FGD, cv2.GC_PR_FGD, cv2.GC_PR_BGD], cv2.GC_BGD).astype(np.uint8)
     window = _window(wide, 3 * reach + 10)
     cut, background, foreground = np.ascontiguousarray(labels[window]), np.zeros((1, 65)), np.zeros((1, 65))

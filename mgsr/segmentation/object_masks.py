@@ -34,10 +34,12 @@ MIDDLE = 0.7  # radius, in balls, within which pieces count as lying in the midd
 # Distances in pixels of the small photographs, on the object.
 FLAT = 3.0  # of points from the plane that holds them
 STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on it
-RISING = 11.0  # from where the geometry counts more than the colours
+RISING = 7.0  # from where the geometry counts more than the colours
+LYING = 3.0  # up to where a surfel is the plane's
 LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
 BANDS = (0.06, 0.04, 0.03)  # of GrabCut, in each round
-BY_COLOR, BY_SHAPE = 0.5, 0.3  # least labels of the object's surfels near the plane, and of those that stand higher
+BY_COLOR, BY_SHAPE = 0.5, 0.1  # least labels of the object's surfels near the plane, and of those that stand higher
+GROUND = 0.5  # the plane's share of a pixel from which it is surely not the object
 LEAST_SPLATS = 50
 RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
 LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of what the surfels render
@@ -91,8 +93,9 @@ def find_object(
     if isinstance(first, NoObject):
         return first
     labels = first.standing
+    ground = rendered_labels(model, first.lying, cameras)
     for number, band in enumerate(BANDS):
-        masks = _cut(views, rendered_labels(model, labels, cameras), band)
+        masks = _cut(views, rendered_labels(model, labels, cameras), ground, band)
         labels = first.relabelled(*lifted_labels(model, masks, cameras))
         if labels.sum() < LEAST_SPLATS:
             return NoObject("what stands in the middle has no contour in the photographs")
@@ -102,7 +105,7 @@ def find_object(
     if (doubt := _doubt(masks, agreement)) is not None:
         return doubt
     positions = first.centers[labels]
-    train, test = (_last_masks(model, labels, part) for part in (scene.train, scene.test))
+    train, test = (_last_masks(model, labels, first.lying, part) for part in (scene.train, scene.test))
     progress(1.0)
     return FoundObject(train, test, agreement, np.stack([positions.min(axis=0), positions.max(axis=0)]), first.plane)
 
@@ -112,13 +115,14 @@ class _FirstLabels:
     """What geometry tells of the object.
 
     centers [N,3] of the surfels; standing [N] bool: the object's; rising [N] bool: those of them so high over the plane
-    that geometry counts more than colours; allowed [N] bool: those that may belong to it; reach: the distance by which
-    surfels of one piece are apart at most.
+    that geometry counts more than colours; lying [N] bool: the plane's; allowed [N] bool: those that may belong to the
+    object; reach: the distance by which surfels of one piece are apart at most.
     """
 
     centers: np.ndarray
     standing: np.ndarray
     rising: np.ndarray
+    lying: np.ndarray
     allowed: np.ndarray
     reach: float
     plane: SupportPlane | None
@@ -162,8 +166,9 @@ def _first_labels(
     standing[found[piece == largest]] = True
     if standing.sum() < LEAST_SPLATS:
         return NoObject("nothing stands in the middle of what the cameras look at")
-    allowed = (heights > 0) & (inside if box is not None else True)
-    return _FirstLabels(centers, standing, standing & (heights > RISING * pixel), allowed, reach, plane)
+    rising, lying = standing & (heights > RISING * pixel), heights < LYING * pixel
+    allowed = (heights > LYING * pixel) & (inside if box is not None else True)
+    return _FirstLabels(centers, standing, rising, lying, allowed, reach, plane)
 
 
 def _small(view: View, side: int) -> View:
@@ -186,20 +191,25 @@ def _trained(
     return found
 
 
-def _cut(views: Sequence[View], shares: Sequence[np.ndarray], band: float) -> list[np.ndarray]:
-    """Return the views' refined masks [H,W] bool, from the object's share of each pixel."""
-    pairs = zip(views, shares, strict=True)
-    return list(map_ahead(lambda pair: refined_mask(pair[0].image, pair[1] > 0.5, band), pairs, None))
+def _cut(
+    views: Sequence[View], shares: Sequence[np.ndarray], ground: Sequence[np.ndarray], band: float
+) -> list[np.ndarray]:
+    """Return the views' refined masks [H,W] bool, from the object's and the plane's share of each pixel."""
+
+    def cut(index: int) -> np.ndarray:
+        return refined_mask(views[index].image, shares[index] > 0.5, band, ground[index] > GROUND)
+
+    return list(map_ahead(cut, range(len(views)), None))
 
 
-def _last_masks(model: SurfelModel, labels: np.ndarray, views: Sequence[View]) -> list[np.ndarray]:
+def _last_masks(model: SurfelModel, labels: np.ndarray, lying: np.ndarray, views: Sequence[View]) -> list[np.ndarray]:
     """Return the object's masks [H,W] uint8 in the views, cut once more, in larger photographs where they are large."""
     import cv2  # late: training needs no OpenCV
 
     fine = [_small(view, FINE_SIDE) for view in views]
-    shares = rendered_labels(model, labels, [view.camera for view in fine])
+    shares, ground = (rendered_labels(model, part, [view.camera for view in fine]) for part in (labels, lying))
     masks = []
-    for view, mask, share in zip(views, _cut(fine, shares, BANDS[-1]), shares, strict=True):
+    for view, mask, share in zip(views, _cut(fine, shares, ground, BANDS[-1]), shares, strict=True):
         kept = mask if _overlap(mask, share > 0.5) > DISAGREEING else share > 0.5
         size = view.camera.width, view.camera.height
         masks.append(cv2.resize(255 * kept.astype(np.uint8), size, interpolation=cv2.INTER_LINEAR))

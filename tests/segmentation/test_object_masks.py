@@ -37,7 +37,8 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
     assert result.plane.normal @ [0, 0, 1] > 0.999
     assert abs(result.plane.heights(np.array([[0.0, 0.0, TABLE]]))[0]) < 0.02
     low, high = result.box
-    assert abs(low[2] - TABLE) < 0.06 and abs(high[2] - 0.65) < 0.06
+    # Surfels up to 3 pixels over the table, of 0.032 here, count as the table's.
+    assert abs(low[2] - TABLE) < 0.11 and abs(high[2] - 0.65) < 0.06
     assert np.abs(low[:2] + 0.45).max() < 0.08 and np.abs(high[:2] - 0.45).max() < 0.08
 
 

@@ -21,7 +21,7 @@ LAYERS = (
     ("shading", "stereo"),
     ("start", "ops"),
     ("gaussians",),
-    ("render",),
+    ("renderers",),
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
     ("bench", "budget"),

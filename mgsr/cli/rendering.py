@@ -21,10 +21,10 @@ from mgsr.export.renders import on_background, straight_color
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
-from mgsr.render.both import render_both
-from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.both import render_both
+from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.surfels import render_surfels
+from mgsr.renderers.volumes import render_volumes
 
 # Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
 MASK_SIDE = 800

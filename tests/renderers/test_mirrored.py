@@ -9,7 +9,7 @@ import torch
 from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.reflector import Reflector
-from mgsr.render.mirrored import mirrored_light, octahedral
+from mgsr.renderers.mirrored import mirrored_light, octahedral
 from tests.gaussians.test_reflector import corner, corner_camera, sights
 from tests.oracles import mirrored as oracle
 

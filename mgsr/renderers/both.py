@@ -8,10 +8,10 @@ from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.render.mirrored import mirrored_light
-from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.mirrored import mirrored_light
+from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.surfels import render_surfels
+from mgsr.renderers.volumes import render_volumes
 
 
 def render_both(

@@ -10,8 +10,8 @@ from mgsr.errors import TensorError
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.lights import OFFSET
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.surfels import render_surfels
+from mgsr.renderers.volumes import render_volumes
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.ops.splat_scenes import camera, random_splats
 from tests.oracles import harmonics as harmonics_oracle

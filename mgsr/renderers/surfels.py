@@ -17,7 +17,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
 from mgsr.ops.lights import lit_up, lit_up_vjp
 from mgsr.ops.surfels import SurfelOptions, SurfelPass
-from mgsr.render.outputs import SurfelOutputs, camera_center
+from mgsr.renderers.outputs import SurfelOutputs, camera_center
 
 KINDS = (Activation.EXP, Activation.SIGMOID)
 

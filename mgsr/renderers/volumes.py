@@ -17,7 +17,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
 from mgsr.ops.lights import lit_up, lit_up_vjp, with_reflection, with_reflection_vjp
 from mgsr.ops.volumes import VolumeOptions, VolumePass
-from mgsr.render.outputs import VolumeOutputs, camera_center
+from mgsr.renderers.outputs import VolumeOutputs, camera_center
 
 KINDS = (Activation.EXP, Activation.SIGMOID, Activation.SIGMOID, Activation.SIGMOID)
 
@@ -36,9 +36,9 @@ def render_volumes(
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
     the reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.render.mirrored`); lit [H,W]: what a flash makes of the transmitted colour
-    (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's tensors, and to
-    the mirrored light, where these ask for them; from `reflected` and `even` none flow.
+    added to the reflected colour (see `mgsr.renderers.mirrored`); lit [H,W]: what a flash makes of the transmitted
+    colour (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's tensors,
+    and to the mirrored light, where these ask for them; from `reflected` and `even` none flow.
 
     Raises TensorError for a model whose tensors don't fit together.
     """

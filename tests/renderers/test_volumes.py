@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.volumes import render_volumes
 from tests.ops.splat_scenes import camera
 from tests.oracles import volumes as oracle
 

@@ -22,15 +22,15 @@ from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import ALL, PartRow
-from mgsr.cli.evaluation import find_truth, surface_scores
-from mgsr.cli.outputs import REPORT, at_known_exposures, read_models
-from mgsr.cli.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.config import MeshConfig, make_config
 from mgsr.data.readers import load_scene
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
+from mgsr.pipeline.result_files import REPORT, at_known_exposures, read_models
 from mgsr.start.starting_points import starting_points
 
 

@@ -22,8 +22,6 @@ from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import PartRow
 from mgsr.bench.sets_page import SetRow
-from mgsr.cli.evaluation import find_truth, surface_scores
-from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
@@ -32,6 +30,8 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.run import run_scene
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 
 SceneRow = TypeVar("SceneRow", SetRow, PartRow)

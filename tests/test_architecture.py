@@ -25,6 +25,7 @@ LAYERS = (
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
     ("bench", "budget"),
+    ("pipeline",),
     ("cli",),
     ("service",),
     ("worker",),

@@ -30,8 +30,8 @@ from mgsr.cli.options import (
 )
 from mgsr.cli.poses import poses
 from mgsr.cli.run import run
-from mgsr.cli.signals import stop_on_signals
 from mgsr.config import Config, make_config
+from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
     help="Posed photographs in, surface mesh and clean renders out.",
@@ -51,8 +51,8 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
     """Say what SCENE holds, after every check that a run makes before training."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.cli.facts import scene_facts
         from mgsr.data.readers import load_scene
+        from mgsr.pipeline.run_metadata import scene_facts
 
         found = load_scene(scene, config.data)
         for name, value in scene_facts(found, scene).items():
@@ -73,9 +73,9 @@ def train(
     """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
     with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
-        from mgsr.cli.console import RunDisplay
-        from mgsr.cli.outputs import LOG
-        from mgsr.cli.pipeline import train_only
+        from mgsr.pipeline.result_files import LOG
+        from mgsr.pipeline.run import train_only
+        from mgsr.pipeline.run_display import RunDisplay
 
         with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
             train_only(scene, out, config, device, resume, display, stop)
@@ -97,10 +97,10 @@ def mesh(
     with refusals():
         overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         config = make_config(preset, overrides=overrides)
-        from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import at_known_exposures, read_models, write_mesh
-        from mgsr.cli.pipeline import make_mesh
         from mgsr.data.readers import load_scene
+        from mgsr.pipeline.device import pick_device
+        from mgsr.pipeline.result_files import at_known_exposures, read_models, write_mesh
+        from mgsr.pipeline.run import make_mesh
         from mgsr.start.starting_points import starting_points
 
         chosen = pick_device(device)
@@ -123,11 +123,11 @@ def render(
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import RENDERS, as_lit, read_models, write_renders
-        from mgsr.cli.rendering import render_views, rendered_scene
-        from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
         from mgsr.data.readers import load_scene
+        from mgsr.pipeline.device import pick_device
+        from mgsr.pipeline.rendering import render_views, rendered_scene
+        from mgsr.pipeline.result_files import RENDERS, as_lit, read_models, write_renders
+        from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
 
         chosen = pick_device(device)
         if as_scene is not None:
@@ -150,12 +150,12 @@ def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto"
 
 
 def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, Any]:
-    from mgsr.cli.device import pick_device
-    from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
-    from mgsr.cli.outputs import MESH, as_lit, at_known_exposures, read_mesh, read_models
-    from mgsr.cli.rendering import render_views
     from mgsr.data.backdrop import backdrop
     from mgsr.data.readers import load_scene
+    from mgsr.pipeline.device import pick_device
+    from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
+    from mgsr.pipeline.rendering import render_views
+    from mgsr.pipeline.result_files import MESH, as_lit, at_known_exposures, read_mesh, read_models
     from mgsr.report.data import finite
 
     chosen = pick_device(device)

@@ -10,7 +10,6 @@ import trimesh
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
-from mgsr.cli.outputs import write_mesh
 from mgsr.config import OutputConfig
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
@@ -18,6 +17,7 @@ from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.pipeline.result_files import write_mesh
 from tests.data.captures import BallCapture
 from tests.export.test_mesh_files import ball
 from tests.export.test_packed_splats import splats

@@ -12,8 +12,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
-from mgsr.cli.scene_folder import write_scene_folder
 from mgsr.data.scene import Scene, Similarity, View
+from mgsr.pipeline.scene_folder import write_scene_folder
 from tests.cli.test_run import SHORT
 from tests.shading.test_refine import flash, photographs, rippled
 

@@ -20,13 +20,13 @@ from plyfile import PlyData
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
-from mgsr.cli.evaluation import find_truth, surface_scores
 from mgsr.cli.main import app
-from mgsr.cli.outputs import read_mesh, read_models, write_models
 from mgsr.config import DataConfig, OutputConfig, VolumeConfig
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.result_files import read_mesh, read_models, write_models
 from tests.cli.spheres import SPHERES, write_spheres
 from worker.cli import app as worker_app
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mgsr.cli.whole import whole
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.scenes import write_scene
+from mgsr.pipeline.atomic_write import atomic_write
 
 
 def require_new_folder(target: Path) -> None:
@@ -19,6 +19,6 @@ def require_new_folder(target: Path) -> None:
 def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
     """The scene at `target` (see `write_scene`), whole or not at all. Raises as `require_new_folder`."""
     require_new_folder(target)
-    with whole(target) as folder:
+    with atomic_write(target) as folder:
         folder.mkdir()
         write_scene(folder, scene, scale)

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import mgsr
-from mgsr.cli.clock import StepClock
-from mgsr.cli.device import Device
-from mgsr.cli.models import Models
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.native.runtime import isas
+from mgsr.pipeline.device import Device
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.steps import StepClock
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.cli.evaluation import find_truth, image_scores, off_white, surface_scores
-from mgsr.cli.rendering import ViewImages
 from mgsr.config import DataConfig
 from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.pipeline.evaluation import find_truth, image_scores, off_white, surface_scores
+from mgsr.pipeline.rendering import ViewImages
 from tests.metrics.altered import SCENE, altered_image, load
 
 GOLDEN = Path(__file__).parents[1] / "metrics" / "golden"

@@ -12,7 +12,7 @@ from mgsr.errors import ConfigError
 
 
 @contextmanager
-def whole(target: Path) -> Iterator[Path]:
+def atomic_write(target: Path) -> Iterator[Path]:
     """A path beside `target` with the same endings, for a file or a folder to be written; moved to `target` when the
     block ends well, replacing a file by a file and a folder by a folder, and removed when it does not. Where `target`
     is a link, what it leads to is replaced.

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.cli.models import Models
-from mgsr.cli.rendering import rendered_scene
 from mgsr.config import Config
 from mgsr.gaussians.volumes import VolumeModel
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.rendering import rendered_scene
 from tests.training.ball import before
 
 

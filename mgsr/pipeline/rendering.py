@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.cli.models import Models
 from mgsr.config import Config, MeshColor, SurfaceDepth
 from mgsr.data.backdrop import Color, backdrop
 from mgsr.data.camera import Camera
@@ -21,6 +20,7 @@ from mgsr.export.renders import on_background, straight_color
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.pipeline.models import Models
 from mgsr.renderers.both import render_both
 from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
 from mgsr.renderers.surfels import render_surfels

@@ -13,18 +13,18 @@ import trimesh
 from plyfile import PlyData, PlyElement
 from typer.testing import CliRunner
 
-from mgsr.cli.evaluation import find_truth, surface_scores
-from mgsr.cli.gallery import draw_surface
 from mgsr.cli.main import app
-from mgsr.cli.models import Models
-from mgsr.cli.outputs import as_lit, read_models, write_lighting, write_models
-from mgsr.cli.pipeline import _draw
 from mgsr.config import DataConfig, OutputConfig
 from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.report_pictures import draw_surface
+from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
+from mgsr.pipeline.run import _draw
 from tests.cli.spheres import SPHERES, write_spheres
 from tests.cli.test_run import SHORT
 from tests.export.test_flash import lighting
@@ -119,7 +119,7 @@ def test_models_come_back_to_float32_precision(tmp_path: Path, scale: float) -> 
 
 def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
-    monkeypatch.setattr("mgsr.cli.outputs.lit_scene", lambda scene, flash: found.append(flash) or scene)
+    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lambda scene, flash: found.append(flash) or scene)
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
     write_lighting(tmp_path, lighting(), scene)
     as_lit(tmp_path, scene)

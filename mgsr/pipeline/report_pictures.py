@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsr.cli.evaluation import photograph
-from mgsr.cli.rendering import ViewImages
 from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import on_background
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline.evaluation import photograph
+from mgsr.pipeline.rendering import ViewImages
 from mgsr.report.html import MOST_VIEWS
 from mgsr.report.mirrored import mirrored_pictures
 from mgsr.report.pictures import (

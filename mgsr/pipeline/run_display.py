@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
-from mgsr.cli.events import Event
 from mgsr.errors import Cancelled, MgsrError
+from mgsr.pipeline.progress import Event
 from mgsr.training.progress import Progress
 
 # Seconds between two lines of training on a console that is no terminal.

@@ -11,12 +11,6 @@ import pytest
 import torch
 from scipy.ndimage import binary_dilation
 
-from mgsr.cli.evaluation import image_scores
-from mgsr.cli.facts import scene_facts
-from mgsr.cli.gallery import draw_surface, report_pictures
-from mgsr.cli.models import Models
-from mgsr.cli.pipeline import make_mesh
-from mgsr.cli.rendering import render_views, scene_silhouettes
 from mgsr.config import Config, DataConfig, make_config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
@@ -27,6 +21,12 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
+from mgsr.pipeline.evaluation import image_scores
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.rendering import render_views, scene_silhouettes
+from mgsr.pipeline.report_pictures import draw_surface, report_pictures
+from mgsr.pipeline.run import make_mesh
+from mgsr.pipeline.run_metadata import scene_facts
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.run import Training
 from tests.data.fisheye import write_fisheye

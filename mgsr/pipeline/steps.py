@@ -1,14 +1,13 @@
-"""The steps of a run, one after the other."""
+"""The steps of a run, one after the other, and where its time goes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 
-from mgsr.cli.clock import StepClock
-from mgsr.cli.events import Event, EventCallback
 from mgsr.errors import Cancelled
+from mgsr.pipeline.progress import Event, EventCallback
 
 StopCheck = Callable[[], bool]
 
@@ -24,6 +23,29 @@ def never() -> bool:
 def always() -> bool:
     """For callers that have all the time there is."""
     return True
+
+
+class StepClock:
+    """Seconds spent in each step, by name, and since the start."""
+
+    def __init__(self, begun: float | None = None) -> None:
+        """begun: what time.perf_counter() said at the start; None is now."""
+        self._begun = time.perf_counter() if begun is None else begun
+        self.steps: dict[str, float] = {}
+
+    @property
+    def total(self) -> float:
+        """Seconds since the start."""
+        return time.perf_counter() - self._begun
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Count the block's time to a step; a step may come more than once."""
+        begun = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.steps[name] = self.steps.get(name, 0.0) + time.perf_counter() - begun
 
 
 class Steps:

@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from mgsr.cli.models import Models
-from mgsr.cli.rendering import ViewImages
-from mgsr.cli.whole import whole
 from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene
@@ -33,6 +30,9 @@ from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import SurfaceMesh
+from mgsr.pipeline.atomic_write import atomic_write
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.rendering import ViewImages
 from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
@@ -75,7 +75,7 @@ def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
         split: {view.name: factor.tolist() for view, factor in zip(views, factors, strict=True)}
         for split, (views, factors) in splits.items()
     }
-    with whole(out / EXPOSURES) as path:
+    with atomic_write(out / EXPOSURES) as path:
         path.write_text(json.dumps(table))
 
 
@@ -103,7 +103,7 @@ def at_known_exposures(out: Path, scene: Scene) -> Scene:
 
 def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
     """flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
-    with whole(out / FLASH) as path:
+    with atomic_write(out / FLASH) as path:
         write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
 
 
@@ -125,13 +125,13 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
             (out / name).unlink(missing_ok=True)
             continue
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
-        with whole(out / name) as path:
+        with atomic_write(out / name) as path:
             low_pass = model.low_pass if isinstance(model, VolumeModel) else None
             write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
     if models.light is None:
         (out / LIGHT).unlink(missing_ok=True)
         return
-    with whole(out / LIGHT) as path:
+    with atomic_write(out / LIGHT) as path:
         write_mirrored_light(path, _stored(models.light, scene), origin_of_frame(scene.user_from_scene))
 
 
@@ -169,19 +169,19 @@ def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig)
     lengths are in the output's unit. Those that are not asked for are removed."""
     arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
     up = _up(scene, output)
-    with whole(out / MESH) as path:
+    with atomic_write(out / MESH) as path:
         write_ply(path, *arrays, unit=output.scale)
-    with whole(out / MESH_GLB) as path:
+    with atomic_write(out / MESH_GLB) as path:
         write_glb(path, *arrays, up=up)
     for name in (MESH_OBJ, MESH_TEXTURED):
         (out / name).unlink(missing_ok=True)
     if output.obj:
-        with whole(out / MESH_OBJ) as path:
+        with atomic_write(out / MESH_OBJ) as path:
             write_obj(path, *arrays)
     if mesh.textured is not None:
         textured = mesh.textured
         picture = (textured.faces, textured.normals, textured.uvs, textured.picture)
-        with whole(out / MESH_TEXTURED) as path:
+        with atomic_write(out / MESH_TEXTURED) as path:
             write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
 
 
@@ -208,7 +208,7 @@ def read_mesh(out: Path) -> SurfaceMesh:
 
 def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
     """renders/test with all pictures of each test view (see mgsr/export/renders.py); depths in the output's unit."""
-    with whole(out / RENDERS) as folder:
+    with atomic_write(out / RENDERS) as folder:
         folder.mkdir()
         for view in rendered:
             write_view(folder, view.name, _export_form(view, scene.user_from_scene.scale * output.scale))
@@ -217,9 +217,9 @@ def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, outpu
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
     """report.html, then report.json, which says that the run is complete."""
     report = with_decisions(report)
-    with whole(out / REPORT_HTML) as path:
+    with atomic_write(out / REPORT_HTML) as path:
         write_report_html(path, report, pictures)
-    with whole(out / REPORT) as path:
+    with atomic_write(out / REPORT) as path:
         path.write_text(json.dumps(report.to_json(), indent=2) + "\n", encoding="utf-8")
 
 

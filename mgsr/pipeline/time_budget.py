@@ -10,13 +10,13 @@ from typing import Any
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, load_cost, start_cost
 from mgsr.budget.line import HIGHEST
-from mgsr.cli.clock import StepClock
-from mgsr.cli.device import Device
 from mgsr.config import PRESETS, Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
+from mgsr.pipeline.device import Device
+from mgsr.pipeline.steps import StepClock
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.checkpoint import read_pace
 from mgsr.training.probe import probe

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from mgsr.cli.rendering import ViewImages
 from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
@@ -18,6 +17,7 @@ from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import SplitScore, mean_split, split_score
 from mgsr.metrics.surface import surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
+from mgsr.pipeline.rendering import ViewImages
 
 # A scene's test views without any specular light, by the views' names.
 MATTE_FOLDER = "test_matte"

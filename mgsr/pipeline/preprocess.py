@@ -8,28 +8,28 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.cli import outputs
-from mgsr.cli.budgeted import most_points
-from mgsr.cli.events import Event
-from mgsr.cli.facts import scene_line
-from mgsr.cli.steps import Steps
 from mgsr.config import Config, Exposure
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
 from mgsr.data.masks import with_masks
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
+from mgsr.pipeline import result_files
+from mgsr.pipeline.progress import Event
+from mgsr.pipeline.run_metadata import scene_line
+from mgsr.pipeline.steps import Steps
+from mgsr.pipeline.time_budget import most_points
 from mgsr.shading.lighting import Lighting, lit_scene
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
 
-def load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
+def read_scene(path: Path, out: Path, config: Config, step: Steps) -> Scene:
     """The scene of a folder or archive, told of; an earlier run's reports in `out` are gone then."""
     with step("load", f"reading {path}"):
         scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
-        outputs.clear_reports(out)
+        result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes):
         step.progress(Event("load", text))
     return scene
@@ -39,7 +39,7 @@ def _loading(done: int, total: int) -> Event:
     return Event("load", f"read {done} of {total} photographs", done=done / total)
 
 
-def begin(
+def preprocess(
     scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
 ) -> tuple[Scene, StartingPoints]:
     """The scene with its photographs at a common exposure, where theirs differ, and what a flash makes of them, where
@@ -50,7 +50,7 @@ def begin(
         count, progress = most_points(config, budget), step.share(during, text)
         return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
 
-    outputs.clear_findings(out)
+    result_files.clear_findings(out)
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
@@ -72,7 +72,7 @@ def _at_one_exposure(
         if exposures is None:
             return scene, start
         scene = evened(scene, exposures)
-        outputs.write_exposures(out, scene, exposures)
+        result_files.write_exposures(out, scene, exposures)
         text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
         step.progress(Event("exposures", text))
         return scene, points(scene, "exposures", "choosing starting points anew")
@@ -83,7 +83,7 @@ def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, 
     if lighting is None or not config.train.flash:
         return scene
     with step("start", "computing what the flash makes of each view"):
-        outputs.write_lighting(out, lighting, scene)
+        result_files.write_lighting(out, lighting, scene)
         return lit_scene(scene, lighting)
 
 

@@ -6,9 +6,9 @@ from enum import StrEnum
 
 import torch
 
-from mgsr.cli.allocator import prefer_expandable_segments
 from mgsr.errors import ConfigError, GpuError
 from mgsr.native.cuda.launcher import cuda_launcher
+from mgsr.pipeline.allocator import prefer_expandable_segments
 
 
 class Device(StrEnum):

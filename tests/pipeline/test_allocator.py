@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from mgsr.cli import allocator
-from mgsr.cli.allocator import OF_USER, prefer_expandable_segments
+from mgsr.pipeline import allocator
+from mgsr.pipeline.allocator import OF_USER, prefer_expandable_segments
 
 
 @dataclass
@@ -73,7 +73,7 @@ def test_not_under_windows(made: list[str], monkeypatch: pytest.MonkeyPatch) -> 
 
 PROGRAM = """
 import platform, torch
-from mgsr.cli.allocator import prefer_expandable_segments
+from mgsr.pipeline.allocator import prefer_expandable_segments
 from tests.cli.test_allocator import MAPS
 platform.release = lambda: "6.8.0-45-generic"
 prefer_expandable_segments(MAPS)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mgsr.cli import device
-from mgsr.cli.device import Device, pick_device
 from mgsr.errors import ConfigError, GpuError
+from mgsr.pipeline import device
+from mgsr.pipeline.device import Device, pick_device
 
 
 def test_the_processor_is_always_there(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,18 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.cli import outputs
-from mgsr.cli.beginning import begin, load
-from mgsr.cli.budgeted import budget_report, fitted_scene, make_budget, plan_line, planned_config
-from mgsr.cli.clock import StepClock
-from mgsr.cli.device import Device, pick_device
-from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
-from mgsr.cli.events import Event, EventCallback, ignore
-from mgsr.cli.facts import run_report
-from mgsr.cli.gallery import SurfaceDrawings, draw_surface, report_pictures
-from mgsr.cli.models import Models
-from mgsr.cli.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
-from mgsr.cli.steps import Steps, StopCheck, always, never
 from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
@@ -31,6 +19,17 @@ from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import SurfaceMesh
 from mgsr.mesh.texture import require_unfolding, texture_mesh
 from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline import result_files
+from mgsr.pipeline.device import Device, pick_device
+from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.preprocess import preprocess, read_scene
+from mgsr.pipeline.progress import Event, EventCallback, ignore
+from mgsr.pipeline.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
+from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
+from mgsr.pipeline.run_metadata import run_report
+from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
+from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
 from mgsr.report.data import ReportData
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
@@ -62,11 +61,11 @@ def run_scene(
     chosen = pick_device(device)
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
-    budget = make_budget(config, lambda: since.total, chosen, out / outputs.CHECKPOINT if resume else None)
+    budget = make_budget(config, lambda: since.total, chosen, out / result_files.CHECKPOINT if resume else None)
     scene = _load(scene_path, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
-    scene, start = begin(scene, config, out, step, budget)
+    scene, start = preprocess(scene, config, out, step, budget)
     if budget is not None:
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
@@ -79,7 +78,7 @@ def run_scene(
     with step("mesh", "extracting the surface"):
         begun_on = start.surface if scene.masked else None
         mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on, begun_on)
-        outputs.write_mesh(out, mesh, scene, config.output)
+        result_files.write_mesh(out, mesh, scene, config.output)
     with step("evaluate", "measuring the surface"):
         truth = find_truth(scene)
         scores = surface_scores(mesh, truth, scene)
@@ -96,7 +95,7 @@ def run_scene(
         models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
     with step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(models, scene.test, config))
-        outputs.write_renders(out, rendered, scene, config.output)
+        result_files.write_renders(out, rendered, scene, config.output)
         behind = backdrop(scene, config.train.background).color
         scores |= image_scores(rendered, scene, behind)
     with step("report", "writing the report"):
@@ -104,9 +103,9 @@ def run_scene(
         pictures = report_pictures(rendered, psnr, drawn, scene, trained.light, behind)
     kept = None if budget is None else budget_report(budget, step.clock.steps)
     report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock, kept)
-    outputs.write_reports(out, report, pictures)
+    result_files.write_reports(out, report, pictures)
     progress(Event("report", result_line(report)))
-    return out / outputs.REPORT
+    return out / result_files.REPORT
 
 
 def train_only(
@@ -125,13 +124,13 @@ def train_only(
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
     scene = _load(scene_path, out, config, step)
-    scene, start = begin(scene, config, out, step)
+    scene, start = preprocess(scene, config, out, step)
     return _Training(scene, start, config, out, step, chosen, resume).run(before_surface=True)
 
 
 def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
     """Return the scene, told of, and of the origin of the files that will be written."""
-    scene = load(path, out, config, step)
+    scene = read_scene(path, out, config, step)
     for text in origin_notes(scene.user_from_scene, config.output.scale):
         step.progress(Event("load", text))
     return scene
@@ -206,7 +205,7 @@ class _Training:
                 config,
                 progress=lambda training: step.progress(Event("train", training.stage, training)),
                 should_stop=step.should_stop,
-                checkpoint_path=out / outputs.CHECKPOINT,
+                checkpoint_path=out / result_files.CHECKPOINT,
                 resume=resume,
                 deadline=deadline,
                 device=device.torch,
@@ -224,5 +223,5 @@ class _Training:
         self._text = "training goes on"
         with self._step("export", "writing the splats"):
             models = Models(trained.surfels, trained.volumes, trained.light)
-            outputs.write_models(self._out, models, self._scene, self._output)
+            result_files.write_models(self._out, models, self._scene, self._output)
         return trained

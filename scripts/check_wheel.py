@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig
 from mgsr.data.readers import load_scene
 from mgsr.native.runtime import FAMILIES, isas
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.pipeline.example import find_example
 
 scene = load_scene(find_example(), DataConfig())
 camera = scene.train[0].camera

@@ -1,5 +1,5 @@
-"""`mgsr-worker`: takes jobs of the service; `mgsr-worker run` makes one run on this machine, as `mgsr run` does,
-and `mgsr-worker health` is for health checks."""
+"""`mgsr-worker`: takes jobs of the service; `mgsr-worker health` is for health checks. The console program adds `run`,
+which makes one run on this machine, as `mgsr run` does (program/worker.py)."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from mgsr.cli.run import run
 from service.contract.errors import refusals
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-app.command()(run)
 
 GpusOption = Annotated[
     str | None,

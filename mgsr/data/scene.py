@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsr.config import DataConfig
 from mgsr.data.backdrop import Color, plain_backdrop
 from mgsr.data.camera import Camera
 
@@ -108,7 +109,8 @@ class Scene:
     format names the reader; root is the folder that was read (also for an archive: its unpacked folder). notes tell
     the person what the files have and the reader left out; warning is one of them, that the surface will be a guess.
     exposures: what was taken back from the photographs where theirs differed, None where they are as they were (see
-    `exposure.py`). ignoring: whether masks that say what to ignore make pixels unknown.
+    `exposure.py`). ignoring: whether masks that say what to ignore make pixels unknown. source: the path that was given
+    to be read, and read_with: the settings with which it was; None and the defaults where nothing was read.
     """
 
     name: str
@@ -122,6 +124,8 @@ class Scene:
     exposures: Exposures | None = None
     warning: str | None = None
     ignoring: bool = False
+    source: Path | None = None
+    read_with: DataConfig = field(default_factory=DataConfig)
 
     @property
     def masked(self) -> bool:

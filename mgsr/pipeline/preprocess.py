@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.config import Config, Exposure
+from mgsr.config import Config, DataConfig, Exposure
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
 from mgsr.data.masks import with_masks
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
+from mgsr.errors import ConfigError
+from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
 from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run_metadata import scene_line
@@ -25,14 +28,37 @@ from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
 
-def read_scene(path: Path, out: Path, config: Config, step: Steps) -> Scene:
-    """The scene of a folder or archive, told of; an earlier run's reports in `out` are gone then."""
-    with step("load", f"reading {path}"):
-        scene = load_scene(path, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
+def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> tuple[Scene, Config]:
+    """Return the scene, read if a path is given, and the settings with those that it was read with. What it holds is
+    told; an earlier run's reports in `out` are gone then. Raises SceneError, and ConfigError as `as_read`."""
+    if isinstance(given, Scene):
+        scene, config = given, as_read(given, config)
         result_files.clear_reports(out)
-    for text in (scene_line(scene), *scene.notes):
+    else:
+        with step("load", f"reading {given}"):
+            scene = load_scene(given, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
+            result_files.clear_reports(out)
+    for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
-    return scene
+    return scene, config
+
+
+def as_read(scene: Scene, config: Config) -> Config:
+    """Return the settings with those that a scene was read with; `data.exposure`, which works later, is the settings'
+    own unless it is left at its default. Raises ConfigError where they ask for another way of reading."""
+    chosen = {}
+    for item in fields(DataConfig):
+        asked, read = getattr(config.data, item.name), getattr(scene.read_with, item.name)
+        if asked == item.default:
+            chosen[item.name] = read
+        elif asked == read or item.name == "exposure":
+            chosen[item.name] = asked
+        else:
+            raise ConfigError(
+                f"data.{item.name}: expected {read}, with which {scene.name} was read, got {asked}; give the setting "
+                "to load_scene, or the scene's path in place of the scene"
+            )
+    return replace(config, data=DataConfig(**chosen))
 
 
 def _loading(done: int, total: int) -> Event:

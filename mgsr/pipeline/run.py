@@ -1,10 +1,10 @@
-"""The whole way from a scene to its results, as steps that the single commands share."""
+"""A whole run: from a capture to the files of its results."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,19 +13,18 @@ from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
-from mgsr.export.far_origin import about_origin, origin_notes, origin_of_frame
-from mgsr.geometry.triangles import Triangles
-from mgsr.mesh.extract import extract_mesh
+from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.mesh.surface import SurfaceMesh
-from mgsr.mesh.texture import require_unfolding, texture_mesh
+from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
+from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.models import Models
-from mgsr.pipeline.preprocess import preprocess, read_scene
+from mgsr.pipeline.preprocess import preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
-from mgsr.pipeline.rendering import outlined_scene, render_views, scene_silhouettes, surface_views
+from mgsr.pipeline.rendering import render_views
 from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
@@ -37,21 +36,20 @@ from mgsr.training.run import Training
 
 
 def run_scene(
-    scene_path: Path,
+    given: Path | Scene,
     out: Path,
     config: Config,
     device: str = "auto",
     resume: bool = False,
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
-    deadline: float | None = None,
     begun: float | None = None,
 ) -> Path:
-    """Reconstruct the scene into the folder `out`; the path of report.json, which is written last.
+    """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
-    resume: go on from the checkpoint in `out`, if there is one. should_stop: looked at between iterations and between
-    steps. deadline: seconds of training after which it ends where it is. begun: what time.perf_counter() said when the
-    caller began, from where a time budget counts (config.time_budget); None is now.
+    given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
+    should_stop: looked at between iterations and between steps. begun: what time.perf_counter() said when the caller
+    began, from where a time budget counts (config.time_budget); None is now.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds what was trained).
@@ -62,7 +60,7 @@ def run_scene(
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / result_files.CHECKPOINT if resume else None)
-    scene = _load(scene_path, out, config, step)
+    scene, config = take_scene(given, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = preprocess(scene, config, out, step, budget)
@@ -70,42 +68,17 @@ def run_scene(
         with step("plan", "timing an iteration of each stage"):
             config = planned_config(scene, start, budget, config, chosen, step.clock)
         progress(Event("plan", f"time budget of {plan_line(budget)}"))
-    training = _Training(scene, start, config, out, step, chosen, resume, deadline, budget)
+    run = _Run(scene, start, config, out, step, chosen, budget)
+    training = _Training(run, resume)
     trained = training.run(before_surface=True)
-    models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
     if budget is not None:
-        config = replace(config, mesh=budget.mesh_settings())
-    with step("mesh", "extracting the surface"):
-        begun_on = start.surface if scene.masked else None
-        mesh = make_mesh(models, scene, config, always if budget is None else budget.go_on, begun_on)
-        result_files.write_mesh(out, mesh, scene, config.output)
-    with step("evaluate", "measuring the surface"):
-        truth = find_truth(scene)
-        scores = surface_scores(mesh, truth, scene)
-        drawn = _draw(mesh, truth, scene)
+        run = replace(run, config=replace(config, mesh=budget.mesh_settings()))
+    surface = _make_surface(run, trained)
     if budget is not None:
         budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
-    # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
-    fit = config.mesh.max_faces is None
-    if budget is not None:
-        fit = fit and budget.room(models.counts) >= config.train.mirror.iterations
-    mirrors = fit and training.mirror_at(scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
-    if budget is not None or mirrors:
+    if _mirrors(run, training, trained, surface.mesh) or budget is not None:
         trained = training.run(before_surface=False)
-        models = Models(trained.surfels, trained.volumes, trained.light).to(chosen.torch)
-    with step("render", f"rendering and measuring {len(scene.test)} test views"):
-        rendered = list(render_views(models, scene.test, config))
-        result_files.write_renders(out, rendered, scene, config.output)
-        behind = backdrop(scene, config.train.background).color
-        scores |= image_scores(rendered, scene, behind)
-    with step("report", "writing the report"):
-        psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, drawn, scene, trained.light, behind)
-    kept = None if budget is None else budget_report(budget, step.clock.steps)
-    report = run_report(scene, start, scene_path, config, chosen, trained, mesh, scores, step.clock, kept)
-    result_files.write_reports(out, report, pictures)
-    progress(Event("report", result_line(report)))
-    return out / result_files.REPORT
+    return _write_results(run, trained, surface)
 
 
 def train_only(
@@ -123,17 +96,75 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene = _load(scene_path, out, config, step)
+    scene, config = take_scene(scene_path, out, config, step)
     scene, start = preprocess(scene, config, out, step)
-    return _Training(scene, start, config, out, step, chosen, resume).run(before_surface=True)
+    return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 
 
-def _load(path: Path, out: Path, config: Config, step: Steps) -> Scene:
-    """Return the scene, told of, and of the origin of the files that will be written."""
-    scene = read_scene(path, out, config, step)
-    for text in origin_notes(scene.user_from_scene, config.output.scale):
-        step.progress(Event("load", text))
-    return scene
+@dataclass(frozen=True)
+class _Run:
+    """What the steps of a run share once it is planned."""
+
+    scene: Scene
+    start: StartingPoints
+    config: Config
+    out: Path
+    step: Steps
+    device: Device
+    budget: TimeBudget | None = None
+
+    def models(self, trained: TrainResult) -> Models:
+        """Return the branches on the device."""
+        return Models(trained.surfels, trained.volumes, trained.light).to(self.device.torch)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The mesh in the user's frame, its scores, and its pictures for the report."""
+
+    mesh: SurfaceMesh
+    scores: dict[str, Any]
+    drawn: SurfaceDrawings
+
+
+def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
+    """Extract the surface, write it, and measure it."""
+    with run.step("mesh", "extracting the surface"):
+        begun_on = run.start.surface if run.scene.masked else None
+        go_on = always if run.budget is None else run.budget.go_on
+        mesh = make_mesh(run.models(trained), run.scene, run.config, go_on, begun_on)
+        result_files.write_mesh(run.out, mesh, run.scene, run.config.output)
+    with run.step("evaluate", "measuring the surface"):
+        truth = find_truth(run.scene)
+        return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
+
+
+def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: SurfaceMesh) -> bool:
+    """Let the finished mesh mirror the shared light, where that is of use; return whether the light is to be learned
+    anew for it."""
+    # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
+    fit = run.config.mesh.max_faces is None
+    if run.budget is not None:
+        fit = fit and run.budget.room(run.models(trained).counts) >= run.config.train.mirror.iterations
+    return fit and training.mirror_at(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+
+
+def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
+    """Render and measure the test views, and write the report; return its path."""
+    scene, scores, clock = run.scene, surface.scores, run.step.clock
+    with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
+        rendered = list(render_views(run.models(trained), scene.test, run.config))
+        result_files.write_renders(run.out, rendered, scene, run.config.output)
+        behind = backdrop(scene, run.config.train.background).color
+        scores = scores | image_scores(rendered, scene, behind)
+    with run.step("report", "writing the report"):
+        psnr = [view["psnr"] for view in scores["views"].values()]
+        pictures = report_pictures(rendered, psnr, surface.drawn, scene, trained.light, behind)
+    budget = None if run.budget is None else budget_report(run.budget, clock.steps)
+    report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
+    result_files.write_reports(run.out, report, pictures)
+    run.step.progress(Event("report", result_line(report)))
+    return run.out / result_files.REPORT
 
 
 def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
@@ -144,29 +175,6 @@ def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> Surface
     truth = None if truth is None else replace(truth, vertices=truth.vertices - origin)
     near = replace(scene, user_from_scene=about_origin(scene.user_from_scene, 1.0, origin))
     return draw_surface(mesh, truth, near)
-
-
-def make_mesh(
-    models: Models,
-    scene: Scene,
-    config: Config,
-    go_on: Callable[[], bool] = always,
-    start: Triangles | None = None,
-) -> SurfaceMesh:
-    """Extract the surface, in the user's frame.
-
-    go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
-    the reason, where none comes out.
-    """
-    views = surface_views(models, scene, config)
-    outlined = outlined_scene(models, scene, config)
-    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on, start=start)
-    to_user = scene.user_from_scene.to_user
-    textured = None
-    if config.output.texture is not None:
-        textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
-        textured = replace(textured, vertices=to_user(textured.vertices))
-    return replace(mesh, vertices=to_user(mesh.vertices), textured=textured)
 
 
 def result_line(report: ReportData) -> str:
@@ -184,32 +192,20 @@ class _Training:
     """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
     written as splats; `out`/checkpoint holds them on the way and at the end."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        start: StartingPoints,
-        config: Config,
-        out: Path,
-        step: Steps,
-        device: Device,
-        resume: bool,
-        deadline: float | None = None,
-        budget: TimeBudget | None = None,
-    ) -> None:
-        self._scene, self._out, self._step, self._output = scene, out, step, config.output
-        self._text = f"training from {len(start.positions)} points ({start.source})"
+    def __init__(self, run: _Run, resume: bool) -> None:
+        self._run, step = run, run.step
+        self._text = f"training from {len(run.start.positions)} points ({run.start.source})"
         with step.clock.step("train"):
             self._training = Training(
-                scene,
-                start,
-                config,
+                run.scene,
+                run.start,
+                run.config,
                 progress=lambda training: step.progress(Event("train", training.stage, training)),
                 should_stop=step.should_stop,
-                checkpoint_path=out / result_files.CHECKPOINT,
+                checkpoint_path=run.out / result_files.CHECKPOINT,
                 resume=resume,
-                deadline=deadline,
-                device=device.torch,
-                pace=budget,
+                device=run.device.torch,
+                pace=run.budget,
             )
 
     def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
@@ -218,10 +214,11 @@ class _Training:
 
     def run(self, before_surface: bool = False) -> TrainResult:
         """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
-        with self._step("train", self._text):
+        run = self._run
+        with run.step("train", self._text):
             trained = self._training.run(finish=not before_surface)
         self._text = "training goes on"
-        with self._step("export", "writing the splats"):
+        with run.step("export", "writing the splats"):
             models = Models(trained.surfels, trained.volumes, trained.light)
-            result_files.write_models(self._out, models, self._scene, self._output)
+            result_files.write_models(run.out, models, run.scene, run.config.output)
         return trained

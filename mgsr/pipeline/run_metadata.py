@@ -27,12 +27,13 @@ from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
+# What modules are called as programs.
+_PROGRAMS = {"mgsr.cli.main": "mgsr", "program.__main__": "mgsr", "program.worker": "mgsr-worker"}
 
 
 def run_report(
     scene: Scene,
     start: StartingPoints,
-    path: Path,
     config: Config,
     device: Device,
     trained: TrainResult,
@@ -61,7 +62,7 @@ def run_report(
         peak_memory_mib=peak_memory_mib(),
         command=_command(),
         other={
-            "input": _input(scene, start, path, config.output.scale),
+            "input": _input(scene, start, config.output.scale),
             "light": str(mesh.light),
             "parallax": mesh.parallax,
             "opened": mesh.opened,
@@ -80,7 +81,7 @@ def run_report(
     )
 
 
-def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
+def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
     """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame; splats_origin:
     what positions in splat files are about, where the frame's origin lies far away; shown: the share of the pixels that
     photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind photographs without
@@ -90,7 +91,7 @@ def scene_facts(scene: Scene, path: Path, unit: float = 1.0) -> dict[str, Any]:
     origin, notes = origin_of_frame(frame, unit), [*scene.notes, *origin_notes(frame, unit)]
     return (
         {
-            "path": str(path),
+            "path": str(scene.source or scene.root),
             "format": scene.format,
             "train_views": [view.name for view in scene.train],
             "test_views": [view.name for view in scene.test],
@@ -115,9 +116,9 @@ def shown_share(scene: Scene) -> float:
     return 1 - unknown / max(pixels, 1)
 
 
-def _input(scene: Scene, start: StartingPoints, path: Path, unit: float) -> dict[str, Any]:
+def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
     begun = {"source": str(start.source), "count": len(start.positions)}
-    facts = scene_facts(scene, path, unit)  # as the written files have it
+    facts = scene_facts(scene, unit)  # as the written files have it
     flash = start.lighting
     if flash is not None and scene.train[0].lit is not None:
         across = scene.user_from_scene.scale * unit
@@ -145,9 +146,9 @@ def peak_memory_mib() -> float:
 
 
 def _command() -> str:
-    program = Path(sys.argv[0])
-    # `python -m worker.cli` names the module's file.
-    name = "mgsr-worker" if program.name == "cli.py" else "mgsr" if program.name == "main.py" else program.name
+    # `python -m` leaves the module's file as the program's name.
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    name = _PROGRAMS.get(module.name if module else "", Path(sys.argv[0]).name)
     return shlex.join([name, *sys.argv[1:]])
 
 

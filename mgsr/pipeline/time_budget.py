@@ -48,9 +48,10 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
     """The scene with its training views as small as the budget wants them; the test views stay as they are. clock:
-    says how long they took to read."""
+    says how long they took to read, if this run has read them."""
     facts = facts_of(scene, config)
-    budget.learn(load_cost(facts), clock.steps["load"])
+    if "load" in clock.steps:
+        budget.learn(load_cost(facts), clock.steps["load"])
     scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
     if scale == 1:
         return scene

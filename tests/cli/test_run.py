@@ -27,8 +27,8 @@ from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.result_files import read_mesh, read_models, write_models
+from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
-from worker.cli import app as worker_app
 
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "volume_iterations=80"),
@@ -201,7 +201,7 @@ def test_info_tells_what_was_read(scene: Path) -> None:
 
 def test_sigterm_leaves_a_checkpoint_and_says_how_to_go_on(scene: Path, tmp_path: Path) -> None:
     """A process of its own, because signals go to processes."""
-    command = [sys.executable, "-m", "worker.cli", "run", str(scene), "-o", str(tmp_path)]
+    command = [sys.executable, "-m", "program.worker", "run", str(scene), "-o", str(tmp_path)]
     endless = ["--method", "2dgs", *SHORT, "--set", "surfel_iterations=100000", "--set", "report_every=5"]
     process = subprocess.Popen(
         [*command, *endless], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]

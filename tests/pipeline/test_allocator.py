@@ -74,7 +74,7 @@ def test_not_under_windows(made: list[str], monkeypatch: pytest.MonkeyPatch) -> 
 PROGRAM = """
 import platform, torch
 from mgsr.pipeline.allocator import prefer_expandable_segments
-from tests.cli.test_allocator import MAPS
+from tests.pipeline.test_allocator import MAPS
 platform.release = lambda: "6.8.0-45-generic"
 prefer_expandable_segments(MAPS)
 print(torch._C._accelerator_getAllocatorSettings())

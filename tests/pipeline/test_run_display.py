@@ -10,7 +10,8 @@ from rich.console import Console
 
 from mgsr.errors import Cancelled, ConfigError, MgsrError, SceneError
 from mgsr.pipeline.progress import Event
-from mgsr.pipeline.run_display import RunDisplay, training_line
+from mgsr.pipeline.run_display import RunDisplay
+from mgsr.pipeline.run_log import training_line
 from mgsr.training.progress import Progress
 
 HALFWAY = Progress("mutual", 50, 100, 0.5, 90.0, {"photo": 0.5, "tv": 0.25}, {"surfels": 7, "volumes": 9}, 31.5)

@@ -22,10 +22,10 @@ from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
 from mgsr.pipeline.evaluation import image_scores
+from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
-from mgsr.pipeline.run import make_mesh
 from mgsr.pipeline.run_metadata import scene_facts
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.run import Training
@@ -78,7 +78,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "reduced views", [(view.image[view.known], view.known) for view in map(_halved, scene.train)]
     for each in scene_silhouettes(scene):
         yield "silhouette", (each.distance, each.known)
-    yield "facts", sorted(map(str, scene_facts(scene, Path("scene")).items()))
+    yield "facts", sorted(map(str, scene_facts(scene).items()))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]

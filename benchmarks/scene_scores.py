@@ -28,7 +28,7 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.run import run_scene
@@ -102,7 +102,7 @@ def hull_scores(path: Path) -> dict[str, float]:
 def scores_of(vertices: np.ndarray, faces: np.ndarray, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:
     """Return the scores of a mesh in the scene's frame, vertices [V,3] and faces [F,3], against the truth."""
     placed = scene.user_from_scene.to_user(vertices)
-    mesh = SurfaceMesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
+    mesh = Mesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
     scores: dict[str, float] = surface_scores(mesh, truth, scene)["gt"]
     return scores
 

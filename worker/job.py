@@ -110,7 +110,7 @@ def _reconstruct(spec: JobSpec) -> None:
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
-        from mgsr.pipeline.result_files import LOG
+        from mgsr.pipeline.result_paths import LOG
         from mgsr.pipeline.run import run_scene
         from mgsr.pipeline.run_display import RunDisplay
         from worker.reporting import Reporter

@@ -71,7 +71,7 @@ def train(
     """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
     with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
-        from mgsr.pipeline.result_files import LOG
+        from mgsr.pipeline.result_paths import LOG
         from mgsr.pipeline.run import train_only
         from mgsr.pipeline.run_display import RunDisplay
 
@@ -112,7 +112,7 @@ def render(
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.pipeline.result_files import RENDERS
+        from mgsr.pipeline.result_paths import RENDERS
         from mgsr.pipeline.single_steps import render_again
 
         rendered = render_again(scene, out, config, device, as_scene)

@@ -53,7 +53,7 @@ def run(
 
 def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, begun: float) -> Path:
     # Torch and Open3D take seconds to load: a wrong option is refused before.
-    from mgsr.pipeline.result_files import LOG
+    from mgsr.pipeline.result_paths import LOG
     from mgsr.pipeline.run import run_scene
     from mgsr.pipeline.run_display import RunDisplay
 

@@ -22,7 +22,7 @@ class TexturedMesh:
 
 
 @dataclass(frozen=True)
-class SurfaceMesh:
+class Mesh:
     """vertices [V,3] float64, faces [F,3] int64 counter-clockwise from outside, normals [V,3] float32 unit and
     outward, colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's
     shading refined it. parallax: whether theirs moved it; opened: the share of its area that was taken out, as they

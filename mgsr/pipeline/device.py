@@ -31,14 +31,14 @@ def pick_device(name: str) -> Device:
     can't be used (auto falls back to the processor then).
     """
     if name not in tuple(Device):
-        raise ConfigError(f"--device {name}: expected one of {', '.join(Device)}")
+        raise ConfigError(f"device {name!r}: expected one of {', '.join(Device)}")
     if name == Device.CPU:
         return Device.CPU
     if not torch.cuda.is_available():
         if name == Device.AUTO:
             return Device.CPU
         built = "is built for the CPU alone" if torch.version.cuda is None else "sees no NVIDIA card or driver"
-        raise ConfigError(f"--device cuda: this torch {built}; install torch for CUDA, or use --device cpu or auto")
+        raise ConfigError(f"device cuda: this torch {built}; install torch for CUDA, or use the device cpu or auto")
     try:
         launcher = cuda_launcher(torch.cuda.current_device())
     except GpuError:

@@ -11,7 +11,7 @@ from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.metrics.image import image_metrics
 from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import SplitScore, mean_split, split_score
@@ -45,7 +45,7 @@ def find_truth(scene: Scene) -> TrueSurface | None:
     return load_truth(scene.root, [to_user(view.camera) for view in scene.train])
 
 
-def surface_scores(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
+def surface_scores(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
     """gt: a mesh of the user's frame against the truth; None without one."""
     if truth is None:
         return {"gt": None}

@@ -9,7 +9,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
@@ -22,7 +22,7 @@ def make_mesh(
     config: Config,
     go_on: Callable[[], bool] = always,
     start: Triangles | None = None,
-) -> SurfaceMesh:
+) -> Mesh:
     """Extract the surface, in the user's frame.
 
     go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with

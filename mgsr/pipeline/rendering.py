@@ -58,8 +58,26 @@ def render_views(models: Models, views: Sequence[View], config: Config) -> Itera
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
     for view in views:
-        with torch.no_grad():
-            yield _render_view(models, view, config)
+        yield render_camera(models, view.camera, config.train.surfels.depth, view.lit, view.name)
+
+
+@torch.no_grad()
+def render_camera(
+    models: Models, camera: Camera, depth: SurfaceDepth, lit: np.ndarray | None = None, name: str = ""
+) -> ViewImages:
+    """What the branches show to any camera of their frame. depth: which one of the 2D branch is the surface; lit
+    [H,W] uint8: what a flash makes of the view (see `View`)."""
+    light = None if lit is None else torch.from_numpy(lit).to(models.device) / 255
+    flat, full = _see(models, camera, depth=True, lit=light)
+    images = _surface(flat, full, camera, depth)
+    if full is None:
+        assert flat is not None
+        even = None if flat.even is None else _numpy(flat.even)
+        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, even=even)
+    transmitted = None if full.reflected is None else full.transmitted
+    lights = (transmitted, full.reflected, full.weight, full.even)
+    shown = (_numpy(full.color), _numpy(full.alpha), *images)
+    return ViewImages(name, camera, *shown, *(None if each is None else _numpy(each) for each in lights))
 
 
 def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceView]:
@@ -113,20 +131,6 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
     return silhouettes(scene.train, MASK_SIDE)
 
 
-def _render_view(models: Models, view: View, config: Config) -> ViewImages:
-    lit = None if view.lit is None else torch.from_numpy(view.lit).to(models.device) / 255
-    flat, full = _see(models, view.camera, depth=True, lit=lit)
-    depth, normal = _surface(flat, full, view.camera, config)
-    if full is None:
-        assert flat is not None
-        even = None if flat.even is None else _numpy(flat.even)
-        return ViewImages(view.name, view.camera, _numpy(flat.color), _numpy(flat.alpha), depth, normal, even=even)
-    transmitted = None if full.reflected is None else full.transmitted
-    lights = (transmitted, full.reflected, full.weight, full.even)
-    images = (_numpy(full.color), _numpy(full.alpha), depth, normal)
-    return ViewImages(view.name, view.camera, *images, *(None if each is None else _numpy(each) for each in lights))
-
-
 def _opacity(models: Models, camera: Camera) -> np.ndarray:
     """The alpha [H,W] of the branch that renders."""
     if models.volumes is not None:
@@ -146,7 +150,7 @@ def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     flat, full = _see(models, camera, depth=models.surfels is None)
-    depth, normal = _surface(flat, full, camera, config)
+    depth, normal = _surface(flat, full, camera, config.train.surfels.depth)
     shape = flat if flat is not None else full
     assert shape is not None
     return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)
@@ -159,11 +163,11 @@ def _see(
 
 
 def _surface(
-    flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, config: Config
+    flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, kind: SurfaceDepth
 ) -> tuple[np.ndarray, np.ndarray]:
     """Depth and normal of the 2D branch; of the 3D branch's depth where it stands alone."""
     if flat is not None:
-        median = config.train.surfels.depth is SurfaceDepth.MEDIAN
+        median = kind is SurfaceDepth.MEDIAN
         return _numpy(flat.median_depth if median else flat.depth), _numpy(flat.normal)
     assert full is not None and full.depth is not None
     return _numpy(full.depth), _numpy(depth_to_normals(full.depth, camera, full.alpha))

@@ -11,7 +11,7 @@ from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import on_background
 from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import photograph
 from mgsr.pipeline.rendering import ViewImages
@@ -37,7 +37,7 @@ class SurfaceDrawings:
     views: list[np.ndarray]
 
 
-def draw_surface(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+def draw_surface(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
     """Mesh and truth are in the user's frame."""
     shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
     painter = MeshPainter(shown)

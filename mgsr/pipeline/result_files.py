@@ -1,4 +1,4 @@
-"""The files of a result folder: their names, and how each is written whole and in the user's frame."""
+"""The files of a folder of results: how each is written whole and in the user's frame, and read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import torch
 
 from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
-from mgsr.data.scene import Exposures, Scene
+from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.errors import MgsrError, in_short
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
@@ -29,31 +29,30 @@ from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.result_paths import (
+    EXPOSURES,
+    FLASH,
+    LIGHT,
+    MESH,
+    MESH_GLB,
+    MESH_OBJ,
+    MESH_TEXTURED,
+    RENDERS,
+    REPORT,
+    REPORT_HTML,
+    SURFELS,
+    VOLUMES,
+)
 from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
 from mgsr.report.html import write_report_html
 from mgsr.report.pictures import ReportPictures
 from mgsr.report.shading import up_direction
 from mgsr.shading.lighting import Lighting, lit_scene
-
-MESH = "mesh.ply"
-MESH_GLB = "mesh.glb"
-MESH_OBJ = "mesh.obj"
-MESH_TEXTURED = "mesh_textured.glb"
-SURFELS = "splats_2d.ply"
-VOLUMES = "splats_3d.ply"
-LIGHT = "mirrored_light.npz"
-FLASH = "flash.npz"
-EXPOSURES = "exposures.json"
-RENDERS = "renders/test"
-REPORT = "report.json"
-REPORT_HTML = "report.html"
-LOG = "log.txt"
-CHECKPOINT = "checkpoint"
 
 
 def clear_reports(out: Path) -> None:
@@ -110,9 +109,14 @@ def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
 def as_lit(out: Path, scene: Scene) -> Scene:
     """Return the scene with what the flash that the run in `out` found makes of its views, if it found one. Raises
     SceneError for a file that is damaged."""
-    if not (out / FLASH).is_file():
-        return scene
-    return lit_scene(scene, load_flash(out / FLASH).moved(scene.user_from_scene.inverse))
+    lighting = read_lighting(out)
+    return scene if lighting is None else lit_scene(scene, lighting.moved(scene.user_from_scene.inverse))
+
+
+def read_lighting(out: Path) -> Lighting | None:
+    """Read the flash that the run in `out` found, in the user's frame; None where it found none. Raises SceneError for
+    a file that is damaged."""
+    return load_flash(out / FLASH) if (out / FLASH).is_file() else None
 
 
 def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
@@ -135,16 +139,17 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
         write_mirrored_light(path, _stored(models.light, scene), origin_of_frame(scene.user_from_scene))
 
 
-def read_models(out: Path, scene: Scene) -> Models:
-    """Read the branches that a run left in `out`, in the scene's frame. Raises MgsrError where there are none."""
-    found = {name: _read_tensors(out / name, scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
+def read_models(out: Path, user_from_scene: Similarity) -> Models:
+    """Read the branches that a run left in `out`, in the frame that `user_from_scene` leads to the user's from, such as
+    a scene's. Raises MgsrError where there are none."""
+    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
     if not found:
         raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
     surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
     volumes = None
     if VOLUMES in found:
         volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
-    light = _read_light(out / LIGHT, scene) if (out / LIGHT).exists() else None
+    light = _read_light(out / LIGHT, user_from_scene) if (out / LIGHT).exists() else None
     return Models(surfels, volumes, light)
 
 
@@ -155,16 +160,16 @@ def _stored(light: MirroredLight, scene: Scene) -> StoredLight:
     return StoredLight(light.maps().numpy(), light.bounce().numpy(), placed)
 
 
-def _read_light(path: Path, scene: Scene) -> MirroredLight:
+def _read_light(path: Path, user_from_scene: Similarity) -> MirroredLight:
     """Return a file's light in the scene's frame."""
     stored = load_mirrored_light(path)
     reflector = None
     if stored.surface is not None:
-        reflector = Reflector(scene.user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
+        reflector = Reflector(user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
     return MirroredLight.of(stored.maps, stored.bounce, reflector)
 
 
-def write_mesh(out: Path, mesh: SurfaceMesh, scene: Scene, output: OutputConfig) -> None:
+def write_mesh(out: Path, mesh: Mesh, scene: Scene, output: OutputConfig) -> None:
     """mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for, of a mesh in the user's frame;
     lengths are in the output's unit. Those that are not asked for are removed."""
     arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
@@ -192,7 +197,7 @@ def _up(scene: Scene, output: OutputConfig) -> UpDirection:
     return up_direction([view.camera for view in scene.train])
 
 
-def read_mesh(out: Path) -> SurfaceMesh:
+def read_mesh(out: Path) -> Mesh:
     """Read the mesh that an earlier run left in `out`, in the user's frame and unit. Raises MgsrError where there is
     none."""
     import trimesh
@@ -203,7 +208,7 @@ def read_mesh(out: Path) -> SurfaceMesh:
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
     vertices = np.asarray(mesh.vertices, np.float64) / read_number(out / MESH, UNIT)
-    return SurfaceMesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
+    return Mesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
 
 
 def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
@@ -211,7 +216,7 @@ def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, outpu
     with atomic_write(out / RENDERS) as folder:
         folder.mkdir()
         for view in rendered:
-            write_view(folder, view.name, _export_form(view, scene.user_from_scene.scale * output.scale))
+            write_view(folder, view.name, straight_view(view, scene.user_from_scene.scale * output.scale))
 
 
 def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
@@ -223,8 +228,8 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
         path.write_text(json.dumps(report.to_json(), indent=2) + "\n", encoding="utf-8")
 
 
-def _export_form(view: ViewImages, unit: float) -> RenderedView:
-    """With straight colours, and depth in the files' unit, of which the scene's is `unit`."""
+def straight_view(view: ViewImages, unit: float) -> RenderedView:
+    """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
     transmitted, even = (
         None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
     )
@@ -233,10 +238,21 @@ def _export_form(view: ViewImages, unit: float) -> RenderedView:
     return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, even)
 
 
-def _read_tensors(path: Path, scene: Scene) -> dict[str, torch.Tensor]:
+def read_report(out: Path) -> ReportData:
+    """Read the report of the run in `out`. Raises MgsrError where there is none, or one that is damaged."""
+    path = out / REPORT
+    if not path.is_file():
+        raise MgsrError(f"{path}: expected the report of a finished run, found none; finish the run")
+    try:
+        return ReportData.from_json(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise MgsrError(f"{path}: not the report of a run ({in_short(error)}); run again") from error
+
+
+def _read_tensors(path: Path, user_from_scene: Similarity) -> dict[str, torch.Tensor]:
     """Read a splat file's arrays, taken from the file's unit and origin to the scene's frame."""
     arrays, unit, origin = load_splats(path), read_number(path, UNIT), read_origin(path)
-    file_from_scene = about_origin(scene.user_from_scene, unit, origin)
+    file_from_scene = about_origin(user_from_scene, unit, origin)
     arrays["means"] = file_from_scene.to_scene(arrays["means"].astype(np.float64))
     arrays["log_scales"] = arrays["log_scales"] - math.log(file_from_scene.scale)
     return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

@@ -14,7 +14,7 @@ from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
@@ -26,6 +26,7 @@ from mgsr.pipeline.preprocess import preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.rendering import render_views
 from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
+from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
 from mgsr.pipeline.run_metadata import run_report
 from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
 from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
@@ -59,7 +60,7 @@ def run_scene(
     chosen = pick_device(device)
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
-    budget = make_budget(config, lambda: since.total, chosen, out / result_files.CHECKPOINT if resume else None)
+    budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
     scene, config = take_scene(given, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
@@ -122,7 +123,7 @@ class _Run:
 class _Surface:
     """The mesh in the user's frame, its scores, and its pictures for the report."""
 
-    mesh: SurfaceMesh
+    mesh: Mesh
     scores: dict[str, Any]
     drawn: SurfaceDrawings
 
@@ -139,7 +140,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: SurfaceMesh) -> bool:
+def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -> bool:
     """Let the finished mesh mirror the shared light, where that is of use; return whether the light is to be learned
     anew for it."""
     # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
@@ -164,10 +165,10 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
     result_files.write_reports(run.out, report, pictures)
     run.step.progress(Event("report", result_line(report)))
-    return run.out / result_files.REPORT
+    return run.out / REPORT
 
 
-def _draw(mesh: SurfaceMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+def _draw(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
     """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
     cast in float32."""
     origin = origin_of_frame(scene.user_from_scene)
@@ -202,7 +203,7 @@ class _Training:
                 run.config,
                 progress=lambda training: step.progress(Event("train", training.stage, training)),
                 should_stop=step.should_stop,
-                checkpoint_path=run.out / result_files.CHECKPOINT,
+                checkpoint_path=run.out / CHECKPOINT,
                 resume=resume,
                 device=run.device.torch,
                 pace=run.budget,

@@ -17,7 +17,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.models import Models
@@ -37,7 +37,7 @@ def run_report(
     config: Config,
     device: Device,
     trained: TrainResult,
-    mesh: SurfaceMesh,
+    mesh: Mesh,
     scores: dict[str, Any],
     clock: StepClock,
     time_budget: dict[str, Any] | None = None,

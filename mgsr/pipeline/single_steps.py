@@ -9,13 +9,12 @@ from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.rendering import render_views, rendered_scene
 from mgsr.pipeline.result_files import (
-    MESH,
     as_lit,
     at_known_exposures,
     read_mesh,
@@ -23,12 +22,13 @@ from mgsr.pipeline.result_files import (
     write_mesh,
     write_renders,
 )
+from mgsr.pipeline.result_paths import MESH
 from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
 from mgsr.report.data import finite
 from mgsr.start.starting_points import starting_points
 
 
-def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> SurfaceMesh:
+def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> Mesh:
     """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
@@ -37,7 +37,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> S
     scene = at_known_exposures(out, load_scene(path, config.data))
     # The run held its surface against the one that it began on, which its seed gives again.
     begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
-    mesh = make_mesh(read_models(out, scene).to(chosen.torch), scene, config, start=begun_on)
+    mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
     write_mesh(out, mesh, scene, config.output)
     return mesh
 
@@ -52,7 +52,7 @@ def render_again(path: Path, out: Path, config: Config, device: str = "auto", as
     if as_scene is not None:
         require_new_folder(as_scene)
     scene = as_lit(out, load_scene(path, config.data))
-    models = read_models(out, scene).to(chosen.torch)
+    models = read_models(out, scene.user_from_scene).to(chosen.torch)
     if as_scene is not None:
         write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
     write_renders(out, list(render_views(models, scene.test, config)), scene, config.output)
@@ -66,7 +66,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     """
     chosen = pick_device(device)
     scene = as_lit(out, at_known_exposures(out, load_scene(path, config.data)))
-    models = read_models(out, scene).to(chosen.torch)
+    models = read_models(out, scene.user_from_scene).to(chosen.torch)
     behind = backdrop(scene, config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)
     if (out / MESH).is_file():

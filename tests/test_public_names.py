@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import mgsr
 from mgsr.cli.main import app
-from tests.cli.spheres import write_spheres
+from tests.cli.spheres import held_out_camera, write_spheres
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {
@@ -133,20 +133,11 @@ def test_a_run_tells_how_it_goes(result: mgsr.Reconstruction, events: list[mgsr.
     assert any(event.training is not None for event in events) and result.paths.log.read_text()
 
 
-def blender_camera(capture: Path, number: int, side: int) -> mgsr.Camera:
-    """The camera of a test view by the file of the capture, whose axes are OpenGL's."""
-    file = json.loads((capture / "transforms_test.json").read_text())
-    focal = side / 2 / np.tan(file["camera_angle_x"] / 2)
-    K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
-    world_from_cam = np.array(file["frames"][number]["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
-    return mgsr.Camera(K, np.linalg.inv(world_from_cam), side, side)
-
-
 @pytest.mark.parametrize("by", ["view", "camera"])
 def test_a_render_is_the_picture_on_the_disk(
     by: str, result: mgsr.Reconstruction, scene: mgsr.Scene, capture: Path
 ) -> None:
-    image = mgsr.render(result, scene.test[1] if by == "view" else blender_camera(capture, 1, 48))
+    image = mgsr.render(result, scene.test[1] if by == "view" else held_out_camera(capture, 1, 48))
     # Half a level is the file's rounding, the rest float32's.
     rgba = picture(result, "r_1") / 255
     alpha = rgba[..., 3]
@@ -164,7 +155,7 @@ def test_a_render_is_the_picture_on_the_disk(
 
 
 def test_a_render_has_its_cameras_size(result: mgsr.Reconstruction, capture: Path) -> None:
-    image = mgsr.render(result, blender_camera(capture, 0, 48).resized(30, 20))
+    image = mgsr.render(result, held_out_camera(capture, 0, 48).resized(30, 20))
     assert image.color.shape == image.normal.shape == (20, 30, 3) and image.alpha.shape == image.depth.shape == (20, 30)
 
 
@@ -186,7 +177,7 @@ def test_what_does_not_fit_is_refused(result: mgsr.Reconstruction, scene: mgsr.S
 
 
 def test_a_camera_that_is_none_is_refused(result: mgsr.Reconstruction, capture: Path) -> None:
-    camera = blender_camera(capture, 0, 48)
+    camera = held_out_camera(capture, 0, 48)
     with pytest.raises(mgsr.ConfigError, match=r"camera: expected a Camera or a View, got ndarray"):
         mgsr.render(result, camera.K)  # type: ignore[arg-type]
     with pytest.raises(mgsr.TensorError, match=r"camera.K: expected \[3, 3\]"):

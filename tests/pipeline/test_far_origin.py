@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 from plyfile import PlyData, PlyElement
 from typer.testing import CliRunner
 
+import mgsr
 from mgsr.cli.main import app
 from mgsr.config import DataConfig, OutputConfig
 from mgsr.data.camera import Camera
@@ -25,7 +27,7 @@ from mgsr.pipeline.models import Models
 from mgsr.pipeline.report_pictures import draw_surface
 from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
 from mgsr.pipeline.run import _draw
-from tests.cli.spheres import SPHERES, write_spheres
+from tests.cli.spheres import SPHERES, held_out_camera, write_spheres
 from tests.cli.test_run import SHORT
 from tests.export.test_flash import lighting
 from tests.mesh.shapes import looking_at_origin
@@ -87,6 +89,19 @@ def test_splats_lie_on_the_spheres(done: Path) -> None:
     places = np.stack([vertex[axis].astype(float) for axis in "xyz"], 1) + np.array(ORIGIN.split(), float) - AWAY
     gaps = np.min([np.abs(np.linalg.norm(places - center, axis=1) - radius) for center, radius, _ in SPHERES], axis=0)
     assert np.median(gaps) < 0.03
+
+
+def test_python_has_it_in_the_captures_frame(capture: Path, done: Path) -> None:
+    result = mgsr.load_result(done)
+    assert " ".join(f"{value:.0f}" for value in result.origin) == ORIGIN
+    places = result.surfels.means.numpy() + result.origin - AWAY
+    gaps = np.min([np.abs(np.linalg.norm(places - center, axis=1) - radius) for center, radius, _ in SPHERES], axis=0)
+    assert np.median(gaps) < 0.03 and np.abs(result.mesh.vertices - AWAY).max() < 1.2
+    image = mgsr.render(result, held_out_camera(capture, 0, 48))
+    picture = np.asarray(Image.open(done / "renders/test/r_0.png")) / 255
+    # Poses so far away have a millionth of the scene's size less; the rest is half a level of the file.
+    assert np.abs(image.alpha - picture[..., 3]).max() < 0.02
+    assert np.abs(image.color - picture[..., :3])[picture[..., 3] > 0.1].max() < 0.02
 
 
 def test_later_commands_see_what_the_run_saw(capture: Path, done: Path, tmp_path: Path) -> None:

@@ -28,11 +28,11 @@ from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
 
-def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> tuple[Scene, Config]:
-    """Return the scene, read if a path is given, and the settings with those that it was read with. What it holds is
-    told; an earlier run's reports in `out` are gone then. Raises SceneError, and ConfigError as `as_read`."""
+def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
+    """Return the scene, read if a path is given. What it holds is told; an earlier run's reports in `out` are gone
+    then. Raises SceneError."""
     if isinstance(given, Scene):
-        scene, config = given, as_read(given, config)
+        scene = given
         result_files.clear_reports(out)
     else:
         with step("load", f"reading {given}"):
@@ -40,7 +40,7 @@ def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> t
             result_files.clear_reports(out)
     for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
         step.progress(Event("load", text))
-    return scene, config
+    return scene
 
 
 def as_read(scene: Scene, config: Config) -> Config:

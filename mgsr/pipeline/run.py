@@ -22,7 +22,7 @@ from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
 from mgsr.pipeline.models import Models
-from mgsr.pipeline.preprocess import preprocess, take_scene
+from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.rendering import render_views
 from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
@@ -57,11 +57,13 @@ def run_scene(
     """
     if config.output.texture is not None:
         require_unfolding()
+    if isinstance(given, Scene):
+        config = as_read(given, config)
     chosen = pick_device(device)
     since = StepClock(begun)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
-    scene, config = take_scene(given, out, config, step)
+    scene = take_scene(given, out, config, step)
     if budget is not None:
         scene = fitted_scene(scene, budget, config, step.clock)
     scene, start = preprocess(scene, config, out, step, budget)
@@ -97,7 +99,7 @@ def train_only(
         raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
     chosen = pick_device(device)
     step = Steps(StepClock(), progress, should_stop)
-    scene, config = take_scene(scene_path, out, config, step)
+    scene = take_scene(scene_path, out, config, step)
     scene, start = preprocess(scene, config, out, step)
     return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
 

@@ -93,13 +93,15 @@ _MODULES = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    """Import a name of `__all__` from its module. Raises AttributeError for any other."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_MODULES.get(name, "mgsr.errors")), name)
-    globals()[name] = value  # found there from now on
-    return value
+if not TYPE_CHECKING:  # by it, type checkers would take every name for one of these
+
+    def __getattr__(name: str) -> Any:
+        """Import a name of `__all__` from its module. Raises AttributeError for any other."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(_MODULES.get(name, "mgsr.errors")), name)
+        globals()[name] = value  # found there from now on
+        return value
 
 
 def __dir__() -> list[str]:

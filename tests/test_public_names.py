@@ -76,7 +76,7 @@ def test_the_names() -> None:
 
 def test_type_checkers_see_the_same_names_where_they_are() -> None:
     tree = ast.parse((ROOT / "mgsr/__init__.py").read_text(encoding="utf-8"))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
     seen = {name.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for name in node.names}
     assert set(seen) == NAMES - {"__version__"}
     assert seen == {name: mgsr._MODULES.get(name, "mgsr.errors") for name in seen}

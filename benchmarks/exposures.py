@@ -22,9 +22,9 @@ from PIL import Image
 from mgsr.bench.csv_rows import write_csv
 from mgsr.bench.exposure_page import EVEN, EVENED, KEPT, ExposureRow
 from mgsr.bench.machine import program_commit
-from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
+from mgsr.pipeline.run import run_scene
 
 
 def main() -> None:

@@ -22,15 +22,16 @@ from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import ALL, PartRow
-from mgsr.cli.evaluation import find_truth, surface_scores
-from mgsr.cli.outputs import REPORT, at_known_exposures, read_models
-from mgsr.cli.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.config import MeshConfig, make_config
 from mgsr.data.readers import load_scene
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
+from mgsr.pipeline.result_files import at_known_exposures, read_models
+from mgsr.pipeline.result_paths import REPORT
 from mgsr.start.starting_points import starting_points
 
 
@@ -79,12 +80,12 @@ def measured(path: Path, run: Path) -> list[PartRow]:
     """Return a row for the surface with all parts and for the surface without each."""
     config = make_config("standard")
     scene = at_known_exposures(run, load_scene(path, config.data))
-    truth, models = find_truth(scene), read_models(run, scene)
+    truth, models = find_truth(scene), read_models(run, scene.user_from_scene)
     views, outlined = surface_views(models, scene, config), outlined_scene(models, scene, config)
     outlines = scene_silhouettes(outlined)
     whole = Parts(config.mesh, starting_points(scene, 1, config.seed).surface if scene.masked else None)
 
-    def extracted(parts: Parts) -> SurfaceMesh:
+    def extracted(parts: Parts) -> Mesh:
         mesh = extract_mesh(views, parts.config, outlines, outlined.train, start=parts.start)
         return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
 

@@ -56,17 +56,16 @@ def read(path: Path, config: Config, views: int | None = None) -> Packed:
     if str(path) == BALL:
         scene, start = ball()
         return Packed(scene, start, {})
-    from mgsr.cli.beginning import begin
-    from mgsr.cli.clock import StepClock
-    from mgsr.cli.events import ignore
-    from mgsr.cli.steps import Steps, never
     from mgsr.data.readers import load_scene
+    from mgsr.pipeline.preprocess import preprocess
+    from mgsr.pipeline.progress import ignore
+    from mgsr.pipeline.steps import StepClock, Steps, never
 
     scene = load_scene(path, config.data)
     if views is not None:
         scene = replace(scene, train=spread(scene.train, views))
     with tempfile.TemporaryDirectory() as folder:
-        scene, start = begin(scene, config, Path(folder), Steps(StepClock(), ignore, never))
+        scene, start = preprocess(scene, config, Path(folder), Steps(StepClock(), ignore, never))
         found = {name: Path(folder, name) for name in FINDINGS}
         return Packed(scene, start, {name: file.read_bytes() for name, file in found.items() if file.is_file()})
 

@@ -22,16 +22,16 @@ from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import PartRow
 from mgsr.bench.sets_page import SetRow
-from mgsr.cli.evaluation import find_truth, surface_scores
-from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.run import run_scene
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
 
 SceneRow = TypeVar("SceneRow", SetRow, PartRow)
@@ -102,7 +102,7 @@ def hull_scores(path: Path) -> dict[str, float]:
 def scores_of(vertices: np.ndarray, faces: np.ndarray, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:
     """Return the scores of a mesh in the scene's frame, vertices [V,3] and faces [F,3], against the truth."""
     placed = scene.user_from_scene.to_user(vertices)
-    mesh = SurfaceMesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
+    mesh = Mesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
     scores: dict[str, float] = surface_scores(mesh, truth, scene)["gt"]
     return scores
 

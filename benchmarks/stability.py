@@ -25,7 +25,7 @@ from mgsr.data.camera import Camera
 from mgsr.errors import TrainingError
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.native import runtime
-from mgsr.render.surfels import render_surfels
+from mgsr.renderers.surfels import render_surfels
 from mgsr.training.progress import TrainResult
 from mgsr.training.run import Training
 

@@ -22,12 +22,12 @@ from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
 from mgsr.bench.parts_page import ALL, PartRow
-from mgsr.cli.evaluation import find_truth
 from mgsr.config import make_config
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.raycast import RayCaster
+from mgsr.pipeline.evaluation import find_truth
 from mgsr.shading.refine import Light, Refined
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface

@@ -1,3 +1,109 @@
-"""MGSR: posed photographs in, surface mesh and clean renders out. Importing this needs torch and numpy alone."""
+"""MGSR: posed photographs in, surface mesh and clean renders out.
+
+Importing this needs nothing else. Each name below is imported from its module when it is first used; docs/python.md
+explains them.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mgsr.config import Config, DataConfig, make_config
+    from mgsr.data.camera import Camera
+    from mgsr.data.readers import load_scene
+    from mgsr.data.scene import Scene, View
+    from mgsr.errors import (
+        ArchiveError,
+        Cancelled,
+        CheckpointError,
+        ConfigError,
+        GpuError,
+        LostCardError,
+        MeshError,
+        MgsrError,
+        MissingPhotoError,
+        SceneError,
+        TensorError,
+        TrainingError,
+    )
+    from mgsr.gaussians.mirrored import MirroredLight
+    from mgsr.gaussians.surfels import SurfelModel
+    from mgsr.gaussians.volumes import VolumeModel
+    from mgsr.mesh.surface import Mesh
+    from mgsr.pipeline.novel_view import Rendering, render
+    from mgsr.pipeline.progress import Event
+    from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "ArchiveError",
+    "Camera",
+    "Cancelled",
+    "CheckpointError",
+    "Config",
+    "ConfigError",
+    "DataConfig",
+    "Event",
+    "GpuError",
+    "LostCardError",
+    "Mesh",
+    "MeshError",
+    "MgsrError",
+    "MirroredLight",
+    "MissingPhotoError",
+    "Reconstruction",
+    "Rendering",
+    "Scene",
+    "SceneError",
+    "SurfelModel",
+    "TensorError",
+    "TrainingError",
+    "View",
+    "VolumeModel",
+    "__version__",
+    "load_result",
+    "load_scene",
+    "make_config",
+    "reconstruct",
+    "render",
+]
+
+# Where names are that do not belong to mgsr.errors.
+_MODULES = {
+    "Camera": "mgsr.data.camera",
+    "Config": "mgsr.config",
+    "DataConfig": "mgsr.config",
+    "Event": "mgsr.pipeline.progress",
+    "Mesh": "mgsr.mesh.surface",
+    "MirroredLight": "mgsr.gaussians.mirrored",
+    "Reconstruction": "mgsr.pipeline.reconstruction",
+    "Rendering": "mgsr.pipeline.novel_view",
+    "Scene": "mgsr.data.scene",
+    "SurfelModel": "mgsr.gaussians.surfels",
+    "View": "mgsr.data.scene",
+    "VolumeModel": "mgsr.gaussians.volumes",
+    "load_result": "mgsr.pipeline.reconstruction",
+    "load_scene": "mgsr.data.readers",
+    "make_config": "mgsr.config",
+    "reconstruct": "mgsr.pipeline.reconstruction",
+    "render": "mgsr.pipeline.novel_view",
+}
+
+
+if not TYPE_CHECKING:  # by it, type checkers would take every name for one of these
+
+    def __getattr__(name: str) -> Any:
+        """Import a name of `__all__` from its module. Raises AttributeError for any other."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(_MODULES.get(name, "mgsr.errors")), name)
+        globals()[name] = value  # found there from now on
+        return value
+
+
+def __dir__() -> list[str]:
+    """List the names, also those that are not imported yet."""
+    return sorted({*globals(), *__all__})

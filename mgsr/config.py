@@ -499,8 +499,15 @@ ABLATIONS: dict[str, dict[str, str]] = {
 }
 
 
-def make_config(preset: str = "standard", method: str = "mgsr", seed: int = 0, overrides: Sequence[str] = ()) -> Config:
-    """One run's settings from a preset, a method and ``key=value`` overrides, applied in that order.
+def make_config(
+    preset: str = "standard",
+    method: str = "mgsr",
+    seed: int = 0,
+    overrides: Mapping[str, object] | Sequence[str] = (),
+) -> Config:
+    """One run's settings from a preset, a method and overrides, applied in that order.
+
+    overrides: settings by name, such as ``{"masks": "off", "mesh.max_faces": 50_000}``, or ``key=value`` texts.
 
     A key is a field's full path (``train.mutual.depth_weight``) or any part of it that names one field alone
     (``masks``, ``surfels.densify.every``). Values are read as the field's type; ``none`` where the field allows it.
@@ -510,9 +517,25 @@ def make_config(preset: str = "standard", method: str = "mgsr", seed: int = 0, o
     config = Config(preset=_known("preset", preset, PRESETS), method=_known("method", method, METHODS), seed=seed)
     for row in (PRESETS[preset], METHODS[method]):
         config = apply_overrides(config, [f"{key}={value}" for key, value in row.items()])
-    config = apply_overrides(config, overrides)
+    config = apply_overrides(config, override_texts(overrides))
     validate(config)
     return config
+
+
+def override_texts(overrides: Mapping[str, object] | Sequence[str]) -> list[str]:
+    """Return overrides as ``key=value`` texts. Raises ConfigError for a single text in place of several."""
+    if isinstance(overrides, str):
+        raise ConfigError(f"overrides: expected settings by name, or several key=value texts, got {overrides!r}")
+    if not isinstance(overrides, Mapping):
+        return list(overrides)
+    return [f"{key}={_text(value)}" for key, value in overrides.items()]
+
+
+def _text(value: object) -> str:
+    """Return a setting's value as `_parse` reads it."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "none" if value is None else str(value)
 
 
 def ablation_overrides(row: str) -> list[str]:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from mgsr.cli.demo import find_example
-from mgsr.config import DataConfig
-from mgsr.data.readers import load_scene
+import mgsr
 from mgsr.native.runtime import FAMILIES, isas
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.pipeline.example import find_example
 
-scene = load_scene(find_example(), DataConfig())
+scene = mgsr.load_scene(find_example())
 camera = scene.train[0].camera
 normals = depth_to_normals(torch.full((camera.height, camera.width), 2.0), camera)
 expected = torch.from_numpy(-camera.cam_from_world[2, :3]).float()  # a plane before the camera faces it

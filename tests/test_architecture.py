@@ -21,10 +21,11 @@ LAYERS = (
     ("shading", "stereo"),
     ("start", "ops"),
     ("gaussians",),
-    ("render",),
+    ("renderers",),
     ("densify", "losses", "metrics"),
     ("training", "mesh", "export", "report"),
     ("bench", "budget", "segmentation"),
+    ("pipeline",),
     ("cli",),
     ("service",),
     ("worker",),
@@ -103,6 +104,11 @@ def test_the_worker_shares_only_the_contract_with_the_service(path: Path) -> Non
     assert all(name.startswith("service.contract") for name in used), used
 
 
+@pytest.mark.parametrize("path", sources("worker"), ids=lambda path: str(path.relative_to(ROOT)))
+def test_the_worker_knows_nothing_of_the_command_line(path: Path) -> None:
+    assert not [name for name in imports(path) if name.startswith("mgsr.cli")]
+
+
 def test_every_part_has_its_row() -> None:
     parts = {part_of(path) for path in sources("mgsr") if path != ROOT / "mgsr/__init__.py"}
     assert parts <= {part for row in LAYERS for part in row}
@@ -131,8 +137,7 @@ def test_the_maths_headers_stand_alone() -> None:
 
 BLOCKER = """
 import sys
-allowed = {"mgsr", "torch", "numpy"} | set(sys.stdlib_module_names)
-import numpy, torch  # with whatever they need
+allowed = {"mgsr"} | set(sys.stdlib_module_names)
 class Block:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] not in allowed:
@@ -142,7 +147,7 @@ import mgsr
 """
 
 
-def test_importing_mgsr_needs_torch_and_numpy_alone() -> None:
+def test_importing_mgsr_needs_no_package() -> None:
     subprocess.run([sys.executable, "-c", BLOCKER], check=True, cwd=ROOT, timeout=120)
 
 

@@ -9,11 +9,9 @@ from typing import Annotated
 
 import typer
 
-from mgsr.cli.run import run
 from service.contract.errors import refusals
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-app.command()(run)
 
 GpusOption = Annotated[
     str | None,

@@ -26,7 +26,7 @@ from service.contract.lifeline import die_with_parent
 from service.contract.options import JobOptions
 
 if TYPE_CHECKING:
-    from mgsr.cli.events import Event, EventCallback
+    from mgsr.pipeline.progress import Event, EventCallback
 
 # The pipe to the worker.
 EVENTS_FD = 3
@@ -96,9 +96,9 @@ def _run(spec: JobSpec) -> JobResult:
 
 
 def _reconstruct(spec: JobSpec) -> None:
-    from mgsr.cli.signals import stop_on_signals
     from mgsr.config import make_config
     from mgsr.data.archive import ArchiveLimits, unpack
+    from mgsr.pipeline.stop_signals import stop_on_signals
     from worker.images import check_images
 
     begun = time.perf_counter()
@@ -112,9 +112,9 @@ def _reconstruct(spec: JobSpec) -> None:
         always = [f"watch.checkpoint_seconds={spec.checkpoint_seconds}", "data.confined=on"]
         config = make_config(options.preset, options.method, options.seed, [*watch, *options.overrides(), *always])
 
-        from mgsr.cli.console import RunDisplay
-        from mgsr.cli.outputs import LOG
-        from mgsr.cli.pipeline import run_scene
+        from mgsr.pipeline.result_paths import LOG
+        from mgsr.pipeline.run import run_scene
+        from mgsr.pipeline.run_display import RunDisplay
         from worker.reporting import Reporter
 
         with RunDisplay(spec.out / LOG, append=spec.resume) as display:

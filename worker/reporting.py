@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mgsr.cli.events import Event, EventCallback
+from mgsr.pipeline.progress import Event, EventCallback
 from mgsr.report.encode import shrunk, webp
 from mgsr.training.progress import Progress
 

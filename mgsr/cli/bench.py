@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from mgsr.cli.options import refusals
-from mgsr.cli.signals import INTERRUPTED, stop_on_signals
 from mgsr.errors import ConfigError
+from mgsr.pipeline.stop_signals import INTERRUPTED, stop_on_signals
 
 ScenesArgument = Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Folders or archives of photographs.")]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of runs, table and plots.")]

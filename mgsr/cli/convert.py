@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,6 @@ import typer
 
 from mgsr.cli.options import refusals
 from mgsr.data.archive import ARCHIVE_SUFFIXES
-from mgsr.errors import ConfigError
 from mgsr.export.gltf import UpAxis
 
 SourceArgument = Annotated[
@@ -31,34 +29,16 @@ def convert(source: SourceArgument, target: TargetArgument, scale: ScaleOption =
     A scene becomes a folder with undistorted photographs that COLMAP and nerfstudio read.
     """
     with refusals():
-        from mgsr.cli.whole import require_file_place, whole
         from mgsr.export.convert import convert as convert_file
         from mgsr.export.convert import require_kinds
+        from mgsr.pipeline.atomic_write import atomic_write, require_file_place
+        from mgsr.pipeline.scene_folder import convert_scene
 
         if source.is_dir() or source.name.lower().endswith(ARCHIVE_SUFFIXES):
-            text = _convert_scene(source, target, scale, up)
+            text = convert_scene(source, target, scale, up)
         else:
             require_kinds(source, target, up)
             require_file_place(target)
-            with whole(target) as path:
+            with atomic_write(target) as path:
                 text = convert_file(source, path, scale, up)
         print(f"{target}: {text}")
-
-
-def _convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -> str:
-    from mgsr.cli.facts import scene_line
-    from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
-    from mgsr.config import make_config
-    from mgsr.data.readers import load_scene
-    from mgsr.export.convert import FILE_SUFFIXES
-
-    if target.name.lower().endswith((*FILE_SUFFIXES, *ARCHIVE_SUFFIXES)):
-        raise ConfigError(f"{target}: {source} is a scene, which becomes a folder, not a file; name a new folder")
-    if up is not None:
-        raise ConfigError(f"--up {up}: {source} is a scene, which keeps its frame; leave --up out")
-    require_new_folder(target)
-    if not (math.isfinite(scale) and scale > 0):
-        raise ConfigError(f"--scale {scale:g}: expected a number above 0")
-    scene = load_scene(source, make_config().data)
-    write_scene_folder(target, scene, scale)
-    return scene_line(scene)

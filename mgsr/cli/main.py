@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -30,8 +28,8 @@ from mgsr.cli.options import (
 )
 from mgsr.cli.poses import poses
 from mgsr.cli.run import run
-from mgsr.cli.signals import stop_on_signals
-from mgsr.config import Config, make_config
+from mgsr.config import make_config
+from mgsr.pipeline.stop_signals import stop_on_signals
 
 app = typer.Typer(
     help="Posed photographs in, surface mesh and clean renders out.",
@@ -51,11 +49,11 @@ def info(scene: SceneArgument, settings: SetOption = None) -> None:
     """Say what SCENE holds, after every check that a run makes before training."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.cli.facts import scene_facts
         from mgsr.data.readers import load_scene
+        from mgsr.pipeline.run_metadata import scene_facts
 
         found = load_scene(scene, config.data)
-        for name, value in scene_facts(found, scene).items():
+        for name, value in scene_facts(found).items():
             print(f"{name:16} {', '.join(map(str, value)) if isinstance(value, list) else value}")
 
 
@@ -73,9 +71,9 @@ def train(
     """Train the branches on SCENE and leave them in OUT as splats_2d.ply and splats_3d.ply."""
     with refusals(resumes=True):
         config = make_config(preset, method, seed, settings or [])
-        from mgsr.cli.console import RunDisplay
-        from mgsr.cli.outputs import LOG
-        from mgsr.cli.pipeline import train_only
+        from mgsr.pipeline.result_paths import LOG
+        from mgsr.pipeline.run import train_only
+        from mgsr.pipeline.run_display import RunDisplay
 
         with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
             train_only(scene, out, config, device, resume, display, stop)
@@ -97,18 +95,9 @@ def mesh(
     with refusals():
         overrides = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         config = make_config(preset, overrides=overrides)
-        from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import at_known_exposures, read_models, write_mesh
-        from mgsr.cli.pipeline import make_mesh
-        from mgsr.data.readers import load_scene
-        from mgsr.start.starting_points import starting_points
+        from mgsr.pipeline.single_steps import mesh_again
 
-        chosen = pick_device(device)
-        loaded = at_known_exposures(out, load_scene(scene, config.data))
-        # The run held its surface against the one that it began on, which its seed gives again.
-        begun_on = starting_points(loaded, 1, config.seed).surface if loaded.masked else None
-        surface = make_mesh(read_models(out, loaded).to(chosen.torch), loaded, config, start=begun_on)
-        write_mesh(out, surface, loaded, config.output)
+        surface = mesh_again(scene, out, config, device)
         print(f"{out / 'mesh.ply'}: {len(surface.faces)} faces")
 
 
@@ -123,22 +112,13 @@ def render(
     """Render the test views of SCENE from the splats in OUT to OUT/renders/test."""
     with refusals():
         config = make_config(overrides=settings or [])
-        from mgsr.cli.device import pick_device
-        from mgsr.cli.outputs import RENDERS, as_lit, read_models, write_renders
-        from mgsr.cli.rendering import render_views, rendered_scene
-        from mgsr.cli.scene_folder import require_new_folder, write_scene_folder
-        from mgsr.data.readers import load_scene
+        from mgsr.pipeline.result_paths import RENDERS
+        from mgsr.pipeline.single_steps import render_again
 
-        chosen = pick_device(device)
+        rendered = render_again(scene, out, config, device, as_scene)
         if as_scene is not None:
-            require_new_folder(as_scene)
-        loaded = as_lit(out, load_scene(scene, config.data))
-        models = read_models(out, loaded).to(chosen.torch)
-        if as_scene is not None:
-            write_scene_folder(as_scene, rendered_scene(models, loaded, config), config.output.scale)
-            print(f"{as_scene}: {len(loaded.train) + len(loaded.test)} views and their cameras")
-        write_renders(out, list(render_views(models, loaded.test, config)), loaded, config.output)
-        print(f"{out / RENDERS}: {len(loaded.test)} views")
+            print(f"{as_scene}: {len(rendered.train) + len(rendered.test)} views and their cameras")
+        print(f"{out / RENDERS}: {len(rendered.test)} views")
 
 
 @app.command()
@@ -146,27 +126,9 @@ def evaluate(scene: SceneArgument, out: OutOption, device: DeviceOption = "auto"
     """Score the splats, and the mesh if it is there, of OUT against SCENE; JSON on the standard output."""
     with refusals():
         config = make_config(overrides=settings or [])
-        print(json.dumps(_scores(scene, out, device, config), indent=2))
+        from mgsr.pipeline.single_steps import score_again
 
-
-def _scores(scene: Path, out: Path, device: str, config: Config) -> dict[str, Any]:
-    from mgsr.cli.device import pick_device
-    from mgsr.cli.evaluation import find_truth, image_scores, surface_scores
-    from mgsr.cli.outputs import MESH, as_lit, at_known_exposures, read_mesh, read_models
-    from mgsr.cli.rendering import render_views
-    from mgsr.data.backdrop import backdrop
-    from mgsr.data.readers import load_scene
-    from mgsr.report.data import finite
-
-    chosen = pick_device(device)
-    loaded = as_lit(out, at_known_exposures(out, load_scene(scene, config.data)))
-    models = read_models(out, loaded).to(chosen.torch)
-    behind = backdrop(loaded, config.train.background)
-    scores = image_scores(list(render_views(models, loaded.test, config)), loaded, behind.color)
-    if (out / MESH).is_file():
-        scores |= surface_scores(read_mesh(out), find_truth(loaded), loaded)
-    plain: dict[str, Any] = finite(scores)
-    return plain
+        print(json.dumps(score_again(scene, out, config, device), indent=2))
 
 
 if __name__ == "__main__":

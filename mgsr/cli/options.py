@@ -12,9 +12,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from mgsr.cli.signals import INTERRUPTED, cleaned_up_after_signals
 from mgsr.config import METHODS, PRESETS, Up
 from mgsr.errors import Cancelled, LostCardError, MgsrError
+from mgsr.pipeline.stop_signals import INTERRUPTED, cleaned_up_after_signals
 
 REFUSED = 2
 

@@ -22,8 +22,8 @@ from mgsr.cli.options import (
     output_overrides,
     refusals,
 )
-from mgsr.cli.signals import stop_on_signals
 from mgsr.config import Config, make_config
+from mgsr.pipeline.stop_signals import stop_on_signals
 
 
 def run(
@@ -53,9 +53,9 @@ def run(
 
 def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, begun: float) -> Path:
     # Torch and Open3D take seconds to load: a wrong option is refused before.
-    from mgsr.cli.console import RunDisplay
-    from mgsr.cli.outputs import LOG
-    from mgsr.cli.pipeline import run_scene
+    from mgsr.pipeline.result_paths import LOG
+    from mgsr.pipeline.run import run_scene
+    from mgsr.pipeline.run_display import RunDisplay
 
     with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
         return run_scene(scene, out, config, device, resume, display, stop, begun=begun)

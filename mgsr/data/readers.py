@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,17 +34,21 @@ _CAMERA_SUFFIXES = (".json", ".xml", ".csv", ".txt", ".bin", ".npz", ".npy", ".n
 
 
 def load_scene(
-    path: Path, config: DataConfig, unpack_to: Path | None = None, progress: LoadProgress | None = None
+    path: str | os.PathLike[str],
+    config: DataConfig | None = None,
+    unpack_to: Path | None = None,
+    progress: LoadProgress | None = None,
 ) -> Scene:
     """Load the scene at `path`, a folder or an archive of any supported format, and decode its images.
 
-    path: archives are .zip, .tar, .tar.gz or .tar.zst. unpack_to: where an archive's files go; by default a folder that
-    is removed when the process ends. progress: told every few seconds how many photographs are decoded, of how many. A
-    name is unique within train and within test. `test` is empty where the files name no split and there are fewer than
-    `config.test_every` views.
+    config: how it is read; None has the defaults. unpack_to: where an archive's files go; by default a folder that is
+    removed when the process ends. progress: told every few seconds how many photographs are decoded, of how many.
+    A name is unique within train and within test. `test` is empty where the files name no split and there are fewer
+    than `config.test_every` views.
 
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
+    config = DataConfig() if config is None else config
     _check_config(config)
     path = Path(path)
     found = find_scene(_as_folder(path, unpack_to), path, config.confined)
@@ -77,6 +82,8 @@ def load_scene(
         notes=(*found.notes, *capture.notes, *lost, *unused, *views.notes, *odd, *((few,) if few else ())),
         warning=few,
         ignoring=views.ignoring,
+        source=path,
+        read_with=config,
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mgsr.config import DataConfig
 from mgsr.data.backdrop import Color, plain_backdrop
 from mgsr.data.camera import Camera
 
@@ -114,7 +115,8 @@ class Scene:
     folder that was read; for an archive, its unpacked folder. notes tell the person what the reader left out. warning
     is one of them: the surface will be a guess. exposures: what was divided out of the photographs where their
     exposures differed; None where they are unchanged (see `exposure.py`). ignoring: whether masks that say what to
-    ignore make pixels unknown.
+    ignore make pixels unknown. source: the path that was given to be read, and read_with: the settings with which it
+    was read; None and the defaults where nothing was read.
     """
 
     name: str
@@ -128,6 +130,8 @@ class Scene:
     exposures: Exposures | None = None
     warning: str | None = None
     ignoring: bool = False
+    source: Path | None = None
+    read_with: DataConfig = field(default_factory=DataConfig)
 
     @property
     def masked(self) -> bool:

@@ -22,7 +22,7 @@ _GREY = 0.5
 
 
 @dataclass(frozen=True)
-class Mesh:
+class StoredMesh:
     """A mesh: vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
 
     vertices: np.ndarray
@@ -39,7 +39,7 @@ class _Material:
     pictured: bool
 
 
-def load_mesh(path: Path) -> Mesh:
+def load_mesh(path: Path) -> StoredMesh:
     """Load a mesh of any kind that trimesh reads, its parts in one; it is grey where it has no colours.
 
     glTF's vertex colours, pictures and factors are multiplied, as the format says. Of OBJ's vertex colours, picture and
@@ -56,7 +56,7 @@ def load_mesh(path: Path) -> Mesh:
     if not parts:
         raise MeshError(f"{path}: expected a mesh with faces, got none; export its faces too")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return Mesh(
+    return StoredMesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
         np.concatenate([part.normals for part in parts]),
@@ -64,7 +64,7 @@ def load_mesh(path: Path) -> Mesh:
     )
 
 
-def _read_parts(path: Path) -> list[Mesh]:
+def _read_parts(path: Path) -> list[StoredMesh]:
     import trimesh  # late: splats need none
 
     materials: list[_Material] = []
@@ -80,7 +80,7 @@ def _read_parts(path: Path) -> list[Mesh]:
     return [_part(pose, mesh, path, materials) for pose, mesh in found if len(getattr(mesh, "faces", ()))]
 
 
-def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -> Mesh:
+def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -> StoredMesh:
     """Return one part of a file, placed by its node's pose. A mirroring pose flips the faces.
 
     Raises MeshError where vertices are NaN or infinite.
@@ -96,7 +96,7 @@ def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -
     faces = np.asarray(mesh.faces)
     if np.linalg.det(pose[:3, :3]) < 0:
         faces = faces[:, ::-1]
-    return Mesh(vertices, faces, normals, _gltf_colors(mesh, path, materials) if materials else _colors(mesh))
+    return StoredMesh(vertices, faces, normals, _gltf_colors(mesh, path, materials) if materials else _colors(mesh))
 
 
 def _colors(mesh: Any) -> np.ndarray:

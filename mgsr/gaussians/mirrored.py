@@ -32,8 +32,8 @@ class MirroredLight:
 
     logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by
     row; last, of the share of the light that a second bounce leaves. Each map unfolds the directions' octahedron into a
-    square (`octahedral` in `mgsr.render.mirrored`): in the scene's axes, z in the middle; in the camera's, its middle
-    the way back to the camera.
+    square (`octahedral` in `mgsr.renderers.mirrored`): in the scene's axes, z in the middle; in the camera's, its
+    middle the way back to the camera.
     reflector: the surface that mirrors; None where the 2D branch's does.
     """
 

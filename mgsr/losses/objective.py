@@ -21,7 +21,7 @@ from mgsr.ops.image_loss import image_loss_term
 from mgsr.ops.pixels import product_term
 from mgsr.ops.terms import Term, evaluate
 from mgsr.ops.tv import edge_aware_tv_term
-from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
 
 Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
 

@@ -26,7 +26,7 @@ from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
 from mgsr.mesh.refinement import hold_against_photographs
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.mesh.tsdf import tsdf_surface
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.refine import Light
@@ -40,7 +40,7 @@ def extract_mesh(
     threads: int | None = None,
     go_on: Callable[[], bool] = lambda: True,
     start: Triangles | None = None,
-) -> SurfaceMesh:
+) -> Mesh:
     """Extract the surface that the views show, in their frame.
 
     silhouettes: the training photographs' masks, if the scene has them; nothing of the mesh then lies outside them, and
@@ -127,7 +127,7 @@ def _finish(
     photographs: Sequence[View],
     threads: int | None,
     go_on: Callable[[], bool],
-) -> SurfaceMesh:
+) -> Mesh:
     """Clean, orient, refine, decimate and colour a raw surface; `size` is the views' footprint."""
     if hull is not None and len(faces):
         vertices, faces = cleanup.pull_into_hull(
@@ -158,7 +158,7 @@ def _finish(
         vertices, faces = decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
     colors = vertex_colors(vertices, normals, views, config.min_alpha, _tolerance(config), threads)
-    return SurfaceMesh(vertices, faces, normals, colors, held.light, held.parallax, held.opened)
+    return Mesh(vertices, faces, normals, colors, held.light, held.parallax, held.opened)
 
 
 def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:

@@ -25,7 +25,7 @@ class TexturedMesh:
 
 
 @dataclass(frozen=True)
-class SurfaceMesh:
+class Mesh:
     """An extracted mesh with vertex colours.
 
     vertices [V,3] float64; faces [F,3] int64, counter-clockwise from outside; normals [V,3] float32, unit and outward;

@@ -15,7 +15,7 @@ from mgsr.geometry.decimate import decimate
 from mgsr.geometry.raycast import RayCaster, RayHits
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.colors import TOLERANCE, seen_colors
-from mgsr.mesh.surface import SurfaceMesh, TexturedMesh
+from mgsr.mesh.surface import Mesh, TexturedMesh
 from mgsr.mesh.views import SurfaceView
 
 # Texels between two charts. What lies between is filled with the nearest chart's colours, so that neither bilinear
@@ -38,7 +38,7 @@ def require_unfolding() -> None:
 
 
 def texture_mesh(
-    mesh: SurfaceMesh,
+    mesh: Mesh,
     views: Sequence[SurfaceView],
     side: int,
     max_faces: int | None,
@@ -98,7 +98,7 @@ def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
 
 def _paint(
     unfolded: TexturedMesh,
-    mesh: SurfaceMesh,
+    mesh: Mesh,
     views: Sequence[SurfaceView],
     config: MeshConfig,
     threads: int | None,
@@ -129,7 +129,7 @@ def _paint(
 class _VertexColors:
     """The mesh's own colours at any point beside it."""
 
-    def __init__(self, mesh: SurfaceMesh) -> None:
+    def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
         self._caster = RayCaster(mesh.vertices, mesh.faces)
 

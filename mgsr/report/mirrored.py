@@ -7,7 +7,7 @@ import torch
 from torch.nn.functional import grid_sample
 
 from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.render.mirrored import octahedral
+from mgsr.renderers.mirrored import octahedral
 from mgsr.report.pictures import Picture
 
 HEIGHT = 180  # pixels

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.render.surfels import render_surfels
+from mgsr.renderers.surfels import render_surfels
 
 C0 = 0.28209479177387814  # the constant spherical harmonic
 

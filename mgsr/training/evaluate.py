@@ -12,8 +12,8 @@ from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.render.both import render_both
-from mgsr.render.surfels import render_surfels
+from mgsr.renderers.both import render_both
+from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import Color, TrainingView, color_tensor
 
 # A branch's image [H,W,3] of a camera, on a background, lit as `TrainingView.light` says.

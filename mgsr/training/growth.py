@@ -18,7 +18,7 @@ from mgsr.densify.error_driven import (
     without_least_carrying,
 )
 from mgsr.gaussians.start import new_volumes
-from mgsr.render.both import render_both
+from mgsr.renderers.both import render_both
 from mgsr.training.parts import Parts
 from mgsr.training.stages import VolumeBranch
 from mgsr.training.views import TrainingView, color_tensor

@@ -23,7 +23,7 @@ from mgsr.data.scene import Scene, View
 from mgsr.errors import SceneError
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.parallel import one_torch_thread
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.volumes import render_volumes
 from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
 from mgsr.training.scout import POINTS, SIDE, small_view, train_scout
 

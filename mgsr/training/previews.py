@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.render.both import render_both
+from mgsr.renderers.both import render_both
 from mgsr.training.plan import Plan
 from mgsr.training.views import color_tensor
 

@@ -20,10 +20,10 @@ from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.loss import Loss
 from mgsr.losses.mirrored import light_terms
 from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
-from mgsr.render.mirrored import mirrored_light
-from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.mirrored import mirrored_light
+from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.surfels import render_surfels
+from mgsr.renderers.volumes import render_volumes
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
 from mgsr.training.light import LightInTraining

@@ -14,7 +14,7 @@ from mgsr.bench.cells import Cell, Variant, matrix
 from mgsr.bench.machine import program_commit
 from mgsr.bench.running import Stopped, is_finished, run_cell
 from mgsr.cli.main import app
-from mgsr.cli.signals import INTERRUPTED
+from mgsr.pipeline.stop_signals import INTERRUPTED
 from tests.cli.spheres import write_spheres
 
 SETTINGS = ("surfel_iterations=40", "mutual.iterations=20", "surfels.max_start=800", "poisson_depth=5")

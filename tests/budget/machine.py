@@ -84,7 +84,7 @@ class Ran:
 
 
 def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ran:
-    """Take the steps of `mgsr.cli.pipeline.run_scene`, in its order, as far as the budget sees them."""
+    """Take the steps of `mgsr.pipeline.run.run_scene`, in its order, as far as the budget sees them."""
     budget = TimeBudget(replace(config, time_budget=seconds), lambda: machine.now)
     machine.now += 0.5 * machine.speed(0.0)  # imports
     budget.learn(costs.load_cost(facts), machine.work("load", costs.load_cost(facts)))

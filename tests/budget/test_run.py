@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from mgsr.cli.events import Event
-from mgsr.cli.pipeline import run_scene
 from mgsr.config import make_config
 from mgsr.errors import Cancelled
+from mgsr.pipeline.progress import Event
+from mgsr.pipeline.run import run_scene
 from mgsr.training.progress import Progress
 from tests.cli.spheres import write_spheres
 

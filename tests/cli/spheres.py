@@ -9,6 +9,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from mgsr.data.camera import Camera
+
 # Centre, radius and colour of each; they overlap, so that they are one body.
 SPHERES = (
     (np.array([0.0, 0.0, 0.0]), 0.6, np.array([0.8, 0.3, 0.2])),
@@ -31,6 +33,15 @@ def write_spheres(folder: Path, size: int = 64, train: int = 14, test: int = 2) 
     parts = [trimesh.creation.icosphere(3, radius).apply_translation(center) for center, radius, _ in SPHERES]
     trimesh.util.concatenate(parts).export(folder / "mesh_gt.ply")
     return folder
+
+
+def held_out_camera(folder: Path, number: int, size: int) -> Camera:
+    """Return the camera of a test view, by the capture's own file and in its frame."""
+    file = json.loads((folder / "transforms_test.json").read_text())
+    focal = size / 2 / np.tan(file["camera_angle_x"] / 2)
+    K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
+    world_from_cam = np.array(file["frames"][number]["transform_matrix"]) @ np.diag([1.0, -1.0, -1.0, 1.0])
+    return Camera(K, np.linalg.inv(world_from_cam), size, size)
 
 
 def _directions(count: int) -> np.ndarray:

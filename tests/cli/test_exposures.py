@@ -12,10 +12,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
+from program.worker import app as worker_app
 from tests.cli.spheres import write_spheres
 from tests.cli.test_run import SHORT
 from tests.data.test_exposure import to_linear, to_srgb
-from worker.cli import app as worker_app
 
 STAGES = ("surfel_iterations", "volume_iterations", "mutual.iterations")
 

@@ -11,9 +11,10 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+import mgsr
 from mgsr.cli.main import app
-from mgsr.cli.scene_folder import write_scene_folder
 from mgsr.data.scene import Scene, Similarity, View
+from mgsr.pipeline.scene_folder import write_scene_folder
 from tests.cli.test_run import SHORT
 from tests.shading.test_refine import flash, photographs, rippled
 
@@ -78,6 +79,17 @@ def test_later_commands_light_as_the_run_did(capture: Path, done: Path, tmp_path
     (out / "flash.npz").write_bytes(b"no archive")
     refused = CliRunner().invoke(app, ["render", str(capture), "-o", str(out)])
     assert refused.exit_code != 0 and "flash.npz: not a flash" in refused.output
+
+
+def test_python_lights_as_the_run_did(capture: Path, done: Path) -> None:
+    scene, result = mgsr.load_scene(capture), mgsr.load_result(done)
+    for view in scene.test[:2]:
+        for camera in (view, scene.user_from_scene.camera_to_user(view.camera)):
+            image = mgsr.render(result, camera)
+            for color, ending in ((image.color, ""), (image.even, "_even")):
+                picture = np.asarray(Image.open(done / "renders" / "test" / f"{view.name}{ending}.png")) / 255
+                there = picture[..., 3] > 0.5
+                assert color is not None and np.abs(color - picture[..., :3])[there].mean() < 0.5 / 255
 
 
 def test_without_it_splats_hold_what_photographs_show(capture: Path, done: Path, tmp_path: Path) -> None:

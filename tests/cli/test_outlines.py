@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
+from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
 from tests.cli.test_run import SHORT
-from worker.cli import app as worker_app
 
 
 @pytest.fixture(scope="module")

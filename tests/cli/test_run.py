@@ -20,15 +20,15 @@ from plyfile import PlyData
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
-from mgsr.cli.evaluation import find_truth, surface_scores
 from mgsr.cli.main import app
-from mgsr.cli.outputs import read_mesh, read_models, write_models
 from mgsr.config import DataConfig, OutputConfig, VolumeConfig
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
+from mgsr.pipeline.evaluation import find_truth, surface_scores
+from mgsr.pipeline.result_files import read_mesh, read_models, write_models
+from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
-from worker.cli import app as worker_app
 
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "volume_iterations=80"),
@@ -128,7 +128,7 @@ def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
     out, like_the_run = tmp_path / "out", ["--preset", "draft", "--set", "poisson_depth=6"]
     shutil.copytree(done, out)
     loaded = load_scene(scene, DataConfig())
-    write_models(out, read_models(done, loaded), loaded, OutputConfig(scale=1000))
+    write_models(out, read_models(done, loaded.user_from_scene), loaded, OutputConfig(scale=1000))
     options = ["--scale", "1000", "--up", "y", "--obj", "--texture", "64"]
     result = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), *like_the_run, *options])
     assert result.exit_code == 0, result.output
@@ -150,11 +150,11 @@ def test_splats_come_back_with_the_low_pass_that_they_were_trained_with(
     scene: Path, done: Path, tmp_path: Path
 ) -> None:
     loaded = load_scene(scene, DataConfig())
-    models = read_models(done, loaded)
+    models = read_models(done, loaded.user_from_scene)
     assert models.volumes.low_pass == VolumeConfig().low_pass
     models.volumes.low_pass = 0.3
     write_models(tmp_path, models, loaded, OutputConfig())
-    assert read_models(tmp_path, loaded).volumes.low_pass == 0.3
+    assert read_models(tmp_path, loaded.user_from_scene).volumes.low_pass == 0.3
 
 
 def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_info_tells_what_was_read(scene: Path) -> None:
 
 def test_sigterm_leaves_a_checkpoint_and_says_how_to_go_on(scene: Path, tmp_path: Path) -> None:
     """Check that SIGTERM leaves a checkpoint, in a process of its own, because signals go to processes."""
-    command = [sys.executable, "-m", "worker.cli", "run", str(scene), "-o", str(tmp_path)]
+    command = [sys.executable, "-m", "program.worker", "run", str(scene), "-o", str(tmp_path)]
     endless = ["--method", "2dgs", *SHORT, "--set", "surfel_iterations=100000", "--set", "report_every=5"]
     process = subprocess.Popen(
         [*command, *endless], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2]
@@ -228,7 +228,7 @@ def test_resume_takes_up_a_finished_training(scene: Path, done: Path, tmp_path: 
         (["nowhere"], "nowhere: no such folder"),
         pytest.param(
             ["SCENE", "--device", "cuda"],
-            "--device cuda: this torch",
+            "device cuda: this torch",
             marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here"),
         ),
         (["SCENE", "--device", "tpu"], "auto, cpu, cuda"),

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsr.cli.facts import scene_facts
 from mgsr.config import DataConfig, Masks
 from mgsr.data.pointclouds import read_points
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import SceneError
+from mgsr.pipeline.run_metadata import scene_facts
 
 POINTS = np.random.default_rng(0).uniform(-0.7, 0.7, (50, 3))
 # COLMAP's model of the twelve views that many cases have in other forms.
@@ -107,7 +107,7 @@ def test_cases(cases, case):
     scene = load_scene(cases / case.path, DataConfig())
     assert (scene.format, scene.masked) == (case.format, case.masked)
     assert len(scene.train) + len(scene.test) == case.photographs
-    notes = scene_facts(scene, cases / case.path).get("notes", [])
+    notes = scene_facts(scene).get("notes", [])
     assert len(notes) == len(case.notes), notes
     for note, pattern in zip(notes, case.notes, strict=True):
         assert re.match(pattern, note), note

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = ("adam", "harmonics", "image", "mirrored", "surfels", "volumes")
+FAMILIES = ("adam", "fusion", "harmonics", "image", "mirrored", "stereo", "surfels", "volumes")
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,7 @@ def test_the_wheel_has_what_is_needed_at_run_time_and_no_more(wheel: Path) -> No
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {
         *("mgsr", "service", "worker", "program"),
     }
+    assert "mgsr/py.typed" in names
     # NVRTC compiles these on the user's machine; the C++ files are done with.
     assert any(name.endswith(".cu") for name in names) and not any(name.endswith(".cpp") for name in names)
     assert not [name for name in names if "node_modules" in name]
@@ -53,7 +54,7 @@ def test_the_installed_package_finds_its_example_and_reads_it(wheel: Path, tmp_p
     install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(installed), str(wheel)]
     subprocess.run(install, check=True)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    code = "from mgsr.cli.demo import find_example; print(find_example())"
+    code = "from mgsr.pipeline.example import find_example; print(find_example())"
     run = [sys.executable, "-c", code]
     where = subprocess.run(
         run, cwd=tmp_path, env=environment | {"PYTHONPATH": str(installed)}, check=True, capture_output=True, text=True

@@ -16,12 +16,12 @@ import pytest
 import typer.main
 
 from program.__main__ import app
+from program.worker import app as worker_app
 from tests.cli.spheres import write_spheres
 from tests.docs.blocks import PAGES, ROOT, Block, blocks, script
 from tests.service.stack import zip_folder
-from worker.cli import app as worker_app
 
-PROGRAMS = {"mgsr": "program", "mgsr-worker": "worker.cli", "mgsr-service": "service.cli"}
+PROGRAMS = {"mgsr": "program", "mgsr-worker": "program.worker", "mgsr-service": "service.cli"}
 ALL = {f"{block.page.name}:{i}": block for page in PAGES for i, block in enumerate(blocks(page))}
 WITH_COMMANDS = [page for page in PAGES if script(page).strip() != "set -euo pipefail"]
 KINDS = ("not run", "background", "run in", "run", "uses", "curl", "")

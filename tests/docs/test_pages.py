@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+from PIL import Image
 
-from mgsr.config import Config, DataConfig, field_types, make_config
+from mgsr.config import PRESETS, Config, DataConfig, field_types, make_config
 from mgsr.data import find_scene
 from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
@@ -21,6 +23,7 @@ from tests.cli.spheres import write_spheres
 from tests.docs.blocks import PAGES, ROOT, program
 
 CONTRIBUTING = ROOT / "docs/contributing.md"
+PYTHON = ROOT / "docs/python.md"
 # What stands for a setting: the example of contributing.md, and README's form.
 EXAMPLES = {"decided_weight=0.1", "key=value"}
 
@@ -92,6 +95,20 @@ def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     for name, camera in same.items():
         assert np.allclose(camera.cam_from_world, ours[name].cam_from_world, atol=0.02), name
         assert np.allclose(camera.K, ours[name].K)
+
+
+def test_the_example_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a small capture, and with so few iterations that it is soon over."""
+    photos = write_spheres(tmp_path / "photos", size=48, train=12, test=2)
+    (photos / "mesh_gt.ply").unlink()
+    few = {"warmup.surfel_iterations": "30", "warmup.volume_iterations": "30", "mutual.iterations": "20"}
+    monkeypatch.setitem(PRESETS, "draft", PRESETS["draft"] | few | {"mesh.poisson_depth": "5"})
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(program(PYTHON, "python"), names)
+    assert Image.open("out/beside.png").size == (320, 320)
+    assert {path.name for path in Path("out").iterdir()} == {"photos", "small", "beside.png"}
+    assert len(trimesh.load("out/small/mesh.obj", force="mesh").faces) <= 2000
 
 
 @pytest.fixture(scope="module")

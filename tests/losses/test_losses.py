@@ -17,7 +17,7 @@ from mgsr.losses.objective import mutual_terms, surfel_terms, total, volume_term
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.terms import scalar
-from mgsr.render.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
 
 SIZE = 16
 CAMERA = Camera(np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]]), np.eye(4), SIZE, SIZE)

@@ -12,7 +12,7 @@ from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
 from mgsr.geometry.triangles import face_crosses, topology
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import SurfaceMesh
+from mgsr.mesh.surface import Mesh
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.refine import Light
 from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
@@ -28,7 +28,7 @@ def views() -> list[SurfaceView]:
     return views_of(ball(RADIUS), cameras_around(16))
 
 
-def radial_error(mesh: SurfaceMesh) -> np.ndarray:
+def radial_error(mesh: Mesh) -> np.ndarray:
     return np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
 
 

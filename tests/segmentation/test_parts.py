@@ -48,7 +48,7 @@ def test_lifted_labels_are_means_of_the_masks_weighted_by_the_surfels_shares() -
 
 
 def test_labels_of_one_everywhere_render_to_the_opacity() -> None:
-    from mgsr.render.surfels import render_surfels
+    from mgsr.renderers.surfels import render_surfels
 
     model, camera = surfels(40), cameras()[0]
     (share,) = rendered_labels(model, np.ones(40), [camera])

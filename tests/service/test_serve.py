@@ -184,5 +184,5 @@ def test_submit_says_what_is_wrong(arguments: list[str], said: str, tmp_path: Pa
 def test_the_library_commands_need_no_service() -> None:
     """Check that `mgsr run` and the others load nothing of the service's packages."""
     blocked = ("fastapi", "uvicorn", "redis", "rq", "obstore", "httpx", "pydantic_settings")
-    code = f"import sys\nfor name in {blocked}: sys.modules[name] = None\nimport program.__main__, worker.cli"
+    code = f"import sys\nfor name in {blocked}: sys.modules[name] = None\nimport program.__main__, program.worker"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=60)

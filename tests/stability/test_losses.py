@@ -19,8 +19,8 @@ from mgsr.ops.depth_normals import depth_to_normals, normal_agreement_term
 from mgsr.ops.image_loss import image_loss
 from mgsr.ops.terms import scalar
 from mgsr.ops.tv import edge_aware_tv
-from mgsr.render.surfels import render_surfels
-from mgsr.render.volumes import render_volumes
+from mgsr.renderers.surfels import render_surfels
+from mgsr.renderers.volumes import render_volumes
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.oracles import image_loss as loss_oracle
 from tests.stability.branches import facing_camera

@@ -12,7 +12,7 @@ import trimesh
 from mgsr.config import Reflection, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
-from mgsr.render.surfels import render_surfels
+from mgsr.renderers.surfels import render_surfels
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from tests.training.ball import RADIUS, Points, ball_points, ball_scene

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mgsr.cli.events import Event
+from mgsr.pipeline.progress import Event
 from mgsr.training.progress import Progress
 from tests.service.stack import ROOT
 from worker import reporting

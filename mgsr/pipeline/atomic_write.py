@@ -1,0 +1,67 @@
+"""Atomic writes: results appear whole or not at all, written beside their place, then moved there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from mgsr.errors import ConfigError
+
+
+@contextmanager
+def atomic_write(target: Path) -> Iterator[Path]:
+    """Yield a path beside `target` with the same endings, for a file or a folder to be written atomically.
+
+    It is moved to `target` when the block ends well, replacing a file by a file and a folder by a folder, and removed
+    when it does not. Where `target` is a link, what it leads to is replaced.
+
+    Raises ConfigError where a file would take a folder's place or the other way round, and for places that can't be
+    replaced: devices, and the folder that the program runs in.
+    """
+    place = _place(target)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    partial = place.with_name(f".partial.{place.name}")
+    _remove(partial)
+    try:
+        yield partial
+        if not partial.is_dir():
+            require_file_place(target)
+        elif place.is_file():
+            raise ConfigError(f"{target}: is a file, and a folder is to be written there; name a new folder")
+        elif place.is_dir():
+            shutil.rmtree(place)
+        os.replace(partial, place)
+    finally:
+        _remove(partial)
+
+
+def require_file_place(target: Path) -> None:
+    """Check that a file can be written at `target`, before the work rather than after it.
+
+    Raises ConfigError where a folder is there.
+    """
+    if _place(target).is_dir():
+        raise ConfigError(f"{target}: is a folder, and a file is to be written; name a file in it")
+
+
+def _place(target: Path) -> Path:
+    """Resolve what `target` leads to through links, `.` and `..`.
+
+    Raises ConfigError for places that must not be replaced.
+    """
+    place = Path(os.path.realpath(target))
+    if Path.cwd().is_relative_to(place):
+        raise ConfigError(f"{target}: is the folder that MGSR runs in, or holds it; name something new in it")
+    if place.exists() and not (place.is_file() or place.is_dir()):
+        raise ConfigError(f"{target}: is neither a file nor a folder; name a new file")
+    return place
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,39 @@
+"""The surface of the trained branches, in the user's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from mgsr.config import Config
+from mgsr.data.scene import Scene
+from mgsr.geometry.triangles import Triangles
+from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.surface import Mesh
+from mgsr.mesh.texture import texture_mesh
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
+from mgsr.pipeline.steps import always
+
+
+def make_mesh(
+    models: Models,
+    scene: Scene,
+    config: Config,
+    go_on: Callable[[], bool] = always,
+    start: Triangles | None = None,
+) -> Mesh:
+    """Extract the surface, in the user's frame.
+
+    go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
+    the reason, where none comes out.
+    """
+    views = surface_views(models, scene, config)
+    outlined = outlined_scene(models, scene, config)
+    mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on, start=start)
+    to_user = scene.user_from_scene.to_user
+    textured = None
+    if config.output.texture is not None:
+        textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
+        textured = replace(textured, vertices=to_user(textured.vertices))
+    return replace(mesh, vertices=to_user(mesh.vertices), textured=textured)

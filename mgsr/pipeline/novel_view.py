@@ -1,0 +1,98 @@
+"""A reconstruction seen by any camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import View
+from mgsr.errors import ConfigError, TensorError
+from mgsr.pipeline.reconstruction import Reconstruction
+from mgsr.pipeline.rendering import render_camera
+from mgsr.pipeline.result_files import straight_view
+
+# How far a pose's rotation may be from one: files keep seven digits.
+_RIGID = 1e-4
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """The images of one camera, float32, of which each pixel is sampled at its centre.
+
+    color [H,W,3] sRGB 0..1, straight: as it is where alpha is 1, not multiplied by it. alpha [H,W] 0..1. depth [H,W]
+    camera z in the capture's unit, 0 where nothing is. normal [H,W,3] unit, in the capture's axes and towards the
+    camera, zeros where nothing is. With a light split, color is transmitted + weight * reflected before it is made
+    straight: transmitted [H,W,3] straight, without gloss; reflected [H,W,3] sRGB; weight [H,W] 0..1; None without one.
+    even [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known: where one is,
+    the other colours are those under a flash on this camera.
+    """
+
+    color: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    transmitted: np.ndarray | None = None
+    reflected: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    even: np.ndarray | None = None
+
+
+def render(result: Reconstruction, camera: Camera | View) -> Rendering:
+    """Render the splats of a reconstruction on the device where they are (see `Reconstruction.to`).
+
+    camera: in the capture's frame and unit, at any size. Or a View of the scene that was reconstructed, whose own
+    camera is in the scene's normalised frame: as its photograph was taken.
+
+    Raises ConfigError for another kind of argument, and TensorError for a camera that is none: a pose that is not
+    rigid, numbers that are not finite, an empty image.
+    """
+    if not isinstance(result, Reconstruction):
+        raise ConfigError(f"result: expected a Reconstruction, got {type(result).__name__}")
+    if isinstance(camera, View):
+        seen_by = camera.camera
+    elif isinstance(camera, Camera):
+        seen_by = result.normalisation.camera_to_scene(_checked(camera))
+    else:
+        raise ConfigError(f"camera: expected a Camera or a View, got {type(camera).__name__}")
+    flash = result.normalised_flash
+    lit = None if flash is None else flash.seen_by(seen_by)
+    images = render_camera(result.normalised_models, seen_by, result.surface_depth, lit)
+    shown = straight_view(images, result.normalisation.scale)
+    return Rendering(
+        color=shown.color.astype(np.float32),
+        alpha=images.alpha,
+        depth=(images.depth * result.normalisation.scale).astype(np.float32),
+        normal=_unit(images.normal),
+        transmitted=_float32(shown.transmitted),
+        reflected=shown.reflected,
+        weight=shown.weight,
+        even=_float32(shown.even),
+    )
+
+
+def _checked(camera: Camera) -> Camera:
+    """Return a camera with float64 arrays. Raises TensorError where it is none."""
+    K, pose = np.asarray(camera.K, np.float64), np.asarray(camera.cam_from_world, np.float64)
+    for name, array, shape in (("K", K, (3, 3)), ("cam_from_world", pose, (4, 4))):
+        if array.shape != shape or not np.isfinite(array).all():
+            raise TensorError(f"camera.{name}: expected {list(shape)} of finite numbers, got {array.tolist()}")
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_RIGID) or np.linalg.det(rotation) < 0:
+        raise TensorError(f"camera.cam_from_world: expected a rotation and a translation, got {pose.tolist()}")
+    if min(K[0, 0], K[1, 1]) <= 0 or min(camera.width, camera.height) < 1:
+        raise TensorError(
+            f"camera: expected focal lengths above 0 and an image of 1 x 1 pixels or more, got {K[0, 0]:g} and "
+            f"{K[1, 1]:g}, {camera.width} x {camera.height}"
+        )
+    return Camera(K, pose, int(camera.width), int(camera.height))
+
+
+def _unit(normal: np.ndarray) -> np.ndarray:
+    lengths = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return np.where(lengths > 0, normal / np.maximum(lengths, 1e-12), 0).astype(np.float32)
+
+
+def _float32(image: np.ndarray | None) -> np.ndarray | None:
+    return None if image is None else image.astype(np.float32)

@@ -1,0 +1,130 @@
+"""Preprocessing of a run: the scene, its exposures, and where splats begin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.budget.budget import TimeBudget
+from mgsr.config import Config, DataConfig, Exposure
+from mgsr.data.backdrop import backdrop
+from mgsr.data.exposure import evened
+from mgsr.data.masks import with_masks
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
+from mgsr.errors import ConfigError
+from mgsr.export.far_origin import origin_notes
+from mgsr.pipeline import result_files
+from mgsr.pipeline.progress import Event
+from mgsr.pipeline.run_metadata import scene_line
+from mgsr.pipeline.steps import Steps
+from mgsr.pipeline.time_budget import most_points
+from mgsr.shading.lighting import Lighting, lit_scene
+from mgsr.start.starting_points import StartingPoints, starting_points
+from mgsr.training.exposure import find_exposures
+from mgsr.training.outlines import learned_outlines
+
+
+def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
+    """Load the scene of a folder or archive, report it, and remove an earlier run's reports from `out`."""
+    if isinstance(given, Scene):
+        scene = given
+        result_files.clear_reports(out)
+    else:
+        with step("load", f"reading {given}"):
+            scene = load_scene(given, config.data, progress=lambda done, total: step.progress(_loading(done, total)))
+            result_files.clear_reports(out)
+    for text in (scene_line(scene), *scene.notes, *origin_notes(scene.user_from_scene, config.output.scale)):
+        step.progress(Event("load", text))
+    return scene
+
+
+def as_read(scene: Scene, config: Config) -> Config:
+    """Return the settings with those that a scene was read with; `data.exposure`, which works later, is the settings'
+    own unless it is left at its default. Raises ConfigError where they ask for another way of reading."""
+    chosen = {}
+    for item in fields(DataConfig):
+        asked, read = getattr(config.data, item.name), getattr(scene.read_with, item.name)
+        if asked == item.default:
+            chosen[item.name] = read
+        elif asked == read or item.name == "exposure":
+            chosen[item.name] = asked
+        else:
+            raise ConfigError(
+                f"data.{item.name}: expected {read}, with which {scene.name} was read, got {asked}; give the setting "
+                "to load_scene, or the scene's path in place of the scene"
+            )
+    return replace(config, data=DataConfig(**chosen))
+
+
+def _loading(done: int, total: int) -> Event:
+    return Event("load", f"read {done} of {total} photographs", done=done / total)
+
+
+def preprocess(
+    scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
+) -> tuple[Scene, StartingPoints]:
+    """Preprocess a scene: even its exposures, find its light, and choose the starting points.
+
+    Returns the scene with its photographs at a common exposure, where theirs differ, and with a flash's irradiance,
+    where there is one; and the points to start from. What is found is left in `out`.
+    """
+    masks = _learn_masks(scene, config, step)
+
+    def points(of: Scene, during: str, text: str) -> StartingPoints:
+        count, progress = most_points(config, budget), step.share(during, text)
+        return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
+
+    result_files.clear_findings(out)
+    with step("start", "choosing starting points"):
+        start = points(scene, "start", "choosing starting points")
+    if config.data.exposure is not Exposure.KEEP:
+        scene, start = _at_one_exposure(scene, start, config, out, step, points)
+    return _as_lit(scene, start.lighting, config, out, step), start
+
+
+def _at_one_exposure(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    out: Path,
+    step: Steps,
+    points: Callable[[Scene, str, str], StartingPoints],
+) -> tuple[Scene, StartingPoints]:
+    """Bring the photographs to a common exposure, and choose the starting points anew; both stay where exposures agree.
+
+    points: chooses the starting points during a step.
+    """
+    with step("exposures", "comparing the photographs' exposures"):
+        exposures = find_exposures(scene, start, config.seed, step.should_stop)
+        if exposures is None:
+            return scene, start
+        scene = evened(scene, exposures)
+        result_files.write_exposures(out, scene, exposures)
+        text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
+        step.progress(Event("exposures", text))
+        return scene, points(scene, "exposures", "choosing starting points anew")
+
+
+def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:
+    """Add a flash's irradiance to the scene's views, where a flash was found and training shall know of it."""
+    if lighting is None or not config.train.flash:
+        return scene
+    with step("start", "computing what the flash makes of each view"):
+        result_files.write_lighting(out, lighting, scene)
+        return lit_scene(scene, lighting)
+
+
+def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
+    """Learn masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
+    if not backdrop(scene, config.train.background).plain:
+        return None
+    text = "learning where the object ends"
+    with step("outlines", text):
+        masks = learned_outlines(scene, config.seed, step.should_stop, step.share("outlines", text))
+    if masks is None:
+        step.progress(Event("outlines", "what splats cover there is no object: the start goes without outlines"))
+    return masks

@@ -1,0 +1,164 @@
+"""What Python calls: a capture reconstructed, and a folder of results read again."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from mgsr.config import SurfaceDepth, make_config, override_texts
+from mgsr.data.scene import Scene, Similarity
+from mgsr.errors import ConfigError, MgsrError, in_short
+from mgsr.export.far_origin import origin_of_frame
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.mesh.surface import Mesh
+from mgsr.pipeline.device import pick_device
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.progress import Event, EventCallback
+from mgsr.pipeline.result_files import read_lighting, read_mesh, read_models, read_report
+from mgsr.pipeline.result_paths import ResultPaths
+from mgsr.pipeline.run import run_scene
+from mgsr.pipeline.run_log import RunLog
+from mgsr.pipeline.steps import never
+from mgsr.report.data import ReportData
+from mgsr.shading.lighting import Lighting
+from mgsr.shading.refine import Light
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """A finished run's results, in the capture's frame and unit.
+
+    mesh: the surface, whose `textured` is None here: `paths.mesh_textured` has the picture. surfels, gaussians: the 2D
+    and the 3D branch, None for one that the method lacks; their means are about `origin` [3] float64, which is zero
+    unless the capture lies far from its frame's origin: the places in the frame are `means + origin`. light: what a
+    shiny surface mirrors, its reflector also about `origin`; None where that has no use. flash: the lamp beside the
+    lens and the surface that it lights; None where the photographs show none. report: what report.json says.
+    paths: the files. normalisation: frame = scale * normalised + offset, the way from the frame in which the splats
+    were trained and are rendered, where the object lies in the unit ball.
+    """
+
+    mesh: Mesh
+    surfels: SurfelModel | None
+    gaussians: VolumeModel | None
+    light: MirroredLight | None
+    flash: Lighting | None
+    report: ReportData
+    paths: ResultPaths
+    origin: np.ndarray
+    normalisation: Similarity
+
+    def to(self, device: str) -> Reconstruction:
+        """Return the same results with the splats and the light on a device: auto, cpu or cuda. It renders there.
+
+        Raises ConfigError for another name, or a device that torch does not see; GpuError for a card that can't be
+        used.
+        """
+        models = Models(self.surfels, self.gaussians, self.light).to(pick_device(device).torch)
+        return replace(self, surfels=models.surfels, gaussians=models.volumes, light=models.light)
+
+    @cached_property
+    def normalised_models(self) -> Models:
+        """The branches and the light in the normalised frame, where they are rendered."""
+        frame = Similarity(self.normalisation.scale, self.normalisation.offset - self.origin)
+        return Models(self.surfels, self.gaussians, self.light).to_scene(frame)
+
+    @cached_property
+    def normalised_flash(self) -> Lighting | None:
+        """The flash in the normalised frame."""
+        return None if self.flash is None else self.flash.moved(self.normalisation.inverse)
+
+    @property
+    def surface_depth(self) -> SurfaceDepth:
+        """Which depth of the surfels is the surface."""
+        return SurfaceDepth(self.report.other["settings"]["train"]["surfels"]["depth"])
+
+
+def reconstruct(
+    scene: Scene | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    preset: str = "standard",
+    *,
+    method: str = "mgsr",
+    device: str = "auto",
+    seed: int = 0,
+    time_budget: float | None = None,
+    overrides: Mapping[str, object] | Sequence[str] = (),
+    resume: bool = False,
+    progress: EventCallback | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> Reconstruction:
+    """Reconstruct a capture into the folder `out`, as `mgsr run` does, and return the results.
+
+    scene: what `load_scene` gave, or the path of a folder or an archive. preset: draft, standard or high; method:
+    mgsr, 2dgs or 3dgs; device: auto, cpu or cuda. The same seed gives the same files. time_budget: seconds near which
+    all ends, from this call on; it takes the preset's place. overrides: settings by name or path, such as
+    {"mesh.max_faces": 50_000, "output.obj": True}, or as texts "key=value"; None is "none". Those of `data`, but for
+    `data.exposure`, are heeded while a scene is read: for one that is read already they have to be its own.
+
+    resume: go on from the checkpoint in `out`, if there is one. progress: called with an `Event` at each step and every
+    some iterations. should_stop: asked between iterations; once it says so, a checkpoint is written and Cancelled
+    raised.
+
+    Raises ConfigError for an argument or a setting that does not fit; SceneError for a capture that can't be used;
+    TrainingError, MeshError, CheckpointError, GpuError, and Cancelled.
+    """
+    begun = time.perf_counter()
+    folder = _path("out", out)
+    given = scene if isinstance(scene, Scene) else _path("scene", scene, "a Scene or ")
+    budget = [] if time_budget is None else [f"time_budget={time_budget}"]
+    config = make_config(preset, method, seed, [*override_texts(overrides), *budget])
+    with RunLog(ResultPaths(folder).log, append=resume) as log:
+
+        def tell(event: Event) -> None:
+            log(event)
+            if progress is not None:
+                progress(event)
+
+        run_scene(given, folder, config, device, resume, tell, should_stop or never, begun)
+    return load_result(folder)
+
+
+def load_result(out: str | os.PathLike[str]) -> Reconstruction:
+    """Read the results that a finished run left in the folder `out`.
+
+    Raises MgsrError where the folder has no report, which is written last, and for files that are not those of a run;
+    SceneError for a flash that is damaged.
+    """
+    folder = _path("out", out)
+    report = read_report(folder)
+    try:
+        unit = float(report.other["settings"]["output"]["scale"])
+        frame = report.other["input"]["user_from_scene"]
+        normalisation = Similarity(frame["scale"] / unit, np.array(frame["offset"], np.float64) / unit)
+        known = {name: report.other[name] for name in ("parallax", "opened", "start_kept")}
+        light = Light(report.other["light"])
+    except (LookupError, TypeError, ValueError) as error:
+        raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
+    origin = origin_of_frame(normalisation)
+    models = read_models(folder, Similarity(offset=origin))
+    return Reconstruction(
+        mesh=replace(read_mesh(folder), light=light, **known),
+        surfels=models.surfels,
+        gaussians=models.volumes,
+        light=models.light,
+        flash=read_lighting(folder),
+        report=report,
+        paths=ResultPaths(folder),
+        origin=origin,
+        normalisation=normalisation,
+    )
+
+
+def _path(name: str, given: object, besides: str = "") -> Path:
+    """Return an argument as a path. Raises ConfigError for what is none."""
+    if not isinstance(given, str | os.PathLike):
+        raise ConfigError(f"{name}: expected {besides}a path, got {type(given).__name__}")
+    return Path(given)

@@ -1,0 +1,111 @@
+"""The pictures of report.html."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mgsr.data.backdrop import Color
+from mgsr.data.scene import Scene, View
+from mgsr.export.renders import on_background
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.mesh.surface import Mesh
+from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline.evaluation import photograph
+from mgsr.pipeline.rendering import ViewImages
+from mgsr.report.html import MOST_VIEWS
+from mgsr.report.mirrored import mirrored_pictures
+from mgsr.report.pictures import (
+    ReportPictures,
+    SurfacePictures,
+    TestViewPictures,
+    color_picture,
+    depth_picture,
+    normal_picture,
+    premultiplied_picture,
+)
+from mgsr.report.shading import MeshPainter, TriangleMesh, surface_pictures, up_direction
+
+
+@dataclass(frozen=True)
+class SurfaceDrawings:
+    """The drawings of a surface for the report.
+
+    They are from its sides, and shaded [H,W,4] uint8 as each of the first test views sees it.
+    """
+
+    sides: SurfacePictures
+    views: list[np.ndarray]
+
+
+def draw_surface(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+    """Draw the surface for the report; mesh and truth are in the user's frame."""
+    shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+    painter = MeshPainter(shown)
+    to_user = scene.user_from_scene.camera_to_user
+    views = [painter.shaded(to_user(view.camera)) for view in scene.test[:MOST_VIEWS]]
+    front = to_user((scene.test or scene.train)[0].camera).center
+    true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
+    return SurfaceDrawings(surface_pictures(shown, _up(scene), front, true_mesh), views)
+
+
+def report_pictures(
+    rendered: Sequence[ViewImages],
+    psnr: Sequence[float],
+    drawn: SurfaceDrawings,
+    scene: Scene,
+    light: MirroredLight | None,
+    background: Color,
+) -> ReportPictures:
+    """Collect the pictures of the report: the first test views, the surface, and the light that it mirrors.
+
+    psnr: of the test views, dB; background: what lies behind views without masks.
+    """
+    views = [
+        _view_pictures(images, view, value, shaded, background)
+        for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
+    ]
+    mirrored = () if light is None else mirrored_pictures(light, _up(scene))
+    return ReportPictures(views, mirrored, drawn.sides)
+
+
+def _up(scene: Scene) -> np.ndarray:
+    return up_direction([view.camera for view in scene.train])
+
+
+def _shown(view: View) -> np.ndarray:
+    """Return the photograph, transparent where it shows nothing."""
+    pixels = photograph(view)
+    if view.known is None:
+        return pixels
+    if view.alpha is None:
+        pixels = np.dstack([pixels, np.full(view.known.shape, 255, np.uint8)])
+    return np.where(view.known[..., None], pixels, np.uint8(0))
+
+
+def _view_pictures(
+    images: ViewImages, view: View, psnr: float, shaded: np.ndarray, background: Color
+) -> TestViewPictures:
+    reflected = None
+    if images.reflected is not None and images.weight is not None:
+        reflected = color_picture(images.reflected * images.weight[..., None])
+
+    def light(color: np.ndarray) -> np.ndarray:
+        if view.alpha is None:
+            return color_picture(on_background(color, images.alpha, background))
+        return premultiplied_picture(color, images.alpha)
+
+    return TestViewPictures(
+        images.name,
+        _shown(view),
+        light(images.color),
+        None if images.transmitted is None else light(images.transmitted),
+        reflected,
+        normal_picture(images.normal, images.camera, images.alpha),
+        depth_picture(images.depth, images.alpha),
+        shaded,
+        psnr,
+        None if images.even is None else light(images.even),
+    )

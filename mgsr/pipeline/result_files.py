@@ -1,0 +1,274 @@
+"""The files of a folder of results: how each is written whole and in the user's frame, and read."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from mgsr.config import OutputConfig, Up
+from mgsr.data.exposure import evened
+from mgsr.data.scene import Exposures, Scene, Similarity
+from mgsr.errors import MgsrError, in_short
+from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.export.flash import load_flash, write_flash
+from mgsr.export.gltf import Up as UpDirection
+from mgsr.export.gltf import UpAxis
+from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
+from mgsr.export.mirrored_light import StoredLight, load_mirrored_light, write_mirrored_light
+from mgsr.export.obj_files import write_obj
+from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
+from mgsr.export.renders import RenderedView, straight_color, write_view
+from mgsr.export.splats import load_splats, write_splats
+from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.reflector import Reflector
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.volumes import VolumeModel
+from mgsr.mesh.surface import Mesh
+from mgsr.pipeline.atomic_write import atomic_write
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.rendering import ViewImages
+from mgsr.pipeline.result_paths import (
+    EXPOSURES,
+    FLASH,
+    LIGHT,
+    MESH,
+    MESH_GLB,
+    MESH_OBJ,
+    MESH_TEXTURED,
+    RENDERS,
+    REPORT,
+    REPORT_HTML,
+    SURFELS,
+    VOLUMES,
+)
+from mgsr.report.data import ReportData
+from mgsr.report.decisions import with_decisions
+from mgsr.report.html import write_report_html
+from mgsr.report.pictures import ReportPictures
+from mgsr.report.shading import up_direction
+from mgsr.shading.lighting import Lighting, lit_scene
+
+
+def clear_reports(out: Path) -> None:
+    """Remove an earlier run's reports: a folder with a report holds a finished run."""
+    for name in (REPORT, REPORT_HTML):
+        (out / name).unlink(missing_ok=True)
+
+
+def clear_findings(out: Path) -> None:
+    """Remove what an earlier run found of its photographs."""
+    for name in (EXPOSURES, FLASH):
+        (out / name).unlink(missing_ok=True)
+
+
+def write_exposures(out: Path, scene: Scene, exposures: Exposures) -> None:
+    """Write exposures.json: by split and the views' names, the factors [3] of the photographs' linear light."""
+    splits = {"train": (scene.train, exposures.train), "test": (scene.test, exposures.test)}
+    table = {
+        split: {view.name: factor.tolist() for view, factor in zip(views, factors, strict=True)}
+        for split, (views, factors) in splits.items()
+    }
+    with atomic_write(out / EXPOSURES) as path:
+        path.write_text(json.dumps(table))
+
+
+def at_known_exposures(out: Path, scene: Scene) -> Scene:
+    """Return the scene at the exposures that the run in `out` found.
+
+    Raises MgsrError for a file that is damaged or of other photographs.
+    """
+    if not (out / EXPOSURES).is_file():
+        return scene
+    try:
+        table = json.loads((out / EXPOSURES).read_text())
+        train, test = (
+            np.array([table[split][view.name] for view in views], np.float64).reshape(len(views), 3)
+            for split, views in (("train", scene.train), ("test", scene.test))
+        )
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise MgsrError(
+            f"{out / EXPOSURES}: expected three factors for each photograph of {scene.name}: {in_short(error)}; "
+            f"run `mgsr train SCENE -o {out}` again"
+        ) from error
+    factors = np.concatenate([train, test])
+    if not (np.isfinite(factors) & (factors > 0)).all():
+        raise MgsrError(f"{out / EXPOSURES}: expected factors above 0; run `mgsr train SCENE -o {out}` again")
+    return evened(scene, Exposures(train, test))
+
+
+def write_lighting(out: Path, lighting: Lighting, scene: Scene) -> None:
+    """Write flash.npz: the surface that a flash lights, and its lamp, in the user's frame."""
+    with atomic_write(out / FLASH) as path:
+        write_flash(path, lighting.moved(scene.user_from_scene), origin_of_frame(scene.user_from_scene))
+
+
+def as_lit(out: Path, scene: Scene) -> Scene:
+    """Return the scene with the irradiance of the flash that the run in `out` found, if it found one.
+
+    Raises SceneError for a file that is damaged.
+    """
+    lighting = read_lighting(out)
+    return scene if lighting is None else lit_scene(scene, lighting.moved(scene.user_from_scene.inverse))
+
+
+def read_lighting(out: Path) -> Lighting | None:
+    """Read the flash that the run in `out` found, in the user's frame; None where it found none. Raises SceneError for
+    a file that is damaged."""
+    return load_flash(out / FLASH) if (out / FLASH).is_file() else None
+
+
+def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
+    """Write the branches as splat files, and the environment maps.
+
+    What is not there leaves no file, also none of an earlier run. Splats are in the output's unit and about the frame's
+    origin or one near the scene (see `origin_of_frame`).
+    """
+    origin = origin_of_frame(scene.user_from_scene, output.scale)
+    file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
+    for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
+        if model is None:
+            (out / name).unlink(missing_ok=True)
+            continue
+        arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
+        with atomic_write(out / name) as path:
+            low_pass = model.low_pass if isinstance(model, VolumeModel) else None
+            write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
+    if models.light is None:
+        (out / LIGHT).unlink(missing_ok=True)
+        return
+    with atomic_write(out / LIGHT) as path:
+        write_mirrored_light(path, _stored(models.light, scene), origin_of_frame(scene.user_from_scene))
+
+
+def read_models(out: Path, user_from_scene: Similarity) -> Models:
+    """Read the branches that a run left in `out`, in the scene's frame.
+
+    Raises MgsrError where there are none.
+    """
+    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
+    if not found:
+        raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
+    surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
+    volumes = None
+    if VOLUMES in found:
+        volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
+    light = _read_light(out / LIGHT, user_from_scene) if (out / LIGHT).exists() else None
+    return Models(surfels, volumes, light)
+
+
+def _stored(light: MirroredLight, scene: Scene) -> StoredLight:
+    """Return a light in the user's frame."""
+    surface = light.reflector
+    placed = None if surface is None else (scene.user_from_scene.to_user(surface.vertices), surface.faces)
+    return StoredLight(light.maps().numpy(), light.bounce().numpy(), placed)
+
+
+def _read_light(path: Path, user_from_scene: Similarity) -> MirroredLight:
+    """Return a file's light in the scene's frame."""
+    stored = load_mirrored_light(path)
+    reflector = None
+    if stored.surface is not None:
+        reflector = Reflector(user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
+    return MirroredLight.of(stored.maps, stored.bounce, reflector)
+
+
+def write_mesh(out: Path, mesh: Mesh, scene: Scene, output: OutputConfig) -> None:
+    """Write mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for.
+
+    The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
+    """
+    arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
+    up = _up(scene, output)
+    with atomic_write(out / MESH) as path:
+        write_ply(path, *arrays, unit=output.scale)
+    with atomic_write(out / MESH_GLB) as path:
+        write_glb(path, *arrays, up=up)
+    for name in (MESH_OBJ, MESH_TEXTURED):
+        (out / name).unlink(missing_ok=True)
+    if output.obj:
+        with atomic_write(out / MESH_OBJ) as path:
+            write_obj(path, *arrays)
+    if mesh.textured is not None:
+        textured = mesh.textured
+        picture = (textured.faces, textured.normals, textured.uvs, textured.picture)
+        with atomic_write(out / MESH_TEXTURED) as path:
+            write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
+
+
+def _up(scene: Scene, output: OutputConfig) -> UpDirection:
+    """Return the direction that points up in the user's frame, whose axes are the scene's."""
+    if output.up is not Up.AUTO:
+        return UpAxis(output.up.value)
+    return up_direction([view.camera for view in scene.train])
+
+
+def read_mesh(out: Path) -> Mesh:
+    """Read the mesh that an earlier run left in `out`, in the user's frame and unit.
+
+    Raises MgsrError where there is none.
+    """
+    import trimesh
+
+    if not (out / MESH).is_file():
+        raise MgsrError(f"{out}: no {MESH} there; run `mgsr mesh SCENE -o {out}` first")
+    mesh: Any = trimesh.load(out / MESH, process=False, force="mesh")
+    colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
+    normals = np.asarray(mesh.vertex_normals, np.float32)
+    vertices = np.asarray(mesh.vertices, np.float64) / read_number(out / MESH, UNIT)
+    return Mesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
+
+
+def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:
+    """Write renders/test with all pictures of each test view (see mgsr/export/renders.py).
+
+    Depths are in the output's unit.
+    """
+    with atomic_write(out / RENDERS) as folder:
+        folder.mkdir()
+        for view in rendered:
+            write_view(folder, view.name, straight_view(view, scene.user_from_scene.scale * output.scale))
+
+
+def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> None:
+    """Write report.html, then report.json, which says that the run is complete."""
+    report = with_decisions(report)
+    with atomic_write(out / REPORT_HTML) as path:
+        write_report_html(path, report, pictures)
+    with atomic_write(out / REPORT) as path:
+        path.write_text(json.dumps(report.to_json(), indent=2) + "\n", encoding="utf-8")
+
+
+def straight_view(view: ViewImages, unit: float) -> RenderedView:
+    """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
+    transmitted, even = (
+        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
+    )
+    color = straight_color(view.color, view.alpha)
+    light = (transmitted, view.reflected, view.weight)
+    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, even)
+
+
+def read_report(out: Path) -> ReportData:
+    """Read the report of the run in `out`. Raises MgsrError where there is none, or one that is damaged."""
+    path = out / REPORT
+    if not path.is_file():
+        raise MgsrError(f"{path}: expected the report of a finished run, found none; finish the run")
+    try:
+        return ReportData.from_json(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise MgsrError(f"{path}: not the report of a run ({in_short(error)}); run again") from error
+
+
+def _read_tensors(path: Path, user_from_scene: Similarity) -> dict[str, torch.Tensor]:
+    """Read a splat file's arrays, taken from the file's unit and origin to the scene's frame."""
+    arrays, unit, origin = load_splats(path), read_number(path, UNIT), read_origin(path)
+    file_from_scene = about_origin(user_from_scene, unit, origin)
+    arrays["means"] = file_from_scene.to_scene(arrays["means"].astype(np.float64))
+    arrays["log_scales"] = arrays["log_scales"] - math.log(file_from_scene.scale)
+    return {name: torch.from_numpy(np.ascontiguousarray(array, np.float32)) for name, array in arrays.items()}

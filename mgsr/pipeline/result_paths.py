@@ -1,0 +1,99 @@
+"""The names of the files in a folder of results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+MESH = "mesh.ply"
+MESH_GLB = "mesh.glb"
+MESH_OBJ = "mesh.obj"
+MESH_TEXTURED = "mesh_textured.glb"
+SURFELS = "splats_2d.ply"
+VOLUMES = "splats_3d.ply"
+LIGHT = "mirrored_light.npz"
+FLASH = "flash.npz"
+EXPOSURES = "exposures.json"
+RENDERS = "renders/test"
+REPORT = "report.json"
+REPORT_HTML = "report.html"
+LOG = "log.txt"
+CHECKPOINT = "checkpoint"
+
+
+@dataclass(frozen=True)
+class ResultPaths:
+    """Where the files of a folder of results are (docs/outputs.md). Those that a run has not written are not there:
+    without a flash there is no `flash.npz`."""
+
+    folder: Path
+
+    @property
+    def mesh(self) -> Path:
+        """mesh.ply."""
+        return self.folder / MESH
+
+    @property
+    def mesh_glb(self) -> Path:
+        """mesh.glb, y up."""
+        return self.folder / MESH_GLB
+
+    @property
+    def mesh_obj(self) -> Path:
+        """mesh.obj, if it was asked for."""
+        return self.folder / MESH_OBJ
+
+    @property
+    def mesh_textured(self) -> Path:
+        """mesh_textured.glb, if it was asked for."""
+        return self.folder / MESH_TEXTURED
+
+    @property
+    def surfels(self) -> Path:
+        """splats_2d.ply, the 2D branch."""
+        return self.folder / SURFELS
+
+    @property
+    def gaussians(self) -> Path:
+        """splats_3d.ply, the 3D branch."""
+        return self.folder / VOLUMES
+
+    @property
+    def light(self) -> Path:
+        """mirrored_light.npz, where a shiny surface mirrors one."""
+        return self.folder / LIGHT
+
+    @property
+    def flash(self) -> Path:
+        """flash.npz, where the camera had one."""
+        return self.folder / FLASH
+
+    @property
+    def exposures(self) -> Path:
+        """exposures.json, where the photographs' exposures differ."""
+        return self.folder / EXPOSURES
+
+    @property
+    def renders(self) -> Path:
+        """renders/test, the folder of the test views' pictures."""
+        return self.folder / RENDERS
+
+    @property
+    def report(self) -> Path:
+        """report.json."""
+        return self.folder / REPORT
+
+    @property
+    def report_html(self) -> Path:
+        """report.html."""
+        return self.folder / REPORT_HTML
+
+    @property
+    def log(self) -> Path:
+        """log.txt."""
+        return self.folder / LOG
+
+    @property
+    def checkpoint(self) -> Path:
+        """checkpoint, from which a run goes on."""
+        return self.folder / CHECKPOINT

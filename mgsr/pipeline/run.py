@@ -1,0 +1,227 @@
+"""A whole run: from a capture to the files of its results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mgsr.budget.budget import TimeBudget
+from mgsr.config import Config
+from mgsr.data.backdrop import backdrop
+from mgsr.data.scene import Scene
+from mgsr.errors import ConfigError
+from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.mesh.surface import Mesh
+from mgsr.mesh.texture import require_unfolding
+from mgsr.metrics.truth import TrueSurface
+from mgsr.pipeline import result_files
+from mgsr.pipeline.device import Device, pick_device
+from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
+from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
+from mgsr.pipeline.progress import Event, EventCallback, ignore
+from mgsr.pipeline.rendering import render_views
+from mgsr.pipeline.report_pictures import SurfaceDrawings, draw_surface, report_pictures
+from mgsr.pipeline.result_paths import CHECKPOINT, REPORT
+from mgsr.pipeline.run_metadata import run_report
+from mgsr.pipeline.steps import StepClock, Steps, StopCheck, always, never
+from mgsr.pipeline.time_budget import budget_report, fitted_scene, make_budget, plan_line, planned_config
+from mgsr.report.data import ReportData
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.progress import TrainResult
+from mgsr.training.run import Training
+
+
+def run_scene(
+    given: Path | Scene,
+    out: Path,
+    config: Config,
+    device: str = "auto",
+    resume: bool = False,
+    progress: EventCallback = ignore,
+    should_stop: StopCheck = never,
+    begun: float | None = None,
+) -> Path:
+    """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
+
+    given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
+    should_stop: looked at between iterations and between steps. begun: what time.perf_counter() said when the caller
+    began, from where a time budget counts (config.time_budget); None is now.
+
+    Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
+    says so (the checkpoint then holds what was trained).
+    """
+    if config.output.texture is not None:
+        require_unfolding()
+    if isinstance(given, Scene):
+        config = as_read(given, config)
+    chosen = pick_device(device)
+    since = StepClock(begun)
+    step = Steps(StepClock(), progress, should_stop)
+    budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
+    scene = take_scene(given, out, config, step)
+    if budget is not None:
+        scene = fitted_scene(scene, budget, config, step.clock)
+    scene, start = preprocess(scene, config, out, step, budget)
+    if budget is not None:
+        with step("plan", "timing an iteration of each stage"):
+            config = planned_config(scene, start, budget, config, chosen, step.clock)
+        progress(Event("plan", f"time budget of {plan_line(budget)}"))
+    run = _Run(scene, start, config, out, step, chosen, budget)
+    training = _Training(run, resume)
+    trained = training.run(before_surface=True)
+    if budget is not None:
+        run = replace(run, config=replace(config, mesh=budget.mesh_settings()))
+    surface = _make_surface(run, trained)
+    if budget is not None:
+        budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
+    if _mirrors(run, training, trained, surface.mesh) or budget is not None:
+        trained = training.run(before_surface=False)
+    return _write_results(run, trained, surface)
+
+
+def train_only(
+    scene_path: Path,
+    out: Path,
+    config: Config,
+    device: str = "auto",
+    resume: bool = False,
+    progress: EventCallback = ignore,
+    should_stop: StopCheck = never,
+) -> TrainResult:
+    """Train as `run_scene` does before it makes the surface, and leave the splats in `out`; the same arguments and
+    errors, but a time budget is refused: it is for whole runs."""
+    if config.time_budget is not None:
+        raise ConfigError("time_budget: training alone keeps to none; use `mgsr run`, or a preset")
+    chosen = pick_device(device)
+    step = Steps(StepClock(), progress, should_stop)
+    scene = take_scene(scene_path, out, config, step)
+    scene, start = preprocess(scene, config, out, step)
+    return _Training(_Run(scene, start, config, out, step, chosen), resume).run(before_surface=True)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What the steps of a run share once it is planned."""
+
+    scene: Scene
+    start: StartingPoints
+    config: Config
+    out: Path
+    step: Steps
+    device: Device
+    budget: TimeBudget | None = None
+
+    def models(self, trained: TrainResult) -> Models:
+        """Return the branches on the device."""
+        return Models(trained.surfels, trained.volumes, trained.light).to(self.device.torch)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The mesh in the user's frame, its scores, and its pictures for the report."""
+
+    mesh: Mesh
+    scores: dict[str, Any]
+    drawn: SurfaceDrawings
+
+
+def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
+    """Extract the surface, write it, and measure it."""
+    with run.step("mesh", "extracting the surface"):
+        begun_on = run.start.surface if run.scene.masked else None
+        go_on = always if run.budget is None else run.budget.go_on
+        mesh = make_mesh(run.models(trained), run.scene, run.config, go_on, begun_on)
+        result_files.write_mesh(run.out, mesh, run.scene, run.config.output)
+    with run.step("evaluate", "measuring the surface"):
+        truth = find_truth(run.scene)
+        return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
+
+
+def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -> bool:
+    """Let the finished mesh mirror the shared light, where that is of use; return whether the light is to be learned
+    anew for it."""
+    # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
+    fit = run.config.mesh.max_faces is None
+    if run.budget is not None:
+        fit = fit and run.budget.room(run.models(trained).counts) >= run.config.train.mirror.iterations
+    return fit and training.mirror_at(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+
+
+def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
+    """Render and measure the test views, and write the report; return its path."""
+    scene, scores, clock = run.scene, surface.scores, run.step.clock
+    with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
+        rendered = list(render_views(run.models(trained), scene.test, run.config))
+        result_files.write_renders(run.out, rendered, scene, run.config.output)
+        behind = backdrop(scene, run.config.train.background).color
+        scores = scores | image_scores(rendered, scene, behind)
+    with run.step("report", "writing the report"):
+        psnr = [view["psnr"] for view in scores["views"].values()]
+        pictures = report_pictures(rendered, psnr, surface.drawn, scene, trained.light, behind)
+    budget = None if run.budget is None else budget_report(run.budget, clock.steps)
+    report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
+    result_files.write_reports(run.out, report, pictures)
+    run.step.progress(Event("report", result_line(report)))
+    return run.out / REPORT
+
+
+def _draw(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+    """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
+    cast in float32."""
+    origin = origin_of_frame(scene.user_from_scene)
+    mesh = replace(mesh, vertices=mesh.vertices - origin)
+    truth = None if truth is None else replace(truth, vertices=truth.vertices - origin)
+    near = replace(scene, user_from_scene=about_origin(scene.user_from_scene, 1.0, origin))
+    return draw_surface(mesh, truth, near)
+
+
+def result_line(report: ReportData) -> str:
+    """Return the run's result in one line."""
+    parts = [f"done in {report.seconds['total']:.1f} s"]
+    if report.mesh is not None:
+        parts.append(f"mesh of {report.mesh.faces} faces")
+    if report.psnr_test is not None:
+        parts.append(f"PSNR {report.psnr_test:.2f} dB on {len(report.other['input']['test_views'])} test views")
+    warning = report.other["input"].get("warning")
+    return ", ".join(parts) + (f"; {warning}" if warning else "")
+
+
+class _Training:
+    """Training as a step of the run, which may have two parts: before and after the surface. The branches are also
+    written as splats; `out`/checkpoint holds them on the way and at the end."""
+
+    def __init__(self, run: _Run, resume: bool) -> None:
+        self._run, step = run, run.step
+        self._text = f"training from {len(run.start.positions)} points ({run.start.source})"
+        with step.clock.step("train"):
+            self._training = Training(
+                run.scene,
+                run.start,
+                run.config,
+                progress=lambda training: step.progress(Event("train", training.stage, training)),
+                should_stop=step.should_stop,
+                checkpoint_path=run.out / CHECKPOINT,
+                resume=resume,
+                device=run.device.torch,
+                pace=run.budget,
+            )
+
+    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """See `Training.mirror_at`."""
+        return self._training.mirror_at(vertices, faces)
+
+    def run(self, before_surface: bool = False) -> TrainResult:
+        """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
+        run = self._run
+        with run.step("train", self._text):
+            trained = self._training.run(finish=not before_surface)
+        self._text = "training goes on"
+        with run.step("export", "writing the splats"):
+            models = Models(trained.surfels, trained.volumes, trained.light)
+            result_files.write_models(run.out, models, run.scene, run.config.output)
+        return trained

@@ -1,0 +1,183 @@
+"""The metadata of a run in report.json: what was run, on what, how long it took, and what came of it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import resource
+import shlex
+import sys
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import mgsr
+from mgsr.config import Config
+from mgsr.data.scene import Scene
+from mgsr.export.far_origin import origin_notes, origin_of_frame
+from mgsr.geometry.triangles import topology
+from mgsr.mesh.surface import Mesh
+from mgsr.native.runtime import isas
+from mgsr.pipeline.device import Device
+from mgsr.pipeline.models import Models
+from mgsr.pipeline.steps import StepClock
+from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.progress import TrainResult
+
+PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
+# What modules are called as programs.
+_PROGRAMS = {"mgsr.cli.main": "mgsr", "program.__main__": "mgsr", "program.worker": "mgsr-worker"}
+
+
+def run_report(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    device: Device,
+    trained: TrainResult,
+    mesh: Mesh,
+    scores: dict[str, Any],
+    clock: StepClock,
+    time_budget: dict[str, Any] | None = None,
+) -> ReportData:
+    """Build everything that report.json says.
+
+    scores: psnr_test, ssim_test, gt and whatever else was measured.
+    """
+    known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
+    counts = topology(mesh.vertices, mesh.faces)
+    return ReportData(
+        scene=scene.name,
+        preset=config.preset,
+        method=config.method,
+        device=str(device),
+        seed=config.seed,
+        versions=_versions(),
+        seconds=_seconds(trained, clock),
+        iterations={
+            stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
+        },
+        gaussians=Models(trained.surfels, trained.volumes).counts,
+        curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
+        mesh=MeshFacts(**asdict(counts)),
+        peak_memory_mib=peak_memory_mib(),
+        command=_command(),
+        other={
+            "input": _input(scene, start, config.output.scale),
+            "light": str(mesh.light),
+            "parallax": mesh.parallax,
+            "opened": mesh.opened,
+            "start_kept": mesh.start_kept,
+            "reflection": {"chosen": trained.reflection, "tried": trained.tried},
+            "sh_degree": {
+                "chosen": None if trained.volumes is None else trained.volumes.sh_degree,
+                "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
+            },
+            "settings": asdict(config),
+            "machine": _machine(),
+        }
+        | ({} if time_budget is None else {"time_budget": time_budget})
+        | {name: value for name, value in scores.items() if name not in known},
+        **known,
+    )
+
+
+def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
+    """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame.
+
+    splats_origin: what positions in splat files are about, where the frame's origin lies far away; shown: the share of
+    the pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind
+    photographs without masks. unit: what lengths are multiplied with.
+    """
+    camera, frame = scene.train[0].camera, scene.user_from_scene
+    shown, plain = shown_share(scene), scene.plain_backdrop
+    origin, notes = origin_of_frame(frame, unit), [*scene.notes, *origin_notes(frame, unit)]
+    return (
+        {
+            "path": str(scene.source or scene.root),
+            "format": scene.format,
+            "train_views": [view.name for view in scene.train],
+            "test_views": [view.name for view in scene.test],
+            "image_size": [camera.width, camera.height],
+            "masked": scene.masked,
+            "points": 0 if scene.points is None else len(scene.points.positions),
+            "user_from_scene": {"scale": float(frame.scale * unit), "offset": [float(x) * unit for x in frame.offset]},
+        }
+        | ({"splats_origin": origin.tolist()} if origin.any() else {})
+        | ({"shown": round(shown, 4)} if shown < 1 else {})
+        | ({} if plain is None else {"backdrop": [round(value, 3) for value in plain]})
+        | ({} if scene.exposures is None else {"exposures": round(scene.exposures.largest_difference, 3)})
+        | ({"notes": notes} if notes else {})
+        | ({} if scene.warning is None else {"warning": scene.warning})
+    )
+
+
+def shown_share(scene: Scene) -> float:
+    """Return the share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
+    pixels = sum(view.camera.width * view.camera.height for view in scene.train)
+    unknown = sum(int((~view.known).sum()) for view in scene.train if view.known is not None)
+    return 1 - unknown / max(pixels, 1)
+
+
+def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
+    begun = {"source": str(start.source), "count": len(start.positions)}
+    facts = scene_facts(scene, unit)  # as the written files have it
+    flash = start.lighting
+    if flash is not None and scene.train[0].lit is not None:
+        across = scene.user_from_scene.scale * unit
+        facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
+    return facts | {"starting_points": begun}
+
+
+def scene_line(scene: Scene) -> str:
+    """Return what was read, in one line."""
+    camera = scene.train[0].camera
+    masks = "with masks" if scene.masked else "without masks"
+    points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"
+    shown = shown_share(scene)
+    size = f"{camera.width}x{camera.height}" + (f" of which photographs show {shown:.0%}" if shown < 1 else "")
+    return (
+        f"{scene.name}: {scene.format}, {len(scene.train)} training and {len(scene.test)} test views, "
+        f"{size}, {masks}, {points}"
+    )
+
+
+def peak_memory_mib() -> float:
+    """Return the most memory that this process has held, MiB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def _command() -> str:
+    # `python -m` leaves the module's file as the program's name.
+    module = getattr(sys.modules["__main__"], "__spec__", None)
+    name = _PROGRAMS.get(module.name if module else "", Path(sys.argv[0]).name)
+    return shlex.join([name, *sys.argv[1:]])
+
+
+def _versions() -> dict[str, str]:
+    found = {"mgsr": mgsr.__version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "system": platform.platform(),
+        "processor": platform.machine(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "kernels": isas()[0],
+    }
+
+
+def _seconds(trained: TrainResult, clock: StepClock) -> dict[str, float]:
+    """Return seconds by step: the total is this process's; `train` and its stages also hold those before a resume."""
+    stages = {stage.name: stage.seconds for stage in trained.stages}
+    before = trained.seconds - clock.steps["train"]
+    return {"total": clock.total + max(0.0, before), **clock.steps, "train": trained.seconds, **stages}

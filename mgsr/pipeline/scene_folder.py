@@ -1,0 +1,47 @@
+"""Scenes as new folders for other programs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from mgsr.data.archive import ARCHIVE_SUFFIXES
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
+from mgsr.errors import ConfigError
+from mgsr.export.convert import FILE_SUFFIXES
+from mgsr.export.gltf import UpAxis
+from mgsr.export.scenes import write_scene
+from mgsr.pipeline.atomic_write import atomic_write
+from mgsr.pipeline.run_metadata import scene_line
+
+
+def require_new_folder(target: Path) -> None:
+    """Raise ConfigError where something is at `target` already, before the work and not after it."""
+    if target.exists() and (target.is_file() or any(target.iterdir())):
+        raise ConfigError(f"{target}: is not empty; name a new folder for the scene")
+
+
+def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
+    """Write the scene at `target` (see `write_scene`), whole or not at all. Raises as `require_new_folder`."""
+    require_new_folder(target)
+    with atomic_write(target) as folder:
+        folder.mkdir()
+        write_scene(folder, scene, scale)
+
+
+def convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -> str:
+    """Write the scene at `source` as a new folder, with all lengths times `scale`; return what it holds, in one line.
+
+    up: refused, as a scene keeps its frame. Raises ConfigError where the arguments do not fit, and SceneError.
+    """
+    if target.name.lower().endswith((*FILE_SUFFIXES, *ARCHIVE_SUFFIXES)):
+        raise ConfigError(f"{target}: {source} is a scene, which becomes a folder, not a file; name a new folder")
+    if up is not None:
+        raise ConfigError(f"--up {up}: {source} is a scene, which keeps its frame; leave --up out")
+    require_new_folder(target)
+    if not (math.isfinite(scale) and scale > 0):
+        raise ConfigError(f"--scale {scale:g}: expected a number above 0")
+    scene = load_scene(source)
+    write_scene_folder(target, scene, scale)
+    return scene_line(scene)

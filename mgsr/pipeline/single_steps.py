@@ -1,0 +1,75 @@
+"""The steps of a run singly, each from what the one before left in the folder of results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from mgsr.config import Config
+from mgsr.data.backdrop import backdrop
+from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
+from mgsr.mesh.surface import Mesh
+from mgsr.pipeline.device import pick_device
+from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
+from mgsr.pipeline.meshing import make_mesh
+from mgsr.pipeline.rendering import render_views, rendered_scene
+from mgsr.pipeline.result_files import (
+    as_lit,
+    at_known_exposures,
+    read_mesh,
+    read_models,
+    write_mesh,
+    write_renders,
+)
+from mgsr.pipeline.result_paths import MESH
+from mgsr.pipeline.scene_folder import require_new_folder, write_scene_folder
+from mgsr.report.data import finite
+from mgsr.start.starting_points import starting_points
+
+
+def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> Mesh:
+    """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
+
+    Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
+    """
+    chosen = pick_device(device)
+    scene = at_known_exposures(out, load_scene(path, config.data))
+    # The run held its surface against the one that it began on, which its seed gives again.
+    begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
+    mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
+    write_mesh(out, mesh, scene, config.output)
+    return mesh
+
+
+def render_again(path: Path, out: Path, config: Config, device: str = "auto", as_scene: Path | None = None) -> Scene:
+    """Render the test views from the splats in `out`, write their pictures there, and return the scene.
+
+    as_scene: a new folder that all views' renders are written to, with their cameras, as a scene of their own. Raises
+    ConfigError where it is not empty, SceneError, GpuError, and MgsrError where there are no splats.
+    """
+    chosen = pick_device(device)
+    if as_scene is not None:
+        require_new_folder(as_scene)
+    scene = as_lit(out, load_scene(path, config.data))
+    models = read_models(out, scene.user_from_scene).to(chosen.torch)
+    if as_scene is not None:
+        write_scene_folder(as_scene, rendered_scene(models, scene, config), config.output.scale)
+    write_renders(out, list(render_views(models, scene.test, config)), scene, config.output)
+    return scene
+
+
+def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> dict[str, Any]:
+    """Score the splats in `out`, and the mesh if it is there; return plain types that JSON knows.
+
+    Raises ConfigError, SceneError, GpuError, and MgsrError where there are no splats.
+    """
+    chosen = pick_device(device)
+    scene = as_lit(out, at_known_exposures(out, load_scene(path, config.data)))
+    models = read_models(out, scene.user_from_scene).to(chosen.torch)
+    behind = backdrop(scene, config.train.background)
+    scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)
+    if (out / MESH).is_file():
+        scores |= surface_scores(read_mesh(out), find_truth(scene), scene)
+    plain: dict[str, Any] = finite(scores)
+    return plain

@@ -1,0 +1,123 @@
+"""The time budget in a run: what it asks of `TimeBudget`, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mgsr.budget.budget import TimeBudget
+from mgsr.budget.costs import Facts, load_cost, start_cost
+from mgsr.budget.line import HIGHEST
+from mgsr.config import PRESETS, Config
+from mgsr.data.backdrop import backdrop
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Scene
+from mgsr.metrics.truth import TRUTH
+from mgsr.pipeline.device import Device
+from mgsr.pipeline.steps import StepClock
+from mgsr.start.starting_points import StartingPoints
+from mgsr.training.checkpoint import read_pace
+from mgsr.training.probe import probe
+
+
+def make_budget(
+    config: Config, clock: Callable[[], float], device: Device, checkpoint: Path | None
+) -> TimeBudget | None:
+    """Build the budget that the settings ask for; it goes on from that of a checkpoint, if there is one."""
+    if config.time_budget is None:
+        return None
+    budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
+    state = None if checkpoint is None else read_pace(checkpoint)
+    if state is not None:
+        budget.restore(state)
+    return budget
+
+
+def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) -> Facts:
+    """Return what the costs of a scene depend on.
+
+    What only its starting points tell is taken for the costlier case without them.
+    """
+    cameras = [view.camera for view in scene.train]
+    pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
+    shiny = flash = True
+    if start is not None and start.shiny is not None:
+        shiny, flash = start.shiny, start.lighting is not None
+    truth, learned = (scene.root / TRUTH).is_file(), backdrop(scene, config.train.background).plain
+    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash)
+
+
+def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
+    """Reduce the training views of a scene to the size that the budget allows; the test views stay as they are.
+
+    clock: says how long the photographs took to read.
+    """
+    facts = facts_of(scene, config)
+    if "load" in clock.steps:
+        budget.learn(load_cost(facts), clock.steps["load"])
+    scale = budget.choose_scale(facts) if budget.scale is None else budget.scale
+    if scale == 1:
+        return scene
+    return replace(scene, train=[reduced_view(view, scale) for view in scene.train])
+
+
+def most_points(config: Config, budget: TimeBudget | None) -> int:
+    """Return how many starting points may be of use."""
+    settings = config if budget is None else budget.line.at(HIGHEST)
+    return max(settings.train.surfels.max_start, settings.train.volumes.max_start)
+
+
+def planned_config(
+    scene: Scene, start: StartingPoints, budget: TimeBudget, config: Config, device: Device, clock: StepClock
+) -> Config:
+    """Choose the settings that fit the time that is left.
+
+    clock: says how long the starting points took. Raises what training does.
+    """
+    facts = facts_of(scene, config, start)
+    budget.learn(start_cost(facts), clock.steps["start"] + clock.steps.get("outlines", 0.0))
+    if budget.place is None:
+        probed = probe(scene, start, config, device.torch)
+        budget.choose_place(facts, probed.seconds, probed.splats)
+    else:
+        budget.take_up(facts)
+    return budget.settings
+
+
+def plan_line(budget: TimeBudget) -> str:
+    """Say in one line what was planned."""
+    assert budget.place is not None
+    words = f"{budget.seconds:g} s: settings {place_words(budget.place)}"
+    if budget.scale != 1:
+        words += f", photographs at {budget.scale:g} of their size"
+    words += f", {budget.planned['train']:.0f} s of training, {budget.planned['mesh']:.0f} s for the surface"
+    if budget.too_small:
+        words += f"; that is too little: the least plan may end after {budget.least:.0f} s"
+    return words
+
+
+def place_words(place: float) -> str:
+    """Describe a place on the line of settings by the presets."""
+    names = list(PRESETS)
+    below = int(place // 1)
+    if below < 0:
+        return f"below {names[0]} ({place:.2f})"
+    if below >= len(names) - 1:
+        return f"of {names[-1]} and more ({place:.2f})"
+    return f"between {names[below]} and {names[below + 1]} ({place:.2f})"
+
+
+def budget_report(budget: TimeBudget, steps: dict[str, float]) -> dict[str, Any]:
+    """Return what report.json says of the budget: seconds given, planned and spent, whole and by step."""
+    return {
+        "seconds": budget.seconds,
+        "used": budget.spent,
+        "place": budget.place,
+        "settings": place_words(budget.place or 0.0),
+        "image_scale": budget.scale,
+        "too_small": budget.too_small,
+        "planned": budget.planned,
+        "spent": dict(steps),
+    }

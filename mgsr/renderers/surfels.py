@@ -1,0 +1,107 @@
+"""Rendering of the 2D branch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.native.cuda.activations import Activation
+from mgsr.native.cuda.launcher import Launcher, launcher_for
+from mgsr.ops.activations import activated, activated_vjp
+from mgsr.ops.arrays import once_differentiable, plain
+from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
+from mgsr.ops.lights import lit_up, lit_up_vjp
+from mgsr.ops.surfels import SurfelOptions, SurfelPass
+from mgsr.renderers.outputs import SurfelOutputs, camera_center
+
+KINDS = (Activation.EXP, Activation.SIGMOID)
+
+
+def render_surfels(
+    model: SurfelModel,
+    camera: Camera,
+    background: Tensor | None = None,
+    degree: int | None = None,
+    distortion: bool = False,
+    lit: Tensor | None = None,
+) -> SurfelOutputs:
+    """Render the surfels from any camera, at its size.
+
+    background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
+    stored; lit [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
+    light. Gradients flow to the model's tensors where these ask for them.
+
+    Raises TensorError for a model whose tensors don't fit together.
+    """
+    model.check()
+    degree = model.sh_degree if degree is None else degree
+    check_degree(model.sh, degree)
+    stored = (model.means, model.quats, model.log_scales, model.opacity_logits, model.sh)
+    launcher = launcher_for(model.means)
+    differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in stored)
+    rendering = _Rendering(
+        SurfelPass(camera, SurfelOptions(distortion=distortion), launcher, differentiable),
+        launcher,
+        model.means.new_zeros(3) if background is None else plain(background),
+        camera_center(camera),
+        degree,
+        None if lit is None else plain(lit),
+    )
+    color, alpha, depth, median_depth, normal, distorted, even = _RenderSurfels.apply(rendering, *stored)
+    return SurfelOutputs(color, alpha, depth, median_depth, normal, distorted, rendering.raster.stats, even)
+
+
+@dataclass
+class _Rendering:
+    """The inputs of a rendering beside the surfels."""
+
+    raster: SurfelPass
+    launcher: Launcher | None
+    background: Tensor
+    center: Tensor
+    degree: int
+    lit: Tensor | None
+
+
+class _RenderSurfels(torch.autograd.Function):
+    """The rendering from stored parameters to images, in one node.
+
+    It has scales and opacities, colours, the raster and the flash.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, r: _Rendering, *stored: Tensor) -> tuple[Tensor | None, ...]:
+        means, quats, log_scales, opacity_logits, sh = (plain(tensor) for tensor in stored)
+        scales, opacities = activated(r.launcher, KINDS, (log_scales, opacity_logits))
+        rgb = harmonics(r.launcher, sh, means, r.center, r.degree)
+        splats = (means, quats, scales, opacities, rgb, r.background)
+        images = r.raster.forward(splats)
+        color, alpha, even = images[0], images[1], None
+        assert color is not None and alpha is not None
+        if r.lit is not None:
+            even, color = color, lit_up(r.launcher, color, alpha, r.background, r.lit)
+        ctx.rendering, ctx.images = r, len(images)
+        ctx.save_for_backward(sh, *splats, *images)
+        ctx.set_materialize_grads(False)
+        if even is not None:
+            ctx.mark_non_differentiable(even)
+        return color, *images[1:], even
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *v_outputs: Tensor | None) -> tuple[Tensor | None, ...]:
+        r, (sh, *saved) = ctx.rendering, ctx.saved_tensors
+        splats, images = saved[: -ctx.images], saved[-ctx.images :]
+        v_images = [None if v is None else plain(v) for v in v_outputs[:-1]]
+        if r.lit is not None and v_images[0] is not None:
+            v_images[:2] = lit_up_vjp(r.launcher, v_images[0], r.background, r.lit, v_images[1])
+        v_means, v_quats, v_scales, v_opacities, v_rgb = r.raster.backward(splats, images, v_images)
+        means, _, scales, opacities, rgb, _ = splats
+        v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degree, rgb, v_rgb, v_means)
+        v_stored = activated_vjp(r.launcher, KINDS, (scales, opacities), (v_scales, v_opacities))
+        return None, v_means, v_quats, *v_stored, v_sh

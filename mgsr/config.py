@@ -14,6 +14,8 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from mgsr.errors import ConfigError
 
 
@@ -35,6 +37,14 @@ class Blurred(StrEnum):
     DROP = "drop"
 
 
+class Object(StrEnum):
+    """What is reconstructed of a capture without masks. off: all that is seen. auto: the object that stands in the
+    middle, if there is a single one, by masks that are found for it; else all that is seen."""
+
+    OFF = "off"
+    AUTO = "auto"
+
+
 class Exposure(StrEnum):
     """auto: photographs whose exposures differ are brought to a common one; keep: they stay as they are."""
 
@@ -48,6 +58,9 @@ class DataConfig:
 
     masks: Masks = Masks.AUTO
     exposure: Exposure = Exposure.AUTO
+    object: Object = Object.OFF
+    object_box: str | None = None  # x0,y0,z0,x1,y1,z1 in the capture's frame and unit: between these corners lies the
+    # object, of which masks are found then; none leaves it to `object`
     blurred: Blurred = Blurred.KEEP
     confined: bool = False  # look for nothing outside the folder that is given; jobs of the service always do so
     test_every: int = 8  # every n-th view is held out, where the files name no split
@@ -584,6 +597,7 @@ def validate(config: Config) -> None:
         if isinstance(value, (int, float)) and not 0 <= value < math.inf:
             raise ConfigError(f"{path}: expected a finite number, 0 or more, got {value}")
     _validate_output(config.output)
+    object_box(config.data.object_box)
     for path, degree in (
         ("train.surfels.sh_degree", train.surfels.sh_degree),
         ("train.volumes.sh_degree", train.volumes.sh_degree),
@@ -617,6 +631,24 @@ def validate(config: Config) -> None:
             raise ConfigError(f"{path}: expected a share below 1, got {_value(config, path):g}")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
+
+
+def object_box(text: str | None) -> np.ndarray | None:
+    """Return the corners [2,3] of a box that text names as six numbers, the least corner first; None for None.
+
+    Raises ConfigError for other texts.
+    """
+    if text is None:
+        return None
+    try:
+        corners = np.array([float(part) for part in text.split(",")]).reshape(2, 3)
+    except ValueError:
+        corners = np.zeros((2, 3))
+    if not (np.isfinite(corners).all() and (corners[0] < corners[1]).all()):
+        raise ConfigError(
+            f"data.object_box: expected x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1, got {text!r}"
+        )
+    return corners
 
 
 def _validate_output(output: OutputConfig) -> None:

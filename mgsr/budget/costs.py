@@ -17,6 +17,7 @@ STEREO = 0.4  # a view
 WAVES = 2.5  # of the surface, taken off, at 256 cells along a side
 SHOWN = 0.6  # share of an image's side that the object takes up
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
+SEARCHED = 0.45  # a view, for the object's masks
 LEARNED = 12.0  # masks that are learned from small photographs
 
 
@@ -26,7 +27,8 @@ class Facts:
 
     views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
     beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
-    learned where there are none; flash: whether the light is a flash's.
+    learned where there are none; flash: whether the light is a flash's; searched: whether an object is looked for where
+    there are no masks.
     """
 
     views: int
@@ -37,6 +39,7 @@ class Facts:
     masked: bool = True
     learned: bool = False
     flash: bool = False
+    searched: bool = False
 
     @property
     def size(self) -> float:
@@ -54,10 +57,11 @@ def start_cost(facts: Facts) -> float:
 
     Stereo looks at small photographs, so their size does not count.
     """
+    search = (STEREO + SEARCHED) * facts.views if facts.searched else 0.0
     if not facts.masked and not facts.learned:
-        return STEREO * facts.views
+        return search + STEREO * facts.views
     surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    return LEARNED * facts.learned + 2.0 + surface
+    return search + LEARNED * facts.learned + 2.0 + surface
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:

@@ -9,23 +9,28 @@ from pathlib import Path
 import numpy as np
 
 from mgsr.budget.budget import TimeBudget
-from mgsr.config import Config, DataConfig, Exposure
+from mgsr.config import Config, DataConfig, Exposure, object_box
 from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
 from mgsr.data.masks import with_masks
+from mgsr.data.object_scene import with_object
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import origin_notes
 from mgsr.pipeline import result_files
+from mgsr.pipeline.object_files import clear_object, require_place_for_masks, write_object
 from mgsr.pipeline.progress import Event
 from mgsr.pipeline.run_metadata import scene_line
 from mgsr.pipeline.steps import Steps
-from mgsr.pipeline.time_budget import most_points
+from mgsr.pipeline.time_budget import most_points, searches_object
+from mgsr.segmentation.object_masks import NoObject, find_object
 from mgsr.shading.lighting import Lighting, lit_scene
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
+
+LATER = ("exposure", "object", "object_box")  # settings of DataConfig that count after the reading
 
 
 def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
@@ -43,14 +48,17 @@ def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> S
 
 
 def as_read(scene: Scene, config: Config) -> Config:
-    """Return the settings with those that a scene was read with; `data.exposure`, which works later, is the settings'
-    own unless it is left at its default. Raises ConfigError where they ask for another way of reading."""
+    """Return the settings with those that a scene was read with.
+
+    Settings that work after the reading (LATER) are the caller's own unless they are left at their defaults. Raises
+    ConfigError where the others ask for another way of reading.
+    """
     chosen = {}
     for item in fields(DataConfig):
         asked, read = getattr(config.data, item.name), getattr(scene.read_with, item.name)
         if asked == item.default:
             chosen[item.name] = read
-        elif asked == read or item.name == "exposure":
+        elif asked == read or item.name in LATER:
             chosen[item.name] = asked
         else:
             raise ConfigError(
@@ -67,11 +75,15 @@ def _loading(done: int, total: int) -> Event:
 def preprocess(
     scene: Scene, config: Config, out: Path, step: Steps, budget: TimeBudget | None = None
 ) -> tuple[Scene, StartingPoints]:
-    """Preprocess a scene: even its exposures, find its light, and choose the starting points.
+    """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
 
-    Returns the scene with its photographs at a common exposure, where theirs differ, and with a flash's irradiance,
-    where there is one; and the points to start from. What is found is left in `out`.
+    Returns the scene with its photographs at a common exposure, where theirs differ, with masks where an object is
+    asked for and found, and with a flash's irradiance, where there is one; and the points to start from. What is found
+    is left in `out`.
     """
+    searched = searches_object(scene, config)
+    if searched:
+        require_place_for_masks(out)
     masks = _learn_masks(scene, config, step)
 
     def points(of: Scene, during: str, text: str) -> StartingPoints:
@@ -79,10 +91,13 @@ def preprocess(
         return starting_points(with_masks(of, masks), count, config.seed, progress, config.train.background)
 
     result_files.clear_findings(out)
+    clear_object(out)
     with step("start", "choosing starting points"):
         start = points(scene, "start", "choosing starting points")
     if config.data.exposure is not Exposure.KEEP:
-        scene, start = _at_one_exposure(scene, start, config, out, step, points)
+        scene, start = _at_one_exposure(scene, start, config, out, step, None if searched else points)
+    if searched:
+        scene, start = _object_alone(scene, start, config, out, step, points)
     return _as_lit(scene, start.lighting, config, out, step), start
 
 
@@ -92,11 +107,11 @@ def _at_one_exposure(
     config: Config,
     out: Path,
     step: Steps,
-    points: Callable[[Scene, str, str], StartingPoints],
+    points: Callable[[Scene, str, str], StartingPoints] | None,
 ) -> tuple[Scene, StartingPoints]:
     """Bring the photographs to a common exposure, and choose the starting points anew; both stay where exposures agree.
 
-    points: chooses the starting points during a step.
+    points: chooses the starting points during a step; None leaves them as they are.
     """
     with step("exposures", "comparing the photographs' exposures"):
         exposures = find_exposures(scene, start, config.seed, step.should_stop)
@@ -106,7 +121,40 @@ def _at_one_exposure(
         result_files.write_exposures(out, scene, exposures)
         text = f"exposures differ, up to {exposures.largest_difference:.2f} times: all are brought to a common one"
         step.progress(Event("exposures", text))
-        return scene, points(scene, "exposures", "choosing starting points anew")
+        return scene, start if points is None else points(scene, "exposures", "choosing starting points anew")
+
+
+def _object_alone(
+    scene: Scene,
+    start: StartingPoints,
+    config: Config,
+    out: Path,
+    step: Steps,
+    points: Callable[[Scene, str, str], StartingPoints],
+) -> tuple[Scene, StartingPoints]:
+    """Return the scene with masks of its object, and starting points on that; the whole scene, with a note, without.
+
+    points: chooses the starting points during a step.
+    """
+    text, anew = "looking for the object", "choosing starting points anew"
+    box = object_box(config.data.object_box)
+    if box is not None:
+        box = scene.user_from_scene.to_scene(box)
+    with step("object", text):
+        found = find_object(scene, start, config.seed, box, step.should_stop, step.share("object", text))
+        if isinstance(found, NoObject):
+            note = f"no object is reconstructed alone, but all that is seen: {found.reason}"
+            step.progress(Event("object", note))
+            scene = replace(scene, notes=(*scene.notes, note))
+            return scene, start if scene.exposures is None else points(scene, "object", anew)
+        write_object(out, scene, found)
+        known = len(scene.notes)
+        scene = with_object(scene, found.train, found.test)
+        note = f"the object was found: its masks in the photographs agree to {found.agreement.mean():.0%}"
+        for each in (note, *scene.notes[known:]):
+            step.progress(Event("object", each))
+        scene = replace(scene, notes=(*scene.notes, note))
+        return scene, points(scene, "object", anew)
 
 
 def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, step: Steps) -> Scene:

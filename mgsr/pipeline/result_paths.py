@@ -14,6 +14,8 @@ VOLUMES = "splats_3d.ply"
 LIGHT = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
+OBJECT = "object.json"
+MASKS = "masks"
 RENDERS = "renders/test"
 REPORT = "report.json"
 REPORT_HTML = "report.html"
@@ -72,6 +74,16 @@ class ResultPaths:
     def exposures(self) -> Path:
         """exposures.json, where the photographs' exposures differ."""
         return self.folder / EXPOSURES
+
+    @property
+    def object(self) -> Path:
+        """object.json, where an object was asked for and found."""
+        return self.folder / OBJECT
+
+    @property
+    def masks(self) -> Path:
+        """masks, the folder of the found object's masks."""
+        return self.folder / MASKS
 
     @property
     def renders(self) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, load_cost, start_cost
 from mgsr.budget.line import HIGHEST
-from mgsr.config import PRESETS, Config
+from mgsr.config import PRESETS, Config, Object
 from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
@@ -46,7 +46,14 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
     if start is not None and start.shiny is not None:
         shiny, flash = start.shiny, start.lighting is not None
     truth, learned = (scene.root / TRUTH).is_file(), backdrop(scene, config.train.background).plain
-    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash)
+    searched = searches_object(scene, config)
+    return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched)
+
+
+def searches_object(scene: Scene, config: Config) -> bool:
+    """Return whether a run looks for an object in the scene, which as it was read has no masks."""
+    asked = config.data.object is Object.AUTO or config.data.object_box is not None
+    return asked and not scene.masked and not backdrop(scene, config.train.background).plain
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
@@ -76,8 +83,8 @@ def planned_config(
 
     clock: says how long the starting points took. Raises what training does.
     """
-    facts = facts_of(scene, config, start)
-    budget.learn(start_cost(facts), clock.steps["start"] + clock.steps.get("outlines", 0.0))
+    facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
+    budget.learn(start_cost(facts), sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object")))
     if budget.place is None:
         probed = probe(scene, start, config, device.torch)
         budget.choose_place(facts, probed.seconds, probed.splats)

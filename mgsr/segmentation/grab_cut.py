@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 ROUNDS = 3  # of fitting the colour models and cutting
+GROW = 0.5  # share of the band by which a mask may grow; shadows would else be taken for dark parts of the object
+HOLE = 0.15  # side of the largest hole that is filled, as a share of the square root of the mask's area
 EDGE = 1  # pixels by which what renders as the ground may be off
 
 
 def refined_mask(image: np.ndarray, mask: np.ndarray, band: float, outside: np.ndarray | None = None) -> np.ndarray:
     """Move a mask's contour to where the colours change, within a band around it.
 
-    image [H,W,3] uint8 sRGB; mask [H,W] bool. band: half the band's width, as a share of the square root of the mask's
-    area. outside [H,W] bool: what is surely not the object, but for its rim of EDGE pixels. Returns [H,W] bool; a mask
-    too small for a band stays as it is.
+    image [H,W,3] uint8 sRGB; mask [H,W] bool. band: the band's width inside the contour, as a share of the square root
+    of the mask's area. outside [H,W] bool: what is surely not the object, but for its rim of EDGE pixels. Returns
+    [H,W] bool; a mask too small for a band stays as it is.
     """
     import cv2  # late: training needs no OpenCV
 
     reach = max(2, round(band * float(mask.sum()) ** 0.5))
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     plain = mask.astype(np.uint8)
-    core, wide = cv2.erode(plain, disk) > 0, cv2.dilate(plain, disk) > 0
+    grow = max(1, round(GROW * reach))
+    outer = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1))
+    core, wide = cv2.erode(plain, disk) > 0, cv2.dilate(plain, outer) > 0
     if not core.any() or wide.all():
         return mask
     if outside is not None:
@@ -33,7 +38,16 @@ def refined_mask(image: np.ndarray, mask: np.ndarray, band: float, outside: np.n
     cv2.grabCut(colors, cut, nowhere, background, foreground, ROUNDS, cv2.GC_INIT_WITH_MASK)
     refined = np.zeros_like(mask)
     refined[window] = (cut == cv2.GC_FGD) | (cut == cv2.GC_PR_FGD)
-    return refined
+    return without_small_holes(refined)
+
+
+def without_small_holes(mask: np.ndarray) -> np.ndarray:
+    """Fill the holes of a mask [H,W] bool that are small against it: spots of another colour, not openings."""
+    holes, count = ndimage.label(~mask)
+    sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    small = sizes < (HOLE * float(mask.sum()) ** 0.5) ** 2
+    small[0] = False
+    return np.asarray(mask | small[holes])
 
 
 def _window(mask: np.ndarray, margin: int) -> tuple[slice, slice]:

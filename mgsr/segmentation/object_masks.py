@@ -20,6 +20,7 @@ from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.parallel import map_ahead
+from mgsr.segmentation.consensus import completed_masks
 from mgsr.segmentation.grab_cut import refined_mask
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_labels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
@@ -104,10 +105,10 @@ def find_object(
     agreement = np.array([_overlap(mask, shown) for mask, shown in zip(masks, rendered, strict=True)])
     if (doubt := _doubt(masks, agreement)) is not None:
         return doubt
-    positions = first.centers[labels]
-    train, test = (_last_masks(model, labels, first.lying, part) for part in (scene.train, scene.test))
+    box = first.box(labels)
+    train, test = _last_masks(model, labels, first.lying, box, scene)
     progress(1.0)
-    return FoundObject(train, test, agreement, np.stack([positions.min(axis=0), positions.max(axis=0)]), first.plane)
+    return FoundObject(train, test, agreement, box, first.plane)
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,16 @@ class _FirstLabels:
         if kept.any():
             labels[np.flatnonzero(kept)[pieces(self.centers[kept], self.reach) == 0]] = True
         return labels
+
+    def box(self, labels: np.ndarray) -> np.ndarray:
+        """Return the corners [2,3] of the box around surfels [N] bool, and around the feet of those near the plane."""
+        positions = self.centers[labels]
+        if self.plane is not None:
+            heights = self.plane.heights(positions)
+            low = heights < 2 * heights.min()
+            feet = positions[low] - heights[low, None] * self.plane.normal
+            positions = np.concatenate([positions, feet])
+        return np.stack([positions.min(axis=0), positions.max(axis=0)])
 
 
 def _first_labels(
@@ -167,7 +178,7 @@ def _first_labels(
     if standing.sum() < LEAST_SPLATS:
         return NoObject("nothing stands in the middle of what the cameras look at")
     rising, lying = standing & (heights > RISING * pixel), heights < LYING * pixel
-    allowed = (heights > LYING * pixel) & (inside if box is not None else True)
+    allowed = (heights > STANDING * pixel) & (inside if box is not None else True)
     return _FirstLabels(centers, standing, rising, lying, allowed, reach, plane)
 
 
@@ -202,18 +213,26 @@ def _cut(
     return list(map_ahead(cut, range(len(views)), None))
 
 
-def _last_masks(model: SurfelModel, labels: np.ndarray, lying: np.ndarray, views: Sequence[View]) -> list[np.ndarray]:
-    """Return the object's masks [H,W] uint8 in the views, cut once more, in larger photographs where they are large."""
+def _last_masks(
+    model: SurfelModel, labels: np.ndarray, lying: np.ndarray, box: np.ndarray, scene: Scene
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the object's masks [H,W] uint8 in the training and test views, cut once more, in larger photographs."""
     import cv2  # late: training needs no OpenCV
 
+    views = [*scene.train, *scene.test]
     fine = [_small(view, FINE_SIDE) for view in views]
-    shares, ground = (rendered_labels(model, part, [view.camera for view in fine]) for part in (labels, lying))
-    masks = []
-    for view, mask, share in zip(views, _cut(fine, shares, ground, BANDS[-1]), shares, strict=True):
-        kept = mask if _overlap(mask, share > 0.5) > DISAGREEING else share > 0.5
-        size = view.camera.width, view.camera.height
-        masks.append(cv2.resize(255 * kept.astype(np.uint8), size, interpolation=cv2.INTER_LINEAR))
-    return masks
+    cameras = [view.camera for view in fine]
+    shares, ground = (rendered_labels(model, part, cameras) for part in (labels, lying))
+    cut = _cut(fine, shares, ground, BANDS[-1])
+    kept = [
+        mask if _overlap(mask, share > 0.5) > DISAGREEING else share > 0.5
+        for mask, share in zip(cut, shares, strict=True)
+    ]
+    masks = [
+        cv2.resize(255 * mask.astype(np.uint8), (view.camera.width, view.camera.height), interpolation=cv2.INTER_LINEAR)
+        for view, mask in zip(views, completed_masks(kept, cameras, box), strict=True)
+    ]
+    return masks[: len(scene.train)], masks[len(scene.train) :]
 
 
 def _overlap(one: np.ndarray, other: np.ndarray) -> float:

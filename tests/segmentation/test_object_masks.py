@@ -19,7 +19,7 @@ def overlaps(found: list[np.ndarray], truth: list[np.ndarray]) -> list[float]:
 @pytest.fixture(scope="module")
 def found() -> tuple[FoundObject, list[np.ndarray]]:
     """Provide the object that is found on the table, and its true masks."""
-    scene, truth = table_scene()
+    scene, truth = table_scene(size=160)
     result = find_object(scene, starting_points(scene, 8000, 0), 0)
     assert isinstance(result, FoundObject), result
     return result, truth
@@ -37,17 +37,18 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
     assert result.plane.normal @ [0, 0, 1] > 0.999
     assert abs(result.plane.heights(np.array([[0.0, 0.0, TABLE]]))[0]) < 0.02
     low, high = result.box
-    # Surfels up to 3 pixels over the table, of 0.032 here, count as the table's.
-    assert abs(low[2] - TABLE) < 0.11 and abs(high[2] - 0.65) < 0.06
+    assert abs(low[2] - TABLE) < 0.06 and abs(high[2] - 0.65) < 0.06
     assert np.abs(low[:2] + 0.45).max() < 0.08 and np.abs(high[:2] - 0.45).max() < 0.08
 
 
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"standing": False}, "no level surface|nothing stands|no contour"),
         ({"copies": 2}, "several objects"),
-        ({"shift": 1.05}, "cut it off|nothing stands|do not show it|no level surface"),
+        pytest.param({"standing": False}, "no level surface|nothing stands|no contour", marks=pytest.mark.slow),
+        pytest.param(
+            {"shift": 1.05}, "cut it off|nothing stands|do not show it|no level surface", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_capture_without_a_single_object_is_left_whole(options: dict, reason: str) -> None:
@@ -57,6 +58,7 @@ def test_a_capture_without_a_single_object_is_left_whole(options: dict, reason: 
     assert any(part in result.reason for part in reason.split("|")), result.reason
 
 
+@pytest.mark.slow
 def test_a_person_may_say_where_the_object_lies() -> None:
     """Check that of two objects the one in the box is found."""
     scene, truth = table_scene(copies=2)

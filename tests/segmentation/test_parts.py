@@ -8,7 +8,8 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.segmentation.grab_cut import refined_mask
+from mgsr.segmentation.consensus import completed_masks
+from mgsr.segmentation.grab_cut import refined_mask, without_small_holes
 from mgsr.segmentation.splat_labels import C0, lifted_labels, pieces, rendered_labels
 from mgsr.segmentation.support_plane import find_support_plane, upward
 from tests.segmentation.table_scene import table_scene
@@ -81,10 +82,31 @@ def test_a_contour_moves_to_where_the_colours_change() -> None:
     truth = (rows - 40) ** 2 + (columns - 38) ** 2 < 24**2
     noise = np.random.default_rng(0).normal(0, 6, (80, 80, 3))
     image = (np.where(truth[..., None], [200, 90, 60], [70, 110, 130]) + noise).clip(0, 255).astype(np.uint8)
-    rough = (rows - 42) ** 2 + (columns - 40) ** 2 < 23**2
+    rough = (rows - 41) ** 2 + (columns - 40) ** 2 < 25**2
     refined = refined_mask(image, rough, 0.12)
     assert (refined ^ truth).sum() < 0.02 * truth.sum() < (rough ^ truth).sum()
     speck = np.zeros((80, 80), bool)
     speck[5, 5] = True
     assert (refined_mask(image, speck, 0.1) == speck).all()
     assert not refined_mask(image, np.zeros((80, 80), bool), 0.1).any()
+
+
+def test_small_holes_are_filled_and_openings_stay() -> None:
+    rows, columns = np.mgrid[:80, :80]
+    ring = (rows - 40) ** 2 + (columns - 40) ** 2
+    mask = (ring < 30**2) & (ring > 12**2)
+    spotted = mask.copy()
+    spotted[60:63, 40:43] = False
+    np.testing.assert_array_equal(without_small_holes(spotted), mask)
+
+
+def test_what_one_mask_leaves_out_is_completed_by_the_others() -> None:
+    scene, truth = table_scene(size=96)
+    seen = [view.camera for view in scene.train + scene.test]
+    box = np.array([[-0.45, -0.45, -0.8], [0.45, 0.45, 0.65]])
+    masks = [mask.copy() for mask in truth]
+    masks[2][48:, :] = False
+    completed = completed_masks(masks, seen, box)
+    assert (completed[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
+    for mask, true in zip(completed, truth, strict=True):
+        assert (mask & ~true).sum() < 0.06 * true.sum()

@@ -1,0 +1,82 @@
+"""The files of a found object: its masks, and where it lies."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from mgsr.data.images import read_mask
+from mgsr.data.object_scene import with_object
+from mgsr.data.scene import Scene, View
+from mgsr.errors import ConfigError, MgsrError
+from mgsr.pipeline.atomic_write import atomic_write
+from mgsr.pipeline.result_paths import MASKS, OBJECT
+from mgsr.segmentation.object_masks import FoundObject
+
+
+def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
+    """Write masks/NAME.png of all views, and object.json.
+
+    The masks are as MGSR reads them beside photographs: corrected ones can be given back. object.json has the corners
+    of the object's box in the user's frame, and by each training view's name how well its mask agrees with the others.
+    """
+    with atomic_write(out / MASKS) as folder:
+        for (_, name), mask in zip(_names(scene), [*found.train, *found.test], strict=True):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(mask).save(folder / name)
+    low, high = scene.user_from_scene.to_user(found.box).tolist()
+    agreement = {view.name: round(float(value), 4) for view, value in zip(scene.train, found.agreement, strict=True)}
+    with atomic_write(out / OBJECT) as path:
+        path.write_text(json.dumps({"box": [*low, *high], "agreement": agreement}, indent=1))
+
+
+def require_place_for_masks(out: Path) -> None:
+    """Raise ConfigError where `out` has a folder of masks that is no run's, before the work and not after it."""
+    if (out / MASKS).exists() and not (out / OBJECT).is_file():
+        raise ConfigError(f"{out / MASKS}: is there already, and not of a run of MGSR; name another folder for results")
+
+
+def clear_object(out: Path) -> None:
+    """Remove what an earlier run found of an object; masks that are no run's stay."""
+    if (out / OBJECT).is_file():
+        shutil.rmtree(out / MASKS, ignore_errors=True)
+        (out / OBJECT).unlink()
+
+
+def with_found_object(out: Path, scene: Scene) -> Scene:
+    """Return the scene with the masks that the run in `out` found, in the object's frame; unchanged without such.
+
+    Raises MgsrError where a mask is missing or of another size, and SceneError for files that are no images.
+    """
+    if not (out / OBJECT).is_file():
+        return scene
+    masks = [_read(out / MASKS / name, view, out) for view, name in _names(scene)]
+    return with_object(scene, masks[: len(scene.train)], masks[len(scene.train) :])
+
+
+def _names(scene: Scene) -> Iterator[tuple[View, str]]:
+    """Yield each view, the training views first, and the name of its mask's file.
+
+    Test views that are called as a training view have their masks in a folder of their own.
+    """
+    taken = {view.name for view in scene.train}
+    for view in scene.train:
+        yield view, f"{view.name}.png"
+    for view in scene.test:
+        yield view, f"test/{view.name}.png" if view.name in taken else f"{view.name}.png"
+
+
+def _read(path: Path, view: View, out: Path) -> np.ndarray:
+    mask = read_mask(path, path.name) if path.is_file() else None
+    if mask is None or mask.shape != view.image.shape[:2]:
+        height, width = view.image.shape[:2]
+        came = "none" if mask is None else f"{mask.shape[1]}x{mask.shape[0]}"
+        raise MgsrError(
+            f"{path}: expected a mask of {width}x{height} pixels, got {came}; run `mgsr run SCENE -o {out}` again"
+        )
+    return mask

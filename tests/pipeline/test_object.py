@@ -1,0 +1,100 @@
+"""Runs that reconstruct the object of a capture without masks alone, on a table that a ray tracer draws."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mgsr.config import make_config
+from mgsr.data.readers import load_scene
+from mgsr.errors import ConfigError, MgsrError
+from mgsr.export.scenes import write_scene
+from mgsr.pipeline.object_files import with_found_object
+from mgsr.pipeline.run import run_scene
+from mgsr.pipeline.single_steps import mesh_again, score_again
+from tests.segmentation.table_scene import TABLE, table_scene
+
+SHORT = ["warmup.surfel_iterations=30", "warmup.volume_iterations=30", "mutual.iterations=20", "trial.iterations=0"]
+FEW = ["surfels.max_start=4000", "volumes.max_start=2000", "mirror.iterations=0", "mesh.poisson_depth=6"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Provide the folder of a capture without masks."""
+    folder = tmp_path_factory.mktemp("capture") / "table"
+    folder.mkdir()
+    write_scene(folder, table_scene()[0], 1.0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Provide the results of a short run that looks for the object."""
+    out = tmp_path_factory.mktemp("out")
+    run_scene(capture, out, make_config(overrides=[*SHORT, *FEW, "object=auto"]), "cpu")
+    return out
+
+
+def test_the_object_alone_is_delivered(done: Path) -> None:
+    import trimesh
+
+    low, high = trimesh.load(done / "mesh.ply", process=False).bounds
+    assert (np.abs(np.stack([low, high])[:, :2]) < 0.55).all() and low[2] > TABLE - 0.06 and high[2] < 0.75
+    report = json.loads((done / "report.json").read_text())
+    assert report["input"]["masked"] and any("the object was found" in note for note in report["input"]["notes"])
+
+
+def test_masks_and_box_are_written(done: Path, capture: Path) -> None:
+    scene, (_, truth) = load_scene(capture), table_scene()
+    for view, mask in zip(scene.train + scene.test, truth, strict=True):
+        found = np.array(Image.open(done / "masks" / f"{view.name}.png")) > 127
+        assert (found & mask).sum() > 0.8 * (found | mask).sum()
+    written = json.loads((done / "object.json").read_text())
+    assert set(written["agreement"]) == {view.name for view in scene.train}
+    assert np.abs(np.array(written["box"]) - [-0.45, -0.45, TABLE, 0.45, 0.45, 0.65]).max() < 0.15
+
+
+def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
+    config = make_config(overrides=[*SHORT, *FEW, "object=auto"])
+    report = json.loads((done / "report.json").read_text())
+    scores = score_again(capture, done, config, "cpu")
+    assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=1e-3)
+    mesh = mesh_again(capture, done, config, "cpu")
+    assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
+
+
+def test_masks_that_are_gone_are_asked_for(done: Path, capture: Path, tmp_path: Path) -> None:
+    scene = load_scene(capture)
+    assert with_found_object(tmp_path, scene) is scene
+    (tmp_path / "object.json").write_text("{}")
+    with pytest.raises(MgsrError, match=r"expected a mask of 96x96 pixels, got none"):
+        with_found_object(tmp_path, scene)
+
+
+def test_masks_of_a_person_are_not_replaced(capture: Path, tmp_path: Path) -> None:
+    (tmp_path / "masks").mkdir()
+    (tmp_path / "masks" / "own.png").write_bytes(b"mine")
+    with pytest.raises(ConfigError, match="name another folder"):
+        run_scene(capture, tmp_path, make_config(overrides=[*SHORT, *FEW, "object=auto"]), "cpu")
+    assert (tmp_path / "masks" / "own.png").read_bytes() == b"mine"
+
+
+@pytest.mark.slow
+def test_without_an_object_all_is_reconstructed(tmp_path: Path) -> None:
+    folder, out = tmp_path / "two", tmp_path / "out"
+    folder.mkdir()
+    write_scene(folder, table_scene(copies=2)[0], 1.0)
+    run_scene(folder, out, make_config(overrides=[*SHORT, *FEW, "object=auto"]), "cpu")
+    report = json.loads((out / "report.json").read_text())
+    assert not report["input"]["masked"] and not (out / "masks").exists()
+    assert any("alone, but all that is seen: several objects" in note for note in report["input"]["notes"])
+
+
+@pytest.mark.parametrize("box", ["1,2,3", "0,0,0,1,1,0", "a,b,c,d,e,f", "0,0,0,1,1,nan"])
+def test_a_box_that_is_none_is_refused(box: str) -> None:
+    with pytest.raises(ConfigError, match=r"data.object_box: expected x0,y0,z0,x1,y1,z1"):
+        make_config(overrides=[f"object_box={box}"])

@@ -68,7 +68,7 @@ class Builder:
         self._made: dict[str, Stage] = {}
 
     def build(self, image: str) -> Stage:
-        """The final stage of deploy/Dockerfile.<image>."""
+        """Return the final stage of deploy/Dockerfile.<image>."""
         named: dict[str, Stage] = {}
         last = None
         for name, instructions in stages(read_dockerfile((ROOT / f"deploy/Dockerfile.{image}").read_text())):

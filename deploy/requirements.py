@@ -19,7 +19,7 @@ SHARED = ("pydantic", "typer", "rich")
 
 
 def requirements(image: str, project: dict[str, Any]) -> list[str]:
-    """The requirements of an image. Raises KeyError for an image that does not exist."""
+    """Return the requirements of an image. Raises KeyError for an image that does not exist."""
     extras, with_library = IMAGES[image]
     base: list[str] = project["dependencies"]
     chosen = [line for line in base if with_library or line.startswith(SHARED)]
@@ -27,7 +27,7 @@ def requirements(image: str, project: dict[str, Any]) -> list[str]:
 
 
 def _of_extra(extra: str, all_extras: dict[str, list[str]]) -> list[str]:
-    """An extra's requirements; `mgsr[other]` in it stands for the other's."""
+    """Return an extra's requirements; `mgsr[other]` in it stands for the other's."""
     found: list[str] = []
     for line in all_extras[extra]:
         own = line.startswith("mgsr[")

@@ -38,17 +38,17 @@ OPTIONS = {
 
 
 def say(text: str) -> None:
-    """A line with the seconds since the start."""
+    """Print a line with the seconds since the start."""
     print(f"{time.monotonic() - BEGUN:7.1f} s  {text}", flush=True)
 
 
 def run(*words: object) -> None:
-    """A command of this machine, which must succeed."""
+    """Run a command of this machine, which must succeed."""
     subprocess.run([str(word) for word in words], check=True)
 
 
 def make_network(undo: ExitStack) -> None:
-    """A bridge in a namespace of its own, and a namespace with one link to it for each host: nothing leads out."""
+    """Make a bridge in a namespace of its own, and one with a link to it for each host: nothing leads out."""
     run("ip", "netns", "add", BRIDGE)
     undo.callback(run, "ip", "netns", "del", BRIDGE)
     run("ip", "-n", BRIDGE, "link", "add", "bridge", "type", "bridge")
@@ -65,14 +65,17 @@ def make_network(undo: ExitStack) -> None:
 
 
 def environment(service: str) -> dict[str, str]:
-    """What compose gives a service, with the trial's secrets filled in."""
+    """Return what compose gives a service, with the trial's secrets filled in."""
     given = COMPOSE["services"][service]["environment"]
     return {key: re.sub(r"\$\{(\w+)[^}]*\}", lambda m: SECRETS[m[1]], value) for key, value in given.items()}
 
 
 def contained(image: Path, host: str, env: dict[str, str], volume: Path, words: list[str]) -> list[str]:
-    """The command that runs words as a container of an image would: its root read-only, /tmp in memory, its home on
-    `volume`, the hosts' names known, as user 10001 without capabilities."""
+    """Return the command that runs words as a container of an image would.
+
+    Its root is read-only, /tmp is in memory, its home is on `volume`, the hosts' names are known, and it runs as user
+    10001 without capabilities.
+    """
     names = volume.parent / "hosts"
     (image / "etc/hosts").touch()
     names.write_text("".join(f"{NET}.{number} {name}\n" for name, number in HOSTS.items()) + "127.0.0.1 localhost\n")
@@ -116,7 +119,7 @@ class Trial:
         self.undo.callback(process.kill)  # unshare heeds no other signal; its child goes with it
 
     def container(self, host: str, image: str, service: str) -> tuple[list[str], dict[str, Any]]:
-        """The command prefix and the image's facts of a compose service on a host."""
+        """Return the command prefix and the image's facts of a compose service on a host."""
         facts = json.loads((self.images / f"{image}.json").read_text())
         volume = self.folder / host / "home"
         volume.mkdir(parents=True, exist_ok=True)
@@ -130,7 +133,7 @@ class Trial:
         return subprocess.run(command, capture_output=True, text=True)
 
     def ask(self, *words: str) -> Any:
-        """The service's answer to the caller's curl, as JSON."""
+        """Return the service's answer to the caller's curl, as JSON."""
         ran = self.here("caller", "curl", "-s", "-H", f"Authorization: Bearer {self.key}", *words)
         return json.loads(ran.stdout)
 
@@ -179,7 +182,7 @@ def start_all(trial: Trial) -> None:
 
 
 def owner(trial: Trial) -> str | None:
-    """The host whose worker has the job, by the log that it writes."""
+    """Return the host whose worker has the job, by the log that it writes."""
     for host in ("worker-a", "worker-b"):
         if "begins" in (trial.folder / f"{host}.log").read_text():
             return host
@@ -187,7 +190,7 @@ def owner(trial: Trial) -> str | None:
 
 
 def main(images: Path, archive: Path) -> None:
-    """The trial."""
+    """Run the trial."""
     with ExitStack() as undo:
         folder = Path(undo.enter_context(tempfile.TemporaryDirectory(prefix="mgsr-trial.")))
         folder.chmod(0o755)

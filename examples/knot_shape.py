@@ -62,7 +62,7 @@ def knot_curve(t: Array) -> Array:
 
 
 def knot_tangent(t: Array) -> Array:
-    """d knot_curve / dt, [N,3]."""
+    """Return d knot_curve / dt, [N,3]."""
     return np.stack(
         [
             (np.cos(t) + 4 * np.cos(2 * t)) / 3,
@@ -74,7 +74,7 @@ def knot_tangent(t: Array) -> Array:
 
 
 def knot_bend(t: Array) -> Array:
-    """d knot_tangent / dt, [N,3]."""
+    """Return d knot_tangent / dt, [N,3]."""
     return np.stack(
         [
             (-np.sin(t) - 8 * np.sin(2 * t)) / 3,
@@ -98,7 +98,7 @@ class KnotShape:
         self._tree = cKDTree(knot_curve(self._t))
 
     def near_tube(self, points: Array, reach: float = np.inf) -> NearTube:
-        """The tube around each of points [N,3]; distance is `reach` for those farther than that from the curve."""
+        """Find the tube around each of points [N,3]; distance is `reach` for those farther than that from the curve."""
         _, index = self._tree.query(points, distance_upper_bound=reach)
         found = index < CURVE_SAMPLES
         t = self._t[np.where(found, index, 0)]
@@ -118,7 +118,7 @@ class KnotShape:
         return smooth_min(self.near_tube(points, reach).distance, foot_distance(points), BLEND)
 
     def normals(self, points: Array) -> Array:
-        """Unit outward normals [N,3] at surface points [N,3], by central differences."""
+        """Return unit outward normals [N,3] at surface points [N,3], by central differences."""
         step = 1e-4 * np.eye(3)
         gradient = np.stack([self.distance(points + s) - self.distance(points - s) for s in step], axis=-1)
         return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
@@ -130,13 +130,13 @@ class KnotShape:
         return points
 
     def colors(self, points: Array) -> Array:
-        """sRGB colours [N,3] in 0..1: hues along the knot with spiral stripes and dots, rings on the foot."""
+        """Return sRGB colours [N,3] in 0..1: hues along the knot with spiral stripes and dots, rings on the foot."""
         tube = self.near_tube(points)
         on_foot = _step(tube.distance - foot_distance(points), 0.02)[:, None]
         return on_foot * _foot_colors(points) + (1 - on_foot) * _knot_colors(tube)
 
     def mesh(self, cell: float) -> Surface:
-        """The surface by marching cubes with cells of `cell`, in the shape's own units, vertices on the surface."""
+        """Extract the surface by marching cubes with cells of `cell`, in the shape's units; vertices lie on it."""
         low, high = np.array([-1.25, -0.8, -1.3]), np.array([1.25, 0.8, 1.35])
         axes = [np.arange(a, b, cell) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -145,7 +145,7 @@ class KnotShape:
         return self.surface(vertices + low, faces)
 
     def surface(self, vertices: Array, faces: NDArray[np.int64]) -> Surface:
-        """The Surface of these faces, its vertices snapped; normals and colours come from the implicit shape."""
+        """Return the Surface of these faces, its vertices snapped; normals and colours come from the implicit shape."""
         # As it is: merging vertices that came to lie together would pinch the surface.
         mesh = trimesh.Trimesh(self.snapped(vertices.astype(np.float64)), faces, process=False)
         if mesh.volume < 0:
@@ -169,7 +169,7 @@ def foot_distance(points: Array) -> Array:
 
 
 def smooth_min(a: Array, b: Array, width: float) -> Array:
-    """The smaller of a and b, blended where they differ by less than `width`; once continuously differentiable."""
+    """Return the smaller of a and b, blended smoothly where they differ by less than `width`."""
     h = np.maximum(width - np.abs(a - b), 0) / width
     return np.minimum(a, b) - h**2 * width / 4
 

@@ -126,8 +126,11 @@ def _sensor() -> dict[str, Any]:
 
 
 def _mitsuba_mesh(surface: Surface, glossy: bool) -> Any:
-    """The surface as lacquer. Its diffuse light does not depend on the specular part, so that without gloss exactly the
-    diffuse part of the glossy picture is left, but for what the gloss lights up elsewhere on the object."""
+    """Return the surface as lacquer, or without its gloss.
+
+    Its diffuse light does not depend on the specular part, so that without gloss exactly the diffuse part of the glossy
+    picture is left, but for what the gloss lights up elsewhere on the object.
+    """
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(
         {
@@ -149,7 +152,7 @@ def _mitsuba_mesh(surface: Surface, glossy: bool) -> Any:
 
 
 def srgb_from_linear(linear: Array) -> Array:
-    """sRGB code values 0..1 of linear light, clipped to 0..1 first."""
+    """Return sRGB code values 0..1 of linear light, clipped to 0..1 first."""
     x = np.clip(linear, 0, 1)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
 
@@ -199,7 +202,7 @@ class Tracer:
         self._scene.add_triangles(vertices, o3d.core.Tensor.from_numpy(surface.faces.astype(np.uint32)))
 
     def geometry(self, world_from_cam: Array) -> Geometry:
-        """What the camera sees, at the pixel centres."""
+        """Draw what the camera sees, at the pixel centres."""
         hits = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays(world_from_cam)))
         depth = hits["t_hit"].numpy()
         mask = np.isfinite(depth)
@@ -229,7 +232,7 @@ def _unit(vectors: Array) -> Array:
 
 
 def write_transforms(path: Path, folder: str, poses: list[Array]) -> None:
-    """The NeRF-synthetic camera file for the images `folder`/r_N.png."""
+    """Write the NeRF-synthetic camera file for the images `folder`/r_N.png."""
     frames = [
         {"file_path": f"./{folder}/r_{i}", "transform_matrix": np.round(pose, 9).tolist()}
         for i, pose in enumerate(poses)
@@ -249,7 +252,7 @@ def write_images(studio: Studio, folder: Path, poses: list[Array], seed: int) ->
 
 
 def write_mesh(path: Path, surface: Surface) -> None:
-    """The surface with its vertex colours as binary PLY."""
+    """Write the surface with its vertex colours as binary PLY."""
     colors = np.round(surface.colors * 255).astype(np.uint8)
     trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=colors, process=False).export(path)
 
@@ -266,7 +269,7 @@ def write_points(path: Path, surface: Surface, poses: list[Array]) -> None:
 
 
 def write_geometry(folder: Path, surface: Surface, poses: list[Array]) -> None:
-    """True depth, normals and mask of each pose, `folder`/r_N.npz."""
+    """Write true depth, normals and mask of each pose, `folder`/r_N.npz."""
     folder.mkdir(parents=True, exist_ok=True)
     tracer = Tracer(surface)
     for i, pose in enumerate(poses):

@@ -45,12 +45,17 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     camera: in the capture's frame and unit, at any size. Or a View of the scene that was reconstructed, whose own
     camera is in the scene's normalised frame: as its photograph was taken.
 
-    Raises ConfigError for another kind of argument, and TensorError for a camera that is none: a pose that is not
-    rigid, numbers that are not finite, an empty image.
+    Raises ConfigError for another kind of argument and for a View where an object was found, and TensorError for a
+    camera that is none: a pose that is not rigid, numbers that are not finite, an empty image.
     """
     if not isinstance(result, Reconstruction):
         raise ConfigError(f"result: expected a Reconstruction, got {type(result).__name__}")
     if isinstance(camera, View):
+        if result.paths.object.is_file():
+            raise ConfigError(
+                "camera: got a View, in the frame of the whole scene, but an object was found, which has a frame of its "
+                "own; give scene.user_from_scene.camera_to_user(view.camera)"
+            )
         seen_by = camera.camera
     elif isinstance(camera, Camera):
         seen_by = result.normalisation.camera_to_scene(_checked(camera))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import mgsr
 from mgsr.config import make_config
 from mgsr.data.readers import load_scene
 from mgsr.errors import ConfigError, MgsrError
@@ -65,6 +66,16 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
     assert scores["psnr_test"] == pytest.approx(report["psnr_test"], abs=1e-3)
     mesh = mesh_again(capture, done, config, "cpu")
     assert len(mesh.faces) == pytest.approx(report["mesh"]["faces"], rel=2e-3)  # the files hold float32
+
+
+def test_a_view_of_the_whole_scene_is_refused_and_its_camera_is_not(done: Path, capture: Path) -> None:
+    scene, result = load_scene(capture), mgsr.load_result(done)
+    with pytest.raises(ConfigError, match="an object was found"):
+        mgsr.render(result, scene.test[0])
+    camera = scene.user_from_scene.camera_to_user(scene.test[0].camera)
+    written = np.array(Image.open(done / "renders" / "test" / f"{scene.test[0].name}.png"))
+    shown = mgsr.render(result, camera)
+    assert np.abs(255 * shown.alpha - written[..., 3]).max() < 1.1
 
 
 def test_masks_that_are_gone_are_asked_for(done: Path, capture: Path, tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     if isinstance(camera, View):
         if result.paths.object.is_file():
             raise ConfigError(
-                "camera: got a View, in the frame of the whole scene, but an object was found, which has its own frame; "
+                "camera: got a View, in the frame of the whole scene, but the object found has its own frame; "
                 "give scene.user_from_scene.camera_to_user(view.camera)"
             )
         seen_by = camera.camera

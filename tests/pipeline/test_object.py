@@ -70,7 +70,7 @@ def test_single_steps_take_the_masks_up(done: Path, capture: Path) -> None:
 
 def test_a_view_of_the_whole_scene_is_refused_and_its_camera_is_not(done: Path, capture: Path) -> None:
     scene, result = load_scene(capture), mgsr.load_result(done)
-    with pytest.raises(ConfigError, match="an object was found"):
+    with pytest.raises(ConfigError, match="the object found"):
         mgsr.render(result, scene.test[0])
     camera = scene.user_from_scene.camera_to_user(scene.test[0].camera)
     written = np.array(Image.open(done / "renders" / "test" / f"{scene.test[0].name}.png"))

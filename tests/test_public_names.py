@@ -93,6 +93,7 @@ def test_importing_it_imports_nothing_else() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
 
 
+@pytest.mark.slow
 def test_a_loaded_scene_gives_the_files_of_the_command_line(
     result: mgsr.Reconstruction, capture: Path, tmp_path: Path
 ) -> None:

@@ -1,4 +1,7 @@
-"""Finding the object of a capture without masks, against masks that a ray tracer knows."""
+"""Finding the object of a capture without masks, against masks that a ray tracer knows.
+
+tests/pipeline/test_object.py has a quick check of the masks in a whole run.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +28,7 @@ def found() -> tuple[FoundObject, list[np.ndarray]]:
     return result, truth
 
 
+@pytest.mark.slow
 def test_masks_are_those_of_the_object(found: tuple[FoundObject, list[np.ndarray]]) -> None:
     result, truth = found
     scores = overlaps(result.train + result.test, truth)
@@ -32,6 +36,7 @@ def test_masks_are_those_of_the_object(found: tuple[FoundObject, list[np.ndarray
     assert result.agreement.shape == (len(result.train),) and result.agreement.min() > 0.8
 
 
+@pytest.mark.slow
 def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject, list[np.ndarray]]) -> None:
     result, _ = found
     assert result.plane.normal @ [0, 0, 1] > 0.999

@@ -97,6 +97,7 @@ def test_the_first_reader_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         assert np.allclose(camera.K, ours[name].K)
 
 
+@pytest.mark.slow
 def test_the_example_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a small capture, and with so few iterations that it is soon over."""
     photos = write_spheres(tmp_path / "photos", size=48, train=12, test=2)

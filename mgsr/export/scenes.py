@@ -94,12 +94,16 @@ def _scaled(camera: Camera, scale: float) -> Camera:
 
 
 def _write_images(folder: Path, name: str, view: View) -> None:
-    _write_image(folder / "images" / name, view.image[..., ::-1])
+    write_image(folder / "images" / name, view.image[..., ::-1])
     if view.alpha is not None:
-        _write_image(folder / "masks" / name, view.alpha)
+        write_image(folder / "masks" / name, view.alpha)
 
 
-def _write_image(path: Path, pixels: np.ndarray) -> None:
+def write_image(path: Path, pixels: np.ndarray) -> None:
+    """Write an image, [H,W] or [H,W,3] with blue first, uint8, and the folders that it lies in.
+
+    Raises MgsrError where it can't be written.
+    """
     import cv2  # late: training needs no OpenCV
 
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from mgsr.data.images import read_mask
 from mgsr.data.object_scene import with_object
 from mgsr.data.scene import Scene, View
 from mgsr.errors import ConfigError, MgsrError
+from mgsr.export.scenes import write_image
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.result_paths import MASKS, OBJECT
 from mgsr.segmentation.object_masks import FoundObject
@@ -27,8 +27,7 @@ def write_object(out: Path, scene: Scene, found: FoundObject) -> None:
     """
     with atomic_write(out / MASKS) as folder:
         for (_, name), mask in zip(_names(scene), [*found.train, *found.test], strict=True):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(mask).save(folder / name)
+            write_image(folder / name, mask)
     low, high = scene.user_from_scene.to_user(found.box).tolist()
     agreement = {view.name: round(float(value), 4) for view, value in zip(scene.train, found.agreement, strict=True)}
     with atomic_write(out / OBJECT) as path:

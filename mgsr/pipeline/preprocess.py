@@ -34,7 +34,7 @@ LATER = ("exposure", "object", "object_box")  # settings of DataConfig that coun
 
 
 def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
-    """Load the scene of a folder or archive, report it, and remove an earlier run's reports from `out`."""
+    """Return the scene, loaded if a path is given; report it, and remove an earlier run's reports from `out`."""
     if isinstance(given, Scene):
         scene = given
         result_files.clear_reports(out)

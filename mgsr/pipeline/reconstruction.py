@@ -101,7 +101,8 @@ def reconstruct(
     mgsr, 2dgs or 3dgs; device: auto, cpu or cuda. The same seed gives the same files. time_budget: seconds near which
     all ends, from this call on; it takes the preset's place. overrides: settings by name or path, such as
     {"mesh.max_faces": 50_000, "output.obj": True}, or as texts "key=value"; None is "none". Those of `data`, but for
-    `data.exposure`, are heeded while a scene is read: for one that is read already they have to be its own.
+    `exposure`, `object` and `object_box`, work while a scene is read: for one that is read already they have to be its
+    own.
 
     resume: go on from the checkpoint in `out`, if there is one. progress: called with an `Event` at each step and every
     some iterations. should_stop: asked between iterations; once it says so, a checkpoint is written and Cancelled

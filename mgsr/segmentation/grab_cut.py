@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from mgsr.training.views import bounding_region
+
 ROUNDS = 3  # of fitting the colour models and cutting
 GROW = 0.5  # share of the band by which a mask may grow; shadows would else be taken for dark parts of the object
 HOLE = 0.15  # side of the largest hole that is filled, as a share of the square root of the mask's area
@@ -31,7 +33,9 @@ def refined_mask(image: np.ndarray, mask: np.ndarray, band: float, outside: np.n
     if outside is not None:
         wide &= ~(cv2.erode(outside.astype(np.uint8), np.ones((2 * EDGE + 1, 2 * EDGE + 1), np.uint8)) > 0) | mask
     labels = np.select([core, mask, wide], [cv2.GC_FGD, cv2.GC_PR_FGD, cv2.GC_PR_BGD], cv2.GC_BGD).astype(np.uint8)
-    window = _window(wide, 3 * reach + 10)
+    region = bounding_region(wide, 3 * reach + 10)
+    assert region is not None
+    window = slice(*region[:2]), slice(*region[2:])
     cut, background, foreground = np.ascontiguousarray(labels[window]), np.zeros((1, 65)), np.zeros((1, 65))
     colors, nowhere = np.ascontiguousarray(image[window][..., ::-1]), (0, 0, 1, 1)  # of a rectangle, which is not used
     cv2.setRNGSeed(0)
@@ -48,12 +52,3 @@ def without_small_holes(mask: np.ndarray) -> np.ndarray:
     small = sizes < (HOLE * float(mask.sum()) ** 0.5) ** 2
     small[0] = False
     return np.asarray(mask | small[holes])
-
-
-def _window(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of a mask's bounding box and `margin` pixels around it."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(0, rows[0] - margin), rows[-1] + margin + 1),
-        slice(max(0, columns[0] - margin), columns[-1] + margin + 1),
-    )

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import make_config
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.parallel import map_ahead
@@ -26,6 +25,7 @@ from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_label
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.run import Training
+from mgsr.training.scout import small_view
 
 SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
 ITERATIONS = 400
@@ -39,7 +39,7 @@ RISING = 7.0  # from where the geometry counts more than the colours
 LYING = 3.0  # up to where a surfel is the plane's
 LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
 BANDS = (0.06, 0.04, 0.03)  # of GrabCut, in each round
-BY_COLOR, BY_SHAPE = 0.5, 0.1  # least labels of the object's surfels near the plane, and of those that stand higher
+BY_COLOR, BY_SHAPE = 0.5, 0.1  # least labels of the object's surfels: of those that colours add, and of those that rise
 GROUND = 0.5  # the plane's share of a pixel from which it is surely not the object
 LEAST_SPLATS = 50
 RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
@@ -55,8 +55,8 @@ class FoundObject:
 
     train, test: its masks [H,W] uint8 in the scene's views, in their order; agreement [V]: how well each training
     view's mask agrees with the others, as intersection over union with what the labelled surfels render; box [2,3]: the
-    least and the largest corner of its surfels, in the scene's frame; plane: what it stands on, None where a person
-    said where it lies and no plane is there.
+    least and the largest corner of its surfels and of their feet on the plane, in the scene's frame; plane: what it
+    stands on, None where a person said where it lies and no plane is there.
     """
 
     train: list[np.ndarray]
@@ -87,7 +87,7 @@ def find_object(
     the object lies; without one, the object is what stands in the middle. progress: told of the share that is done,
     0..1. Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
-    views = [_small(view, SIDE) for view in scene.train]
+    views = [small_view(view, SIDE) for view in scene.train]
     cameras = [view.camera for view in views]
     model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.5 * done))
     first = _first_labels(model, cameras, box, np.random.default_rng(seed))
@@ -117,7 +117,8 @@ class _FirstLabels:
 
     centers [N,3] of the surfels; standing [N] bool: the object's; rising [N] bool: those of them so high over the plane
     that geometry counts more than colours; lying [N] bool: the plane's; allowed [N] bool: those that may belong to the
-    object; reach: the distance by which surfels of one piece are apart at most.
+    object; reach: the distance by which surfels of one piece are apart at most; plane: what the object stands on, if
+    anything.
     """
 
     centers: np.ndarray
@@ -182,10 +183,6 @@ def _first_labels(
     return _FirstLabels(centers, standing, rising, lying, allowed, reach, plane)
 
 
-def _small(view: View, side: int) -> View:
-    return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
-
-
 def _trained(
     scene: Scene,
     start: StartingPoints,
@@ -220,7 +217,7 @@ def _last_masks(
     import cv2  # late: training needs no OpenCV
 
     views = [*scene.train, *scene.test]
-    fine = [_small(view, FINE_SIDE) for view in views]
+    fine = [small_view(view, FINE_SIDE) for view in views]
     cameras = [view.camera for view in fine]
     shares, ground = (rendered_labels(model, part, cameras) for part in (labels, lying))
     cut = _cut(fine, shares, ground, BANDS[-1])
@@ -244,13 +241,13 @@ def _overlap(one: np.ndarray, other: np.ndarray) -> float:
 def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray) -> NoObject | None:
     """Return what speaks against masks [H,W] bool that all show one object; None where nothing does."""
     if np.mean([mask.any() for mask in masks]) < 0.8:
-        return NoObject("many photographs do not show it")
+        return NoObject("many photographs do not show the object")
     if np.median([mask.mean() for mask in masks]) > FULL:
-        return NoObject("it fills the photographs")
+        return NoObject("the object fills the photographs")
     if np.mean([_cut_off(mask) for mask in masks]) > 0.5:
-        return NoObject("most photographs cut it off")
+        return NoObject("most photographs cut the object off")
     if agreement.mean() < LEAST_AGREEMENT:
-        return NoObject("its contours in the photographs do not agree")
+        return NoObject("the object's contours in the photographs do not agree")
     return None
 
 

@@ -13,10 +13,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.gaussians.start import SH_CONSTANT
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
-
-C0 = 0.28209479177387814  # the constant spherical harmonic
 
 
 def pieces(points: np.ndarray, reach: float) -> np.ndarray:
@@ -33,8 +32,8 @@ def pieces(points: np.ndarray, reach: float) -> np.ndarray:
 
 def rendered_labels(model: SurfelModel, labels: np.ndarray, cameras: Sequence[Camera]) -> list[np.ndarray]:
     """Render labels [N], 0..1, of the surfels into the cameras: images [H,W] float32, the object's share of a pixel."""
-    shown = _labelled(model, torch.from_numpy(((labels - 0.5) / C0).astype(np.float32))[:, None, None].expand(-1, 1, 3))
-    black = torch.zeros(3)
+    stored = torch.from_numpy(((labels - 0.5) / SH_CONSTANT).astype(np.float32))
+    shown, black = _labelled(model, stored[:, None, None].expand(-1, 1, 3)), torch.zeros(3)
     with torch.no_grad():
         return [render_surfels(shown, camera, black, 0).color[..., 0].numpy() for camera in cameras]
 
@@ -55,8 +54,8 @@ def lifted_labels(
         asked[..., 0], asked[..., 1] = torch.from_numpy(mask.astype(np.float32)), 1.0
         (rendered * asked).sum().backward()
         assert colors.grad is not None
-        inside += colors.grad[:, 0, 0] / C0
-        whole += colors.grad[:, 0, 1] / C0
+        inside += colors.grad[:, 0, 0] / SH_CONSTANT
+        whole += colors.grad[:, 0, 1] / SH_CONSTANT
     return (inside / whole.clamp_min(1e-6)).numpy(), whole.numpy()
 
 

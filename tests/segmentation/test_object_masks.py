@@ -52,7 +52,9 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
         ({"copies": 2}, "several objects"),
         pytest.param({"standing": False}, "no level surface|nothing stands|no contour", marks=pytest.mark.slow),
         pytest.param(
-            {"shift": 1.05}, "cut it off|nothing stands|do not show it|no level surface", marks=pytest.mark.slow
+            {"shift": 1.05},
+            "cut the object off|nothing stands|do not show the object|no level surface",
+            marks=pytest.mark.slow,
         ),
     ],
 )

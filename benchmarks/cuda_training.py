@@ -38,7 +38,7 @@ from mgsr.data.scene import Scene
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.mirrored_light import StoredLight, write_mirrored_light
 from mgsr.export.splats import write_splats
-from mgsr.training.evaluate import mean_psnr, surfel_picture, volume_picture
+from mgsr.training.evaluate import gaussian_picture, mean_psnr, surfel_picture
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from mgsr.training.views import prepare_views
@@ -47,7 +47,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 CPU_ROWS = ROOT / "benchmarks" / "results" / "runs.csv"
 LEARNT = ("splats_2d.ply", "splats_3d.ply", "mirrored_light.npz")
-SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "volumes", "train_seconds")
+SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "gaussians", "train_seconds")
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
         (out / name).unlink(missing_ok=True)
     origin = origin_of_frame(scene.user_from_scene)
     frame = about_origin(scene.user_from_scene, 1.0, origin)
-    low_pass = None if trained.volumes is None else trained.volumes.low_pass
-    for name, model, blur in ((LEARNT[0], trained.surfels, None), (LEARNT[1], trained.volumes, low_pass)):
+    low_pass = None if trained.gaussians is None else trained.gaussians.low_pass
+    for name, model, blur in ((LEARNT[0], trained.surfels, None), (LEARNT[1], trained.gaussians, low_pass)):
         if model is not None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
@@ -150,15 +150,15 @@ def measured(scene: Scene, result: TrainResult, config: Config, device: torch.de
     views = prepare_views(scene.test, scene.masked, device=device)
     background = backdrop(scene, config.train.background).color
     surfels = None if result.surfels is None else result.surfels.to(device)
-    volumes = None if result.volumes is None else result.volumes.to(device)
+    gaussians = None if result.gaussians is None else result.gaussians.to(device)
     light = None if result.light is None else result.light.to(device)
     splats, psnr = {}, {}
     if surfels is not None:
         splats["surfels"] = len(surfels)
         psnr["surfels"] = mean_psnr(surfel_picture(surfels), views, background)
-    if volumes is not None:
-        splats["volumes"] = len(volumes)
-        psnr["volumes"] = mean_psnr(volume_picture(volumes, surfels, light), views, background)
+    if gaussians is not None:
+        splats["gaussians"] = len(gaussians)
+        psnr["gaussians"] = mean_psnr(gaussian_picture(gaussians, surfels, light), views, background)
     return {
         "scene": scene.name,
         "preset": config.preset,

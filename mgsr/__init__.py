@@ -28,9 +28,9 @@ if TYPE_CHECKING:
         TensorError,
         TrainingError,
     )
+    from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.mirrored import MirroredLight
     from mgsr.gaussians.surfels import SurfelModel
-    from mgsr.gaussians.volumes import VolumeModel
     from mgsr.mesh.surface import Mesh
     from mgsr.pipeline.novel_view import Rendering, render
     from mgsr.pipeline.progress import Event
@@ -47,6 +47,7 @@ __all__ = [
     "ConfigError",
     "DataConfig",
     "Event",
+    "GaussianModel",
     "GpuError",
     "LostCardError",
     "Mesh",
@@ -62,7 +63,6 @@ __all__ = [
     "TensorError",
     "TrainingError",
     "View",
-    "VolumeModel",
     "__version__",
     "load_result",
     "load_scene",
@@ -84,7 +84,7 @@ _MODULES = {
     "Scene": "mgsr.data.scene",
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",
-    "VolumeModel": "mgsr.gaussians.volumes",
+    "GaussianModel": "mgsr.gaussians.gaussians",
     "load_result": "mgsr.pipeline.reconstruction",
     "load_scene": "mgsr.data.readers",
     "make_config": "mgsr.config",

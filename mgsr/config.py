@@ -149,7 +149,7 @@ class Branches(StrEnum):
 
     BOTH = "both"
     SURFELS = "surfels"
-    VOLUMES = "volumes"
+    GAUSSIANS = "gaussians"
 
 
 class StopRule(StrEnum):
@@ -257,7 +257,7 @@ class DensifyConfig:
 
 
 @dataclass(frozen=True)
-class VolumeDensifyConfig(DensifyConfig):
+class GaussianDensifyConfig(DensifyConfig):
     """How the 3D branch gains and loses Gaussians: as DensifyConfig says, or by the errors of its renderings."""
 
     by: Growth = Growth.ERROR
@@ -313,7 +313,7 @@ class Reflection(StrEnum):
 
 
 @dataclass(frozen=True)
-class VolumeConfig:
+class GaussianConfig:
     """The 3D branch: rendering and the light split."""
 
     reflection: Reflection = Reflection.AUTO
@@ -330,7 +330,7 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: VolumeDensifyConfig = field(default_factory=VolumeDensifyConfig)
+    densify: GaussianDensifyConfig = field(default_factory=GaussianDensifyConfig)
 
 
 @dataclass(frozen=True)
@@ -369,7 +369,7 @@ class WarmupConfig:
     """Each branch alone (supplement, Algorithm 1)."""
 
     surfel_iterations: int = 800  # at most
-    volume_iterations: int = 2000  # at most
+    gaussian_iterations: int = 2000  # at most
     coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never the trial's
     coarse_side: int = 400  # pixels; photographs whose shorter side is smaller are not made smaller still
     stop_rule: StopRule = StopRule.EPOCH
@@ -390,7 +390,7 @@ class MutualConfig:
     iterations: int = 1600
     iterations_factor: float = 1.0  # times `iterations`; Models G to J
     surfel_weight: float = 0.5  # of L_2D in the total
-    volume_weight: float = 0.5  # of L_3D in the total
+    gaussian_weight: float = 0.5  # of L_3D in the total
     depth_weight: float = 0.01  # of L_depth in the total
     photo_weight: float = 0.3  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
     teaching: Teaching = Teaching.BOTH_WAYS
@@ -427,7 +427,7 @@ class TrainConfig:
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
-    volumes: VolumeConfig = field(default_factory=VolumeConfig)
+    gaussians: GaussianConfig = field(default_factory=GaussianConfig)
     mirror: MirrorConfig = field(default_factory=MirrorConfig)
     trial: TrialConfig = field(default_factory=TrialConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
@@ -453,18 +453,18 @@ class Config:
 PRESETS: dict[str, dict[str, str]] = {
     "draft": {  # 25 to 50 seconds
         "warmup.surfel_iterations": "250",
-        "warmup.volume_iterations": "300",
+        "warmup.gaussian_iterations": "300",
         "mutual.iterations": "200",
         "trial.iterations": "0",
         "mirror.iterations": "100",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
-        "volumes.max_start": "5000",
-        "volumes.sh_degree": "1",  # to which a trial comes, where there is time for one
+        "gaussians.max_start": "5000",
+        "gaussians.sh_degree": "1",  # to which a trial comes, where there is time for one
         "surfels.densify.max_count": "10000",
-        "volumes.densify.unmasked_count": "8000",
+        "gaussians.densify.unmasked_count": "8000",
         "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
-        "volumes.densify.drop_carrying": "0",
+        "gaussians.densify.drop_carrying": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
@@ -473,9 +473,9 @@ PRESETS: dict[str, dict[str, str]] = {
     "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
-        "volumes.max_start": "20000",
-        "volumes.densify.tolerance": "0.02",
-        "volumes.densify.unmasked_count": "40000",
+        "gaussians.max_start": "20000",
+        "gaussians.densify.tolerance": "0.02",
+        "gaussians.densify.unmasked_count": "40000",
     },
 }
 
@@ -483,22 +483,22 @@ METHODS: dict[str, dict[str, str]] = {
     "mgsr": {},
     "2dgs": {"branches": "surfels", "flash": "off"},
     "3dgs": {
-        "branches": "volumes",
+        "branches": "gaussians",
         "reflection": "off",
         "flash": "off",
-        "volumes.sh_degree": "3",
+        "gaussians.sh_degree": "3",
         "transmitted_tv_weight": "0",
-        "volumes.densify.by": "gradient",
-        "volumes.densify.drop_carrying": "0",
+        "gaussians.densify.by": "gradient",
+        "gaussians.densify.drop_carrying": "0",
     },
 }
 
 # The supplement's rows. E, I and M are the method itself; the published weights of C, D and F are not known.
 ABLATIONS: dict[str, dict[str, str]] = {
-    "A": {"branches": "volumes", "reflection": "own", "flash": "off"},
+    "A": {"branches": "gaussians", "reflection": "own", "flash": "off"},
     "B": {"branches": "surfels", "flash": "off"},
-    "C": {"surfel_weight": "0.25", "volume_weight": "0.75"},
-    "D": {"surfel_weight": "0.75", "volume_weight": "0.25"},
+    "C": {"surfel_weight": "0.25", "gaussian_weight": "0.75"},
+    "D": {"surfel_weight": "0.75", "gaussian_weight": "0.25"},
     "E": {},
     "F": {"mutual.depth_weight": "0.1"},
     "G": {"iterations_factor": "0.25"},
@@ -509,6 +509,14 @@ ABLATIONS: dict[str, dict[str, str]] = {
     "L": {"stop_rule": "none"},
     "M": {},
     "N": {"tv": "off"},
+}
+
+
+# Names, or groups, of settings that other versions have, and what they are called here.
+RENAMED: dict[str, str] = {
+    "volumes": "gaussians",
+    "volume_iterations": "gaussian_iterations",
+    "volume_weight": "gaussian_weight",
 }
 
 
@@ -578,15 +586,15 @@ def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def volume_settings(volumes: VolumeConfig, masked: bool) -> VolumeConfig:
+def gaussian_settings(gaussians: GaussianConfig, masked: bool) -> GaussianConfig:
     """Return the 3D branch's settings as they hold for a scene with or without masks (see Growth)."""
-    densify = volumes.densify
+    densify = gaussians.densify
     if densify.by is Growth.GRADIENT:
-        return volumes
+        return gaussians
     if masked:
-        return replace(volumes, rates=replace(volumes.rates, scale=densify.scale_rate, beta2=densify.beta2))
+        return replace(gaussians, rates=replace(gaussians.rates, scale=densify.scale_rate, beta2=densify.beta2))
     most = min(densify.max_count, densify.unmasked_count)
-    return replace(volumes, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
+    return replace(gaussians, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
 
 
 def validate(config: Config) -> None:
@@ -600,18 +608,20 @@ def validate(config: Config) -> None:
     object_box(config.data.object_box)
     for path, degree in (
         ("train.surfels.sh_degree", train.surfels.sh_degree),
-        ("train.volumes.sh_degree", train.volumes.sh_degree),
-        ("train.volumes.reflected_sh_degree", train.volumes.reflected_sh_degree),
+        ("train.gaussians.sh_degree", train.gaussians.sh_degree),
+        ("train.gaussians.reflected_sh_degree", train.gaussians.reflected_sh_degree),
     ):
         if degree > 3:
             raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
-    between = ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start")
-    for path in (*between, "volumes.densify.new_opacity"):
+    between = ("surfels.start_opacity", "gaussians.start_opacity", "gaussians.start_weight", "mirror.start")
+    for path in (*between, "gaussians.densify.new_opacity"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
-    if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
-        kind = train.volumes.reflection
-        raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
+    if train.branches is not Branches.BOTH and train.gaussians.reflection in (Reflection.SHARED, Reflection.BOTH):
+        kind = train.gaussians.reflection
+        raise ConfigError(
+            f"train.gaussians.reflection={kind}: needs both branches, got train.branches={train.branches}"
+        )
     if train.warmup.coarse > train.trial.start:
         raise ConfigError(
             f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
@@ -676,6 +686,9 @@ def _find_path(key: str, paths: list[str]) -> str:
         return hits[0]
     if hits:
         raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
+    renamed = ".".join(RENAMED.get(part, part) for part in parts)
+    if renamed != key:
+        raise ConfigError(f"option {key!r} does not exist: write {renamed!r}")
     names = {".".join(path.split(".")[-len(parts) :]): path for path in paths}
     near = [names[name] for name in difflib.get_close_matches(key, names, n=3, cutoff=0.5)]
     hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"

@@ -21,12 +21,12 @@ from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, Line
 from mgsr.config import (
     Branches,
     Config,
+    GaussianConfig,
     Growth,
     MeshConfig,
     Reflection,
     SurfelConfig,
-    VolumeConfig,
-    volume_settings,
+    gaussian_settings,
 )
 from mgsr.training.pace import FINISH, StageLength
 
@@ -301,28 +301,28 @@ def _iterations(config: Config, stage: str) -> int:
     train = config.train
     if stage == "warmup_surfels":
         return train.warmup.surfel_iterations
-    if stage == "warmup_volumes":
-        return train.warmup.volume_iterations
+    if stage == "warmup_gaussians":
+        return train.warmup.gaussian_iterations
     return round(train.mutual.iterations * train.mutual.iterations_factor)
 
 
 def _work(config: Config, stage: str) -> int:
     """Return the iterations of a stage, with those of a trial's candidates that are thrown away."""
     iterations, train = _iterations(config, stage), config.train
-    if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
+    if stage != "warmup_gaussians" or train.gaussians.reflection is not Reflection.AUTO:
         return iterations
     return iterations + THROWN_AWAY * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
 
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    volumes = volume_settings(config.train.volumes, facts.masked)
-    branches: dict[str, SurfelConfig | VolumeConfig] = {"surfels": config.train.surfels, "volumes": volumes}
+    gaussians = gaussian_settings(config.train.gaussians, facts.masked)
+    branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": config.train.surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
     most = {name: branch.densify.max_count for name, branch in branches.items()}
-    if "volumes" in most and volumes.densify.by is Growth.ERROR:
-        most["volumes"] = min(most["volumes"], costs.usual_count(volumes.max_start, facts))
+    if "gaussians" in most and gaussians.densify.by is Growth.ERROR:
+        most["gaussians"] = min(most["gaussians"], costs.usual_count(gaussians.max_start, facts))
     if not stage.startswith("warmup"):
         return most
     return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
@@ -339,5 +339,5 @@ def _reference_training(facts: Facts, config: Config) -> float:
 def _stages(config: Config) -> tuple[str, ...]:
     """Return the stages that a run with these settings has."""
     if config.train.branches is Branches.BOTH:
-        return ("warmup_surfels", "warmup_volumes", "mutual")
-    return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_volumes", "alone")
+        return ("warmup_surfels", "warmup_gaussians", "mutual")
+    return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_gaussians", "alone")

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.surfels import rasterize_surfels
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 
 
-def carried(model: SurfelModel | VolumeModel, cameras: Sequence[Camera]) -> Tensor:
+def carried(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Tensor:
     """Return each splat's contribution [N]: its blending weights summed over all pixels of all cameras.
 
     A weight is the opacity times the transmittance before it; of a reflected half, times what the pixel adds of that.
@@ -39,15 +39,15 @@ def faintest(carried: Tensor, share: float) -> Tensor:
     return torch.empty_like(within).scatter_(0, least_first, within)
 
 
-def _drawn(model: SurfelModel | VolumeModel, colors: Tensor, camera: Camera) -> Tensor:
+def _drawn(model: SurfelModel | GaussianModel, colors: Tensor, camera: Camera) -> Tensor:
     """Render one channel [H,W] of an image of these colours [N,3], in both halves where there are two, on black."""
     geometry = (model.means, model.quats, model.scales(), model.opacities())
     black = colors.new_zeros(3)
     if isinstance(model, SurfelModel):
         return rasterize_surfels(*geometry, colors, camera, black).color[..., 0]
     reflected = Reflected(model.refl_opacities(), colors, model.weights()) if model.split else None
-    options = VolumeOptions(low_pass=model.low_pass, depth=False)
-    raster = rasterize_volumes(*geometry, colors, camera, black, reflected, options)
+    options = GaussianOptions(low_pass=model.low_pass, depth=False)
+    raster = rasterize_gaussians(*geometry, colors, camera, black, reflected, options)
     if raster.reflected is None or raster.weight is None:
         return raster.color[..., 0]
     return raster.color[..., 0] + raster.weight.detach() * raster.reflected[..., 0]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from torch import Tensor
 
 from mgsr.config import TrainConfig
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.start import logit
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.objective import Terms
 from mgsr.ops.pixels import squares_term, steps_term
 
 
-def light_terms(maps: Tensor, volumes: VolumeModel, config: TrainConfig) -> Terms:
+def light_terms(maps: Tensor, gaussians: GaussianModel, config: TrainConfig) -> Terms:
     """Return the regularisers of the environment maps [2,S,S,3] and of the splats' reflection weights, by name.
 
     The maps' smoothness is the mean square of differences between neighbours. Each splat's reflection weight is pulled
@@ -19,7 +19,7 @@ def light_terms(maps: Tensor, volumes: VolumeModel, config: TrainConfig) -> Term
     """
     settings = config.mirror
     terms: Terms = {"light.smooth": settings.smoothness * steps_term(maps)}
-    if volumes.weight_logits is not None:
-        away = squares_term(volumes.weight_logits, offset=logit(config.volumes.start_weight))
+    if gaussians.weight_logits is not None:
+        away = squares_term(gaussians.weight_logits, offset=logit(config.gaussians.start_weight))
         terms["light.weights"] = settings.weight_hold * away
     return terms

@@ -9,12 +9,12 @@ from typing import TypeVar
 import torch
 
 from mgsr.data.scene import Similarity
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 
-Splats = TypeVar("Splats", SurfelModel, VolumeModel)
+Splats = TypeVar("Splats", SurfelModel, GaussianModel)
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class Models:
     """
 
     surfels: SurfelModel | None
-    volumes: VolumeModel | None
+    gaussians: GaussianModel | None
     light: MirroredLight | None = None
 
     def to(self, device: torch.device) -> Models:
         """Return the same models on a device."""
         return Models(
             None if self.surfels is None else self.surfels.to(device),
-            None if self.volumes is None else self.volumes.to(device),
+            None if self.gaussians is None else self.gaussians.to(device),
             None if self.light is None else self.light.to(device),
         )
 
@@ -44,21 +44,21 @@ class Models:
             light = replace(light, reflector=Reflector(user_from_scene.to_scene(surface.vertices), surface.faces))
         return Models(
             None if self.surfels is None else _to_scene(self.surfels, user_from_scene),
-            None if self.volumes is None else _to_scene(self.volumes, user_from_scene),
+            None if self.gaussians is None else _to_scene(self.gaussians, user_from_scene),
             light,
         )
 
     @property
     def device(self) -> torch.device:
         """Return the device of the models."""
-        model = self.volumes if self.volumes is not None else self.surfels
+        model = self.gaussians if self.gaussians is not None else self.surfels
         assert model is not None
         return model.means.device
 
     @property
     def counts(self) -> dict[str, int]:
         """Return the number of splats by branch."""
-        named = {"surfels": self.surfels, "volumes": self.volumes}
+        named = {"surfels": self.surfels, "gaussians": self.gaussians}
         return {name: len(model) for name, model in named.items() if model is not None}
 
 

@@ -15,9 +15,9 @@ from mgsr.config import SurfaceDepth, make_config, override_texts
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError, MgsrError, in_short
 from mgsr.export.far_origin import origin_of_frame
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.models import Models
@@ -47,7 +47,7 @@ class Reconstruction:
 
     mesh: Mesh
     surfels: SurfelModel | None
-    gaussians: VolumeModel | None
+    gaussians: GaussianModel | None
     light: MirroredLight | None
     flash: Lighting | None
     report: ReportData
@@ -62,7 +62,7 @@ class Reconstruction:
         used.
         """
         models = Models(self.surfels, self.gaussians, self.light).to(pick_device(device).torch)
-        return replace(self, surfels=models.surfels, gaussians=models.volumes, light=models.light)
+        return replace(self, surfels=models.surfels, gaussians=models.gaussians, light=models.light)
 
     @cached_property
     def normalised_models(self) -> Models:
@@ -148,7 +148,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     return Reconstruction(
         mesh=replace(read_mesh(folder), light=light, **known),
         surfels=models.surfels,
-        gaussians=models.volumes,
+        gaussians=models.gaussians,
         light=models.light,
         flash=read_lighting(folder),
         report=report,

@@ -22,9 +22,9 @@ from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
 from mgsr.pipeline.models import Models
 from mgsr.renderers.both import render_both
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.gaussians import render_gaussians
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 
 # Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
 MASK_SIDE = 800
@@ -143,8 +143,8 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
 
 def _opacity(models: Models, camera: Camera) -> np.ndarray:
     """Return the alpha [H,W] of the branch that renders."""
-    if models.volumes is not None:
-        return _numpy(render_volumes(models.volumes, camera, depth=False).alpha)
+    if models.gaussians is not None:
+        return _numpy(render_gaussians(models.gaussians, camera, depth=False).alpha)
     assert models.surfels is not None
     return _numpy(render_surfels(models.surfels, camera).alpha)
 
@@ -168,12 +168,12 @@ def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarr
 
 def _see(
     models: Models, camera: Camera, depth: bool, lit: Tensor | None = None
-) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    return render_both(models.surfels, models.volumes, models.light, camera, depth=depth, lit=lit)
+) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
+    return render_both(models.surfels, models.gaussians, models.light, camera, depth=depth, lit=lit)
 
 
 def _surface(
-    flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, kind: SurfaceDepth
+    flat: SurfelOutputs | None, full: GaussianOutputs | None, camera: Camera, kind: SurfaceDepth
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it stands alone."""
     if flat is not None:
@@ -183,7 +183,7 @@ def _surface(
     return _numpy(full.depth), _numpy(depth_to_normals(full.depth, camera, full.alpha))
 
 
-def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind: MeshColor) -> np.ndarray:
+def _surface_color(flat: SurfelOutputs | None, full: GaussianOutputs | None, kind: MeshColor) -> np.ndarray:
     """Return the straight colour [H,W,3], so that the mesh gets no dark rim where the splats thin out."""
     outputs = full if full is not None else flat
     assert outputs is not None

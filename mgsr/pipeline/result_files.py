@@ -25,10 +25,10 @@ from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.models import Models
@@ -36,6 +36,7 @@ from mgsr.pipeline.rendering import ViewImages
 from mgsr.pipeline.result_paths import (
     EXPOSURES,
     FLASH,
+    GAUSSIANS,
     LIGHT,
     MESH,
     MESH_GLB,
@@ -45,7 +46,6 @@ from mgsr.pipeline.result_paths import (
     REPORT,
     REPORT_HTML,
     SURFELS,
-    VOLUMES,
 )
 from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
@@ -131,13 +131,13 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
     """
     origin = origin_of_frame(scene.user_from_scene, output.scale)
     file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
-    for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
+    for name, model in ((SURFELS, models.surfels), (GAUSSIANS, models.gaussians)):
         if model is None:
             (out / name).unlink(missing_ok=True)
             continue
         arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
         with atomic_write(out / name) as path:
-            low_pass = model.low_pass if isinstance(model, VolumeModel) else None
+            low_pass = model.low_pass if isinstance(model, GaussianModel) else None
             write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
     if models.light is None:
         (out / LIGHT).unlink(missing_ok=True)
@@ -151,15 +151,15 @@ def read_models(out: Path, user_from_scene: Similarity) -> Models:
 
     Raises MgsrError where there are none.
     """
-    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
+    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, GAUSSIANS) if (out / name).exists()}
     if not found:
-        raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
+        raise MgsrError(f"{out}: neither {SURFELS} nor {GAUSSIANS} is there; run `mgsr train SCENE -o {out}` first")
     surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
-    volumes = None
-    if VOLUMES in found:
-        volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
+    gaussians = None
+    if GAUSSIANS in found:
+        gaussians = GaussianModel(**found[GAUSSIANS], low_pass=read_number(out / GAUSSIANS, LOW_PASS))
     light = _read_light(out / LIGHT, user_from_scene) if (out / LIGHT).exists() else None
-    return Models(surfels, volumes, light)
+    return Models(surfels, gaussians, light)
 
 
 def _stored(light: MirroredLight, scene: Scene) -> StoredLight:

@@ -10,7 +10,7 @@ MESH_GLB = "mesh.glb"
 MESH_OBJ = "mesh.obj"
 MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
-VOLUMES = "splats_3d.ply"
+GAUSSIANS = "splats_3d.ply"
 LIGHT = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
@@ -58,7 +58,7 @@ class ResultPaths:
     @property
     def gaussians(self) -> Path:
         """splats_3d.ply, the 3D branch."""
-        return self.folder / VOLUMES
+        return self.folder / GAUSSIANS
 
     @property
     def light(self) -> Path:

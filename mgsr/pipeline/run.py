@@ -118,7 +118,7 @@ class _Run:
 
     def models(self, trained: TrainResult) -> Models:
         """Return the branches on the device."""
-        return Models(trained.surfels, trained.volumes, trained.light).to(self.device.torch)
+        return Models(trained.surfels, trained.gaussians, trained.light).to(self.device.torch)
 
 
 @dataclass(frozen=True)
@@ -222,6 +222,6 @@ class _Training:
             trained = self._training.run(finish=not before_surface)
         self._text = "training goes on"
         with run.step("export", "writing the splats"):
-            models = Models(trained.surfels, trained.volumes, trained.light)
+            models = Models(trained.surfels, trained.gaussians, trained.light)
             result_files.write_models(run.out, models, run.scene, run.config.output)
         return trained

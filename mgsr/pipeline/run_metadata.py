@@ -59,7 +59,7 @@ def run_report(
         iterations={
             stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
         },
-        gaussians=Models(trained.surfels, trained.volumes).counts,
+        gaussians=Models(trained.surfels, trained.gaussians).counts,
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
@@ -72,7 +72,7 @@ def run_report(
             "start_kept": mesh.start_kept,
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {
-                "chosen": None if trained.volumes is None else trained.volumes.sh_degree,
+                "chosen": None if trained.gaussians is None else trained.gaussians.sh_degree,
                 "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
             },
             "settings": asdict(config),

@@ -73,7 +73,7 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 def most_points(config: Config, budget: TimeBudget | None) -> int:
     """Return how many starting points may be of use."""
     settings = config if budget is None else budget.line.at(HIGHEST)
-    return max(settings.train.surfels.max_start, settings.train.volumes.max_start)
+    return max(settings.train.surfels.max_start, settings.train.gaussians.max_start)
 
 
 def planned_config(

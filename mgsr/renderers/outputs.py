@@ -33,7 +33,7 @@ class SurfelOutputs:
 
 
 @dataclass(frozen=True)
-class VolumeOutputs:
+class GaussianOutputs:
     """The 3D branch seen by one camera.
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and

@@ -10,7 +10,7 @@ from mgsr.report.data import Decision, ReportData
 
 STAGE_NAMES = {
     "warmup_surfels": "2D alone",
-    "warmup_volumes": "3D alone",
+    "warmup_gaussians": "3D alone",
     "mutual": "both",
     "finish": "the branch that renders",
 }
@@ -41,7 +41,7 @@ LIGHTS = {
     ),
     "unknown": ("none", "neither a flash nor mirrored surroundings explain how points change from view to view"),
 }
-SPLATS = {"surfels": "Surfels that give the surface", "volumes": "Gaussians that give the renders"}
+SPLATS = {"surfels": "Surfels that give the surface", "gaussians": "Gaussians that give the renders"}
 REFLECTIONS = {
     "off": "none",
     "own": "each splat's own",
@@ -185,7 +185,7 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
             yield Decision("Surface that was taken out", f"{data.other['opened']:.1%} of it", why)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
-        settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
+        settings: dict[str, Any] = asked.get("train", {}).get("gaussians", {})
         why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
         yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
         yield from _about_colors(data.other.get("sh_degree") or {}, reflection)

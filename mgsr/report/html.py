@@ -245,14 +245,14 @@ def _curves(data: ReportData) -> str:
     boundaries = _boundaries(data)
     lines = [
         Line("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
-        Line("3D", "b", [(row.seconds, row.psnr_volumes) for row in data.curve if row.psnr_volumes is not None]),
+        Line("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
     ]
     if not any(line.points for line in lines):
         lines = [Line("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
     error = line_chart(lines, Axes("PSNR on test views, dB", "seconds of training", "dB"), boundaries)
     counts = [
         Line("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
-        Line("3D", "b", [(row.seconds, row.volumes) for row in data.curve if row.volumes]),
+        Line("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
     ]
     number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
     charts = "".join(
@@ -282,9 +282,9 @@ def _curve_table(data: ReportData) -> str:
             stage_name(row.stage),
             f"{row.iteration:,}",
             _decibels(row.psnr_surfels),
-            _decibels(row.psnr_volumes),
+            _decibels(row.psnr_gaussians),
             f"{row.surfels:,}",
-            f"{row.volumes:,}",
+            f"{row.gaussians:,}",
         )
         for row in data.curve
     ]

@@ -12,14 +12,14 @@ from mgsr.densify.adaptive import adapt
 from mgsr.densify.reset import lowered_opacities
 from mgsr.densify.state import DensifyState
 from mgsr.errors import TrainingError
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.order import morton_order
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 from mgsr.training.trained import Trained
 
-Splats = TypeVar("Splats", bound=SurfelModel | VolumeModel)
+Splats = TypeVar("Splats", bound=SurfelModel | GaussianModel)
 # Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
 # together there.
 ORDER_EVERY = 2000
@@ -28,7 +28,7 @@ ORDER_EVERY = 2000
 class Branch(Trained[Splats]):
     """A branch's splats with everything that changes them.
 
-    `name` is surfels or volumes; extent: the scene's, in its unit.
+    `name` is surfels or gaussians; extent: the scene's, in its unit.
     """
 
     def __init__(

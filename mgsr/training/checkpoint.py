@@ -17,7 +17,7 @@ from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError, in_short
 
-FORMAT = 6
+FORMAT = 7
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:

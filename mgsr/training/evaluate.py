@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.renderers.both import render_both
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import Color, TrainingView, color_tensor
@@ -29,7 +29,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
     return picture
 
 
-def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
+def gaussian_picture(model: GaussianModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
     """Return a function that renders the 3D branch, with what the surface mirrors."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:

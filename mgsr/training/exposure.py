@@ -22,7 +22,7 @@ from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
 from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import point_exposures
-from mgsr.training.evaluate import volume_picture
+from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.parts import StartingPoints
 from mgsr.training.scout import small_view, train_scout
 
@@ -104,7 +104,7 @@ def _trained(
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
     model = train_scout(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
-    picture, behind = volume_picture(model, None, None), backdrop(scene, Background.AUTO)
+    picture, behind = gaussian_picture(model, None, None), backdrop(scene, Background.AUTO)
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:

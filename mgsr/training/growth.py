@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
-from mgsr.config import VolumeConfig
+from mgsr.config import GaussianConfig
 from mgsr.data.backdrop import Color
 from mgsr.densify.error_driven import (
     RenderedView,
@@ -17,10 +17,10 @@ from mgsr.densify.error_driven import (
     visible_error,
     without_least_carrying,
 )
-from mgsr.gaussians.start import new_volumes
+from mgsr.gaussians.start import new_gaussians
 from mgsr.renderers.both import render_both
 from mgsr.training.parts import Parts
-from mgsr.training.stages import VolumeBranch
+from mgsr.training.stages import GaussianBranch
 from mgsr.training.views import TrainingView, color_tensor
 
 
@@ -31,9 +31,9 @@ class ErrorGrowth:
     behind: the colour on which renderings are judged.
     """
 
-    branch: VolumeBranch
+    branch: GaussianBranch
     parts: Parts
-    config: VolumeConfig
+    config: GaussianConfig
     behind: Color
 
     def grow(self, views: Sequence[TrainingView]) -> None:
@@ -51,15 +51,17 @@ class ErrorGrowth:
         if not len(points.positions):
             return
         kept = without_least_carrying(branch.model, rendered, min(replaced, len(points.positions)))
-        new = new_volumes(branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config)
+        new = new_gaussians(
+            branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config
+        )
         branch.exchange(kept, new)
 
     @torch.no_grad()
     def _rendered(self, view: TrainingView) -> RenderedView:
-        surfels, volumes, light = self.parts.models
+        surfels, gaussians, light = self.parts.models
         mirror = surfels if light is not None and light.reflector is None else None
         behind = color_tensor(self.behind, self.branch.device)
-        _, shown = render_both(mirror, volumes, light, view.camera, behind, lit=view.light())
+        _, shown = render_both(mirror, gaussians, light, view.camera, behind, lit=view.light())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)

@@ -8,16 +8,16 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from mgsr.config import Branches, Config, Reflection, volume_settings
+from mgsr.config import Branches, Config, Reflection, gaussian_settings
 from mgsr.data.scene import Scene
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.gaussians.start import start_surfels, start_volumes
+from mgsr.gaussians.start import start_gaussians, start_surfels
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.training.branch import Branch
-from mgsr.training.evaluate import Picture, surfel_picture, volume_picture
+from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
 from mgsr.training.light import LightInTraining
-from mgsr.training.stages import SurfelBranch, VolumeBranch
+from mgsr.training.stages import GaussianBranch, SurfelBranch
 from mgsr.training.trained import Trained
 
 
@@ -49,13 +49,13 @@ class Parts:
     """
 
     surfels: SurfelBranch | None
-    volumes: VolumeBranch | None
+    gaussians: GaussianBranch | None
     light: LightInTraining | None
 
     @property
     def branches(self) -> list[Branch]:
         """Return the branches that there are."""
-        return [branch for branch in (self.surfels, self.volumes) if branch is not None]
+        return [branch for branch in (self.surfels, self.gaussians) if branch is not None]
 
     @property
     def trained(self) -> list[Trained]:
@@ -63,20 +63,20 @@ class Parts:
         return [*self.branches, *([] if self.light is None else [self.light])]
 
     @property
-    def models(self) -> tuple[SurfelModel | None, VolumeModel | None, MirroredLight | None]:
+    def models(self) -> tuple[SurfelModel | None, GaussianModel | None, MirroredLight | None]:
         """Return the models of the 2D branch, the 3D branch and the light; None for each that is not used."""
         surfels = None if self.surfels is None else self.surfels.model
-        volumes = None if self.volumes is None else self.volumes.model
-        return surfels, volumes, None if self.light is None or not self.light.used else self.light.model
+        gaussians = None if self.gaussians is None else self.gaussians.model
+        return surfels, gaussians, None if self.light is None or not self.light.used else self.light.model
 
     def picture(self, branch: str) -> Picture:
-        """Return a function that renders a branch, surfels or volumes, as it stands."""
-        surfels, volumes, light = self.models
+        """Return a function that renders a branch, surfels or gaussians, as it stands."""
+        surfels, gaussians, light = self.models
         if branch == "surfels":
             assert surfels is not None
             return surfel_picture(surfels)
-        assert volumes is not None
-        return volume_picture(volumes, surfels, light)
+        assert gaussians is not None
+        return gaussian_picture(gaussians, surfels, light)
 
 
 def make_parts(
@@ -88,22 +88,22 @@ def make_parts(
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
-    surfels, volumes, light = None, None, None
-    if train.branches is not Branches.VOLUMES:
+    surfels, gaussians, light = None, None, None
+    if train.branches is not Branches.GAUSSIANS:
         generator = seeded(config, 1)
         model = start_surfels(*points, train.surfels, generator).to(device)
         surfels = Branch("surfels", model, train.surfels.rates, train.surfels.densify, extent, generator)
     if train.branches is not Branches.SURFELS:
         generator = seeded(config, 2)
         split = reflection in (Reflection.OWN, Reflection.BOTH)
-        full = start_volumes(*points, train.volumes, generator, split).to(device)
-        settings = volume_settings(train.volumes, scene.masked)
-        volumes = Branch("volumes", full, settings.rates, settings.densify, extent, generator)
+        full = start_gaussians(*points, train.gaussians, generator, split).to(device)
+        settings = gaussian_settings(train.gaussians, scene.masked)
+        gaussians = Branch("gaussians", full, settings.rates, settings.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
         maps = MirroredLight.uniform(train.mirror.side, train.mirror.start).to(device)
         light = LightInTraining(maps, train.mirror, used)
-    return Parts(surfels, volumes, light)
+    return Parts(surfels, gaussians, light)
 
 
 def camera_extent(scene: Scene) -> float:

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import torch
 
-from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, volume_settings
+from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, gaussian_settings
 from mgsr.data.backdrop import Backdrop, Color, backdrop
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
@@ -21,7 +21,7 @@ from mgsr.training.evaluate import mean_psnr
 from mgsr.training.growth import ErrorGrowth
 from mgsr.training.pace import FINISH
 from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
-from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
+from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, gaussians_alone, surfels_alone
 from mgsr.training.trained import Trained
 from mgsr.training.trial import ReflectionTrial
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
@@ -102,9 +102,9 @@ def make_plan(
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)
-    volumes, growth = volume_settings(config.train.volumes, scene.masked), None
-    if parts.volumes is not None and volumes.densify.by is Growth.ERROR:
-        growth = ErrorGrowth(parts.volumes, parts, volumes, behind.color)
+    gaussians, growth = gaussian_settings(config.train.gaussians, scene.masked), None
+    if parts.gaussians is not None and gaussians.densify.by is Growth.ERROR:
+        growth = ErrorGrowth(parts.gaussians, parts, gaussians, behind.color)
     stages: list[Stage] = []
     last = _last_stage(parts, photographs.views, stages, config)
     last.growth = growth
@@ -114,8 +114,8 @@ def make_plan(
         clearance = Clearance.around(cameras, start.positions, config.train.clearance)
     if parts.surfels is not None:
         stages.append(_surfel_warmup(parts, photographs, last, config))
-    if parts.volumes is not None:
-        stages.append(_volume_warmup(parts, photographs, last, config, tried))
+    if parts.gaussians is not None:
+        stages.append(_gaussian_warmup(parts, photographs, last, config, tried))
         stages[-1].growth = growth
     stages.append(last)
     for stage in stages:
@@ -133,7 +133,7 @@ def mutual_iterations(config: Config) -> int:
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
     """Return what the 3D branch adds to the transmitted light at first, and whether a trial decides on more."""
-    asked, alone = config.train.volumes.reflection, config.train.branches is Branches.VOLUMES
+    asked, alone = config.train.gaussians.reflection, config.train.branches is Branches.GAUSSIANS
     if asked is not Reflection.AUTO:
         return asked, False
     if config.train.trial.iterations and _spared(config, views):
@@ -161,20 +161,20 @@ def _surfel_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
     return _warmup("warmup_surfels", parts, parts.surfels, compute, photographs, last, config)
 
 
-def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config, tried: bool) -> Stage:
-    assert parts.volumes is not None
+def _gaussian_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config, tried: bool) -> Stage:
+    assert parts.gaussians is not None
     views = len(photographs.views)
     held_back = _held_back(config, views)
     photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
     mirrored = None
     if parts.light is not None and parts.surfels is not None:
         mirrored = WhatIsMirrored(parts.light, parts.surfels)
-    compute = volumes_alone(parts.volumes, config.train, warming=True, mirrored=mirrored)
-    stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, last, config)
+    compute = gaussians_alone(parts.gaussians, config.train, warming=True, mirrored=mirrored)
+    stage = _warmup("warmup_gaussians", parts, parts.gaussians, compute, photographs, last, config)
     if tried:
-        measure = _measure(parts, "volumes", photographs)
+        measure = _measure(parts, "gaussians", photographs)
         seen_after = views - held_back
-        stage.trial = ReflectionTrial(config.train, parts.volumes, parts.light, measure, seen_after)
+        stage.trial = ReflectionTrial(config.train, parts.gaussians, parts.light, measure, seen_after)
     return stage
 
 
@@ -206,7 +206,7 @@ def _warmup(
     config: Config,
 ) -> Stage:
     warmup = config.train.warmup
-    iterations = warmup.surfel_iterations if branch is parts.surfels else warmup.volume_iterations
+    iterations = warmup.surfel_iterations if branch is parts.surfels else warmup.gaussian_iterations
 
     # The stages' lengths are read anew each time, for a pace may change them on the way.
     def window(densify: DensifyConfig) -> tuple[float, float]:
@@ -219,7 +219,7 @@ def _warmup(
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
     measure = _measure(parts, branch.name, photographs)
     convergence = make_convergence(warmup, iterations, measure)
-    light = parts.light if branch is parts.volumes else None
+    light = parts.light if branch is parts.gaussians else None
     views = photographs.views
     stage = Stage(
         name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse
@@ -244,13 +244,13 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
         return begun + (1 - begun) * iteration / max(1, stage.iterations)
 
     name = "mutual"
-    if parts.surfels is not None and parts.volumes is not None:
-        compute = both_teach(parts.surfels, parts.volumes, config.train, parts.light)
+    if parts.surfels is not None and parts.gaussians is not None:
+        compute = both_teach(parts.surfels, parts.gaussians, config.train, parts.light)
     elif parts.surfels is not None:
         name, compute = "alone", surfels_alone(parts.surfels, config.train, warming=False)
     else:
-        assert parts.volumes is not None
-        name, compute = "alone", volumes_alone(parts.volumes, config.train, warming=False)
+        assert parts.gaussians is not None
+        name, compute = "alone", gaussians_alone(parts.gaussians, config.train, warming=False)
     cycle = ViewCycle(len(views), seeded(config, 5))
     iterations = mutual_iterations(config)
     stage = Stage(name, parts.branches, iterations, views, cycle, compute, window, progress, light=parts.light)
@@ -263,7 +263,7 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
     Once a mesh mirrors the light, the rates begin at those of the middle of training instead.
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
-    if parts.volumes is None:
+    if parts.gaussians is None:
         assert parts.surfels is not None
         compute = surfels_alone(parts.surfels, config.train, warming=False)
         return Stage(FINISH, [parts.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
@@ -276,8 +276,8 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)
 
-    compute = volumes_alone(parts.volumes, config.train, warming=False, mirrored=mirrored)
-    stage = [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), progress
+    compute = gaussians_alone(parts.gaussians, config.train, warming=False, mirrored=mirrored)
+    stage = [parts.gaussians], 0, views, cycle, compute, lambda _: (1, 0), progress
     return Stage(FINISH, *stage, light=light)
 
 
@@ -289,7 +289,7 @@ def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[
 
 def _silhouettes_count(config: Config) -> bool:
     """Return whether the alpha losses of both branches look after what lies outside the masks' boxes."""
-    return config.train.surfels.alpha_weight > 0 and config.train.volumes.alpha_weight > 0
+    return config.train.surfels.alpha_weight > 0 and config.train.gaussians.alpha_weight > 0
 
 
 def _held_back(config: Config, views: int) -> int:

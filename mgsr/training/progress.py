@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mgsr.config import Reflection
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class CurveRow:
     stage: str
     iteration: int
     psnr_surfels: float | None
-    psnr_volumes: float | None
+    psnr_gaussians: float | None
     surfels: int
-    volumes: int
+    gaussians: int
 
     @property
     def psnr(self) -> float | None:
         """Return the PSNR, dB, of the rendering branch, or of the only branch."""
-        return self.psnr_surfels if self.psnr_volumes is None else self.psnr_volumes
+        return self.psnr_surfels if self.psnr_gaussians is None else self.psnr_gaussians
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class TrainResult:
     """
 
     surfels: SurfelModel | None
-    volumes: VolumeModel | None
+    gaussians: GaussianModel | None
     light: MirroredLight | None
     stages: list[StageReport]
     curve: list[CurveRow]
@@ -93,9 +93,9 @@ class TrainResult:
     @property
     def reflection(self) -> Reflection | None:
         """Return what the 3D branch adds to the transmitted light, None without that branch."""
-        if self.volumes is None:
+        if self.gaussians is None:
             return None
-        if self.volumes.split:
+        if self.gaussians.split:
             return Reflection.OWN if self.light is None else Reflection.BOTH
         return Reflection.OFF if self.light is None else Reflection.SHARED
 

@@ -107,11 +107,11 @@ class Training:
 
 
 def _result(trainer: Trainer) -> TrainResult:
-    surfels, volumes, light = trainer.plan.parts.models
+    surfels, gaussians, light = trainer.plan.parts.models
     trial = trainer.plan.trial
     return TrainResult(
         surfels=None if surfels is None else surfels.detached().to(CPU),
-        volumes=None if volumes is None else volumes.detached().to(CPU),
+        gaussians=None if gaussians is None else gaussians.detached().to(CPU),
         light=None if light is None else light.detached().to(CPU),
         stages=list(trainer.reports),
         curve=list(trainer.curve),

@@ -11,11 +11,11 @@ from mgsr.config import Reflection, make_config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.view_colors import seen_colors
 from mgsr.training.parts import StartingPoints, make_parts, seeded
 from mgsr.training.plan import Plan
-from mgsr.training.stages import Stage, Step, volumes_alone
+from mgsr.training.stages import Stage, Step, gaussians_alone
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, Color, TrainingView, ViewCycle, prepare_views
 
@@ -39,7 +39,7 @@ def train_scout(
     should_stop: Callable[[], bool] = lambda: False,
     progress: Callable[[float], None] = lambda done: None,
     opacity_cost: float = 0.0,
-) -> VolumeModel:
+) -> GaussianModel:
     """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
 
     None are added or dropped. degree: of their harmonics; name: what its stage is called; progress: told of the share
@@ -48,13 +48,13 @@ def train_scout(
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
-    kind = ["branches=volumes", "reflection=off", f"volumes.sh_degree={degree}", "tv=off"]
-    settings = make_config(seed=seed, overrides=[*kind, "volumes.densify.by=gradient"])
+    kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
+    settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
     parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
-    branch = parts.volumes
+    branch = parts.gaussians
     assert branch is not None
     cycle = ViewCycle(len(views), seeded(settings, 7))
-    see = volumes_alone(branch, settings.train, warming=False)
+    see = gaussians_alone(branch, settings.train, warming=False)
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         step = see(view, background, iteration)

@@ -14,16 +14,16 @@ from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.densify.clearance import Clearance
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.mirrored import Light
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.losses.loss import Loss
 from mgsr.losses.mirrored import light_terms
-from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
+from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.mirrored import mirrored_light
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
 from mgsr.training.light import LightInTraining
@@ -32,7 +32,7 @@ from mgsr.training.trained import Trained
 from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
-VolumeBranch = Branch[VolumeModel]
+GaussianBranch = Branch[GaussianModel]
 KEPT_NORMALS = 256 * 2**20  # bytes
 
 
@@ -209,8 +209,8 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
     return compute
 
 
-def volumes_alone(
-    branch: VolumeBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
+def gaussians_alone(
+    branch: GaussianBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
@@ -218,25 +218,25 @@ def volumes_alone(
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
-        planned = config.warmup.volume_iterations
+        planned = config.warmup.gaussian_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
-        needs_depth = config.tv and config.volumes.depth_tv_weight > 0
+        needs_depth = config.tv and config.gaussians.depth_tv_weight > 0
         shown: Tensor | None = None
         held: Terms = {}
         if mirrored is not None and mirrored.light.used:
             shining = mirrored.light.model.light()
             shown, held = mirrored.shown(view, shining), light_terms(shining.texels, branch.model, config)
         behind = color_tensor(background, branch.device)
-        outputs = _see_volumes(branch, view, behind, degree, refl_degree, needs_depth, shown)
-        terms = volume_terms(outputs, view.target(behind), config) | held
+        outputs = _see_gaussians(branch, view, behind, degree, refl_degree, needs_depth, shown)
+        terms = gaussian_terms(outputs, view.target(behind), config) | held
         return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
 
 def both_teach(
-    surfels: SurfelBranch, volumes: VolumeBranch, config: TrainConfig, light: LightInTraining | None = None
+    surfels: SurfelBranch, gaussians: GaussianBranch, config: TrainConfig, light: LightInTraining | None = None
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
@@ -252,13 +252,13 @@ def both_teach(
         if light is not None and light.used:
             normal, shining = flat.normal if both else flat.normal.detach(), light.model.light()
             shown = mirrored_light(light.model, view.camera, normal, view.covered, shining)
-            held = light_terms(shining.texels, volumes.model, config)
-        degrees = volumes.model.sh_degree, volumes.model.refl_sh_degree
-        full = _see_volumes(volumes, view, behind, *degrees, True, shown)
+            held = light_terms(shining.texels, gaussians.model, config)
+        degrees = gaussians.model.sh_degree, gaussians.model.refl_sh_degree
+        full = _see_gaussians(gaussians, view, behind, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(behind), config) | held
         seen = [
             Seen(surfels, flat.stats, config.mutual.surfel_weight),
-            Seen(volumes, full.stats, config.mutual.volume_weight),
+            Seen(gaussians, full.stats, config.mutual.gaussian_weight),
         ]
         return Step(total(terms), [item for item in seen if item.weight > 0])
 
@@ -276,14 +276,14 @@ def _see_surfels(
     return render_surfels(branch.model, view.camera, behind, degree, distortion, view.light())
 
 
-def _see_volumes(
-    branch: VolumeBranch,
+def _see_gaussians(
+    branch: GaussianBranch,
     view: TrainingView,
     behind: Tensor,
     degree: int,
     refl_degree: int,
     depth: bool,
     mirrored: Tensor | None,
-) -> VolumeOutputs:
+) -> GaussianOutputs:
     light = (mirrored, view.light())
-    return render_volumes(branch.model, view.camera, behind, degree, refl_degree, depth, *light)
+    return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

@@ -242,9 +242,9 @@ class Trainer:
             stage.name,
             stage.iteration,
             psnr.get("surfels"),
-            psnr.get("volumes"),
+            psnr.get("gaussians"),
             counts.get("surfels", 0),
-            counts.get("volumes", 0),
+            counts.get("gaussians", 0),
         )
 
     def _psnr(self, branch: str) -> float | None:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from mgsr.config import Reflection, TrainConfig
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.start import reflected_half
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.training.branch import Branch
 from mgsr.training.light import LightInTraining
 from mgsr.training.stages import Stage
@@ -49,12 +49,12 @@ class ReflectionTrial:
     def __init__(
         self,
         config: TrainConfig,
-        branch: Branch[VolumeModel],
+        branch: Branch[GaussianModel],
         light: LightInTraining | None,
         measure: Callable[[], float],
         all_views: int,
     ) -> None:
-        self.settings, self.volumes = config.trial, config.volumes
+        self.settings, self.gaussians = config.trial, config.gaussians
         self.branch, self.light = branch, light
         self.measure = measure
         self.all_views = all_views
@@ -117,7 +117,7 @@ class ReflectionTrial:
         if self.light is not None:
             self.light.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):
-            self.branch.widen(reflected_half(self.branch.model, self.volumes))
+            self.branch.widen(reflected_half(self.branch.model, self.gaussians))
 
     def _state(self, stage: Stage) -> dict[str, Any]:
         return {"stage": stage.state(), "parts": {part.name: part.state() for part in self._parts()}}
@@ -128,7 +128,7 @@ class ReflectionTrial:
         for part in self._parts():
             part.restore(state["parts"][part.name])
 
-    def _parts(self) -> list[Branch[VolumeModel] | LightInTraining]:
+    def _parts(self) -> list[Branch[GaussianModel] | LightInTraining]:
         return [self.branch, *([] if self.light is None else [self.light])]
 
 

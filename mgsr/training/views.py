@@ -47,7 +47,7 @@ class TrainingView:
     off_edge_sum: float | None = None  # pixels where off_edge is True
 
     def light(self) -> Tensor | None:
-        """Return `lit` as [H,W] in 0..1, for `render_volumes`; None where no flash lit the view."""
+        """Return `lit` as [H,W] in 0..1, for `render_gaussians`; None where no flash lit the view."""
         return None if self.lit is None else self.lit / 255
 
     def target(self, behind: Tensor) -> Target:

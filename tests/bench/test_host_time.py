@@ -23,11 +23,11 @@ def test_an_iteration_has_few_operations(reflection: str) -> None:
     With both lights it is 22 in the mutual phase, of which 9 make the tiles' lists. None waits for a number, which
     would be called item.
     """
-    surfels, volumes, mutual = rows(f"reflection={reflection}")
-    assert (surfels.stage, volumes.stage, mutual.stage) == ("warmup_surfels", "warmup_volumes", "mutual")
-    assert surfels.operations.total() <= 15 and volumes.operations.total() <= 20 and mutual.operations.total() <= 30
+    surfels, gaussians, mutual = rows(f"reflection={reflection}")
+    assert (surfels.stage, gaussians.stage, mutual.stage) == ("warmup_surfels", "warmup_gaussians", "mutual")
+    assert surfels.operations.total() <= 15 and gaussians.operations.total() <= 20 and mutual.operations.total() <= 30
     assert mutual.launches <= 65
-    for row in (surfels, volumes, mutual):
+    for row in (surfels, gaussians, mutual):
         assert not {"item", "_local_scalar_dense"} & row.operations.keys()
         assert row.milliseconds > 0
 

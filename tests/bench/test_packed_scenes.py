@@ -16,7 +16,7 @@ from mgsr.training.parts import StartingPoints
 from mgsr.training.run import Training
 from tests.training.ball import ball_points, ball_scene
 
-SETTINGS = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=10", "reflection=both")
+SETTINGS = ("warmup.surfel_iterations=10", "warmup.gaussian_iterations=10", "mutual.iterations=10", "reflection=both")
 CONFIG = make_config("draft", overrides=SETTINGS)
 
 
@@ -33,8 +33,8 @@ def packed(scene: Scene, folder: Path, start: StartingPoints | None = None) -> P
 
 def learnt(scene: Scene, start: StartingPoints, config: Config = CONFIG) -> list[torch.Tensor]:
     result = Training(scene, start, config).run()
-    assert result.surfels is not None and result.volumes is not None and result.light is not None
-    tensors = [*result.surfels.parameters().values(), *result.volumes.parameters().values(), result.light.maps()]
+    assert result.surfels is not None and result.gaussians is not None and result.light is not None
+    tensors = [*result.surfels.parameters().values(), *result.gaussians.parameters().values(), result.light.maps()]
     return [tensor.detach() for tensor in tensors]
 
 

@@ -14,7 +14,7 @@ from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
 from tests.training.ball import ball_points, ball_scene
 from tests.training.short_training import short, tensors
 
-QUICK = ("warmup.surfel_iterations=3", "warmup.volume_iterations=3", "mutual.iterations=2", "sh_step=0.5")
+QUICK = ("warmup.surfel_iterations=3", "warmup.gaussian_iterations=3", "mutual.iterations=2", "sh_step=0.5")
 
 
 @on_each_machine
@@ -26,7 +26,7 @@ def test_a_few_iterations_change_every_parameter(machine: Machine) -> None:
     ours, theirs = tensors(result), tensors(reference)
     assert ours.keys() == theirs.keys()
     for name, tensor in ours.items():
-        if name == "volumes.quats":  # they start round, so that their rotation's gradient is rounding alone
+        if name == "gaussians.quats":  # they start round, so that their rotation's gradient is rounding alone
             continue
         assert tensor.device.type == "cpu" and tensor.shape == theirs[name].shape, name
         # Adam's first steps go by the sign of a gradient: one that is rounding alone may go either way.

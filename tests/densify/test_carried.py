@@ -9,9 +9,9 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.densify.carried import carried, faintest
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
-from tests.oracles import surfels, volumes
+from tests.oracles import gaussians, surfels
 from tests.training.ball import ball_scene
 
 COUNT = 12
@@ -23,11 +23,11 @@ def some_surfels() -> SurfelModel:
     return SurfelModel(0.4 * draw(3), draw(4), 0.3 * draw(2) - 2.0, 2 * draw(), draw(1, 3))
 
 
-def some_volumes(split: bool) -> VolumeModel:
+def some_gaussians(split: bool) -> GaussianModel:
     """Build Gaussians that hide each other, in front of all cameras of the ball."""
     draw = noise()
     half = (draw(), draw(), draw(1, 3)) if split else ()
-    return VolumeModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half, low_pass=0.1)
+    return GaussianModel(0.4 * draw(3), draw(4), 0.3 * draw(3) - 2.0, 2 * draw(), draw(1, 3), *half, low_pass=0.1)
 
 
 def noise() -> Callable[..., torch.Tensor]:
@@ -36,10 +36,10 @@ def noise() -> Callable[..., torch.Tensor]:
     return lambda *shape: torch.randn(COUNT, *shape, generator=generator)
 
 
-@pytest.mark.parametrize("kind", ["surfels", "volumes", "split volumes"])
+@pytest.mark.parametrize("kind", ["surfels", "gaussians", "split gaussians"])
 def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
-    model = some_surfels() if kind == "surfels" else some_volumes(split=kind.startswith("split"))
-    add = added_by_surfel if kind == "surfels" else added_by_volume
+    model = some_surfels() if kind == "surfels" else some_gaussians(split=kind.startswith("split"))
+    add = added_by_surfel if kind == "surfels" else added_by_gaussian
     cameras = [view.camera for view in ball_scene(size=24, train=3).train]
     alone = torch.tensor([sum(add(model, camera, i) for camera in cameras) for i in range(COUNT)])
     assert alone.min() < 0.05 * alone.max()
@@ -53,13 +53,13 @@ def added_by_surfel(model: SurfelModel, camera: Camera, index: int) -> float:
     return float(surfels.render(*geometry, *view, torch.zeros(3)).color[..., 0].sum())
 
 
-def added_by_volume(model: VolumeModel, camera: Camera, index: int) -> float:
+def added_by_gaussian(model: GaussianModel, camera: Camera, index: int) -> float:
     """Return the light in the oracle's image where one Gaussian, in both halves, is white and all others are black."""
     geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
     reflected = None
     if model.split:
         reflected = (model.refl_opacities().double(), geometry[-1], model.weights().double())
-    images = volumes.render(*geometry, camera, torch.zeros(3), reflected, model.low_pass)
+    images = gaussians.render(*geometry, camera, torch.zeros(3), reflected, model.low_pass)
     added = 0 if images.reflected is None else images.weight * images.reflected[..., 0]
     return float((images.color[..., 0] + added).sum())
 

@@ -33,21 +33,21 @@ from tests.data.fisheye import write_fisheye
 
 SHORT = [
     "warmup.surfel_iterations=20",
-    "warmup.volume_iterations=20",
+    "warmup.gaussian_iterations=20",
     "mutual.iterations=12",
     "surfels.densify.every=8",
-    "volumes.densify.every=8",
+    "gaussians.densify.every=8",
     "surfels.densify.gradient_threshold=1e-5",
-    "volumes.densify.gradient_threshold=1e-5",
+    "gaussians.densify.gradient_threshold=1e-5",
     "surfels.max_start=400",
-    "volumes.max_start=400",
+    "gaussians.max_start=400",
     "coarse_side=16",
     "stop_rule=held_back",
     "held_back_every=10",
     "trial.iterations=4",
     "trial.views=2",
     "transmitted_tv_weight=0.1",
-    "volumes.depth_tv_weight=0.05",
+    "gaussians.depth_tv_weight=0.05",
     "curve_every=10",
     "mesh.view_scale=1",
     "mesh.poisson_depth=6",
@@ -83,7 +83,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]
     models = _trained(scene, start, config)
-    for model in (models.surfels, models.volumes, models.light):
+    for model in (models.surfels, models.gaussians, models.light):
         yield "training", [] if model is None else list(model.parameters().values())
     mesh = make_mesh(models, scene, config)
     yield "mesh", [mesh.vertices, mesh.faces, mesh.colors, str(mesh.light)]
@@ -112,7 +112,7 @@ def _halved(view: View) -> View:
 
 def _trained(scene: Scene, start: StartingPoints, config: Config) -> Models:
     result = Training(scene, start, config).run()
-    return Models(result.surfels, result.volumes, result.light)
+    return Models(result.surfels, result.gaussians, result.light)
 
 
 def same(one: object, other: object) -> bool:

@@ -10,7 +10,15 @@ from typing import Any
 import pytest
 
 from mgsr.native.cuda.compiler import SOURCES
-from tests.cuda import test_adam, test_harmonics, test_image, test_mirrored, test_statistics, test_surfels, test_volumes
+from tests.cuda import (
+    test_adam,
+    test_gaussians,
+    test_harmonics,
+    test_image,
+    test_mirrored,
+    test_statistics,
+    test_surfels,
+)
 from tests.cuda.machines import PTX
 from tests.ops import test_activations, test_lights, test_terms
 from tests.ptx_machine.library import ptx_of
@@ -34,7 +42,7 @@ QUICK: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "squares": (test_terms.test_squares, {}),
     "sums_of_terms": (test_terms.test_many_terms_of_one_image_add_up, {}),
     "surfels": (test_surfels.test_matches_brute_force, {}),
-    "volumes": (test_volumes.test_matches_brute_force, {"dual": True}),
+    "gaussians": (test_gaussians.test_matches_brute_force, {"dual": True}),
 }
 
 

@@ -63,7 +63,7 @@ def test_parallax_is_told_with_its_reason(light: str, masked: bool, moved: bool,
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:
     def told(chosen: str, asked: str, tried: dict[str, float]) -> Decision:
-        settings = {"train": {"volumes": {"reflection": asked}}}
+        settings = {"train": {"gaussians": {"reflection": asked}}}
         other = {"reflection": {"chosen": chosen, "tried": tried}, "settings": settings}
         run = replace(sample_report(), method="mgsr", other=other)
         return next(each for each in tell_decisions(run) if each.what == "Reflected light")
@@ -98,8 +98,8 @@ def test_pixels_that_no_photograph_shows_are_told() -> None:
 
 def test_dropped_gaussians_are_counted() -> None:
     data = sample_report()
-    data.iterations["warmup_volumes"] = StageRun(2000, "converged", dropped=8123)
-    data.other["settings"]["train"] = {"volumes": {"densify": {"drop_carrying": 0.06}}}
+    data.iterations["warmup_gaussians"] = StageRun(2000, "converged", dropped=8123)
+    data.other["settings"]["train"] = {"gaussians": {"densify": {"drop_carrying": 0.06}}}
     told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
     assert told.choice == "21,877" and "8,123 went" in told.why and "6%" in told.why
 

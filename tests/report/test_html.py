@@ -88,7 +88,7 @@ def test_the_page_shows_the_runs_own_curve_of_error_against_time() -> None:
     drawn = {(each["class"] or "").split()[-1]: (each["d"] or "").count("L") + 1 for each in paths[:2]}
     assert drawn == {
         "a": sum(row.psnr_surfels is not None for row in data.curve),
-        "b": sum(row.psnr_volumes is not None for row in data.curve),
+        "b": sum(row.psnr_gaussians is not None for row in data.curve),
     }
     assert "seconds of training" in full_page() and "PSNR on test views, dB: 2D from" in full_page()
 

@@ -23,7 +23,7 @@ from tests.cuda.machines import SHIM
 from tests.training.ball import ball_points, ball_scene
 from tests.training.short_training import assert_same, short, tensors
 
-QUICK = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=6")
+QUICK = ("warmup.surfel_iterations=10", "warmup.gaussian_iterations=10", "mutual.iterations=6")
 
 
 def scene() -> Scene:

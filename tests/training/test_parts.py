@@ -95,7 +95,7 @@ def test_small_views_of_odd_sides() -> None:
 
 
 def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:
-    settings = ["surfel_iterations=10", "volume_iterations=20", "coarse=0.4", "mirror.iterations=0"]
+    settings = ["surfel_iterations=10", "gaussian_iterations=20", "coarse=0.4", "mirror.iterations=0"]
     config = make_config("draft", "mgsr", 0, [*settings, "coarse_side=48"])
     stages = make_plan(ball_scene(48), ball_points(), config).stages
     widths = []

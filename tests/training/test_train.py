@@ -28,9 +28,9 @@ PREVIEWS = {
 @pytest.mark.parametrize(
     ("method", "names"),
     [
-        ("mgsr", ["warmup_surfels", "warmup_volumes", "mutual"]),
+        ("mgsr", ["warmup_surfels", "warmup_gaussians", "mutual"]),
         ("2dgs", ["warmup_surfels", "alone"]),
-        ("3dgs", ["warmup_volumes", "alone"]),
+        ("3dgs", ["warmup_gaussians", "alone"]),
     ],
 )
 def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
@@ -39,7 +39,7 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
         ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append
     ).run()
     assert [stage.name for stage in result.stages] == names
-    assert (result.surfels is None, result.volumes is None) == (method == "3dgs", method == "2dgs")
+    assert (result.surfels is None, result.gaussians is None) == (method == "3dgs", method == "2dgs")
     assert all(np.isfinite(row.psnr) for row in result.curve)
     assert reports[-1].done == 1.0
     assert set(reports[-1].previews) == PREVIEWS[method]
@@ -53,13 +53,13 @@ def test_training_finds_the_ball(masked: bool) -> None:
     The surface comes to within a pixel, 0.033 here, of the ball. So few iterations need long steps, and the start is so
     far off that the masks' outlines must pull.
     """
-    overrides = ["warmup.surfel_iterations=300", "warmup.volume_iterations=300", "mutual.iterations=150"]
-    overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "volumes")]
+    overrides = ["warmup.surfel_iterations=300", "warmup.gaussian_iterations=300", "mutual.iterations=150"]
+    overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "gaussians")]
     overrides += ["edge_band=0", "surfels.rates.scale=1e-2", "surfels.start_scale=1", "surfels.start_opacity=0.1"]
     scene = ball_scene(48, train=16, masked=masked)
     result = Training(scene, ball_points(600, 1.2 * RADIUS), make_config("draft", overrides=overrides)).run()
     row = result.curve[-1]
-    assert row.psnr_volumes > 27
+    assert row.psnr_gaussians > 27
     assert row.psnr_surfels > 25
     errors = [surface_error(result, view.camera) for view in scene.test]
     assert np.mean(errors) < 0.033
@@ -147,15 +147,15 @@ def test_torch_threads_are_put_back() -> None:
 
 
 def test_numbers_that_go_bad_are_named() -> None:
-    with pytest.raises(TrainingError, match=r"warmup_volumes, iteration \d+: volumes\."):
+    with pytest.raises(TrainingError, match=r"warmup_gaussians, iteration \d+: gaussians\."):
         Training(
-            ball_scene(32), ball_points(), short("3dgs", "volumes.rates.sh=1e38", "volumes.rates.sh_rest=1e38")
+            ball_scene(32), ball_points(), short("3dgs", "gaussians.rates.sh=1e38", "gaussians.rates.sh_rest=1e38")
         ).run()
 
 
 def test_a_branch_with_nothing_left_is_an_error() -> None:
     with pytest.raises(TrainingError, match="every splat was pruned"):
-        Training(ball_scene(32), ball_points(), short("3dgs", "volumes.densify.prune_opacity=0.9999")).run()
+        Training(ball_scene(32), ball_points(), short("3dgs", "gaussians.densify.prune_opacity=0.9999")).run()
 
 
 def test_too_little_to_start_from() -> None:
@@ -177,7 +177,7 @@ def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
 
 def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
-    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
+    lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
 
     def trained(reflection: str) -> TrainResult:
         config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"reflection={reflection}"])
@@ -185,7 +185,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 
     plain, lit = trained("own"), trained("both")
     assert plain.light is None and lit.light is not None
-    assert lit.curve[-1].psnr_volumes > plain.curve[-1].psnr_volumes + 0.1
+    assert lit.curve[-1].psnr_gaussians > plain.curve[-1].psnr_gaussians + 0.1
     still, held = lit.light.maps()
     middle = slice(lit.light.side // 2 - 1, lit.light.side // 2 + 1)
     assert held[:, middle, middle].mean() > 5 * held[:, :2, :2].mean()  # bright on the way back to the camera
@@ -194,18 +194,18 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 
 def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
-    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
+    lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
     config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared"])
     training = Training(scene, ball_points(1200, RADIUS), config)
     before = training.run()
     assert before.light is not None and before.light.reflector is None
-    assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_volumes", "mutual"]
+    assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_gaussians", "mutual"]
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
     assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     after = training.run()
     assert after.light is not None and after.light.reflector is not None
     assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.mirror.iterations
-    assert after.curve[-1].psnr_volumes > before.curve[-1].psnr_volumes + 0.3
+    assert after.curve[-1].psnr_gaussians > before.curve[-1].psnr_gaussians + 0.3
     assert torch.equal(after.surfels.means, before.surfels.means)
 
 
@@ -226,10 +226,10 @@ def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     assert result.light is None and result.reflection is Reflection.OFF
 
 
-@pytest.mark.parametrize("branch", ["surfels", "volumes"])
+@pytest.mark.parametrize("branch", ["surfels", "gaussians"])
 def test_splats_that_carry_little_light_go_after_the_warm_up(branch: str) -> None:
     scene = ball_scene()
-    kept = [f"{each}.densify.drop_carrying=0" for each in ("surfels", "volumes")]
+    kept = [f"{each}.densify.drop_carrying=0" for each in ("surfels", "gaussians")]
 
     def trained(*shares: str) -> TrainResult:
         return Training(scene, ball_points(), short("mgsr", "reflection=off", "mutual.iterations=0", *shares)).run()

@@ -18,11 +18,11 @@ from tests.training.ball import RADIUS, ball_points, ball_scene
 
 LENGTHS = [
     "surfel_iterations=100",
-    "volume_iterations=240",
+    "gaussian_iterations=240",
     "mutual.iterations=40",
     "stop_rule=none",
 ]
-TRIED = ["trial.iterations=100", "trial.views=3", "mirror.side=16", "trial.start=0.5", "volumes.sh_degree=2"]
+TRIED = ["trial.iterations=100", "trial.views=3", "mirror.side=16", "trial.start=0.5", "gaussians.sh_degree=2"]
 
 
 def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: Any) -> TrainResult:
@@ -35,7 +35,7 @@ def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: An
 def test_a_matte_ball_ends_without_reflection() -> None:
     result = trained(0.0)
     assert result.reflection is Reflection.OFF
-    assert result.light is None and not result.volumes.split
+    assert result.light is None and not result.gaussians.split
     assert list(result.tried) == ["off", "shared"]
 
 
@@ -43,7 +43,7 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]
     assert result.tried["off"] <= result.degrees[1] <= result.degrees[0]
-    assert result.volumes.sh_degree == 0 and result.surfels.sh_degree == 2
+    assert result.gaussians.sh_degree == 0 and result.surfels.sh_degree == 2
 
 
 @pytest.mark.parametrize(
@@ -60,18 +60,18 @@ def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int,
     stage.trial.measure = lambda: next(values)
     stage.trial.hold(stage, lambda name, iterations: names.append(name))
     assert names == ["off", "shared", *(f"degree_{degree}" for degree in degrees)]
-    assert plan.parts.volumes.model.sh_degree == kept and stage.trial.degrees == degrees
+    assert plan.parts.gaussians.model.sh_degree == kept and stage.trial.degrees == degrees
 
 
 def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> None:
     result = trained(0.6)
     assert result.tried["shared"] > result.tried["off"] + 0.1
     assert result.reflection is Reflection.SHARED
-    assert result.light is not None and not result.volumes.split
+    assert result.light is not None and not result.gaussians.split
 
 
 def test_without_a_surface_splats_can_only_have_their_own() -> None:
-    result = trained(0.6, "mgsr", "branches=volumes")
+    result = trained(0.6, "mgsr", "branches=gaussians")
     assert list(result.tried) == ["off", "own"]
 
 
@@ -93,7 +93,7 @@ def test_the_trial_reports_itself() -> None:
     trained(0.0, progress=reports.append)
     names = list(dict.fromkeys(report.stage for report in reports))
     trials = ["trial_off", "trial_shared", "trial_degree_1", "trial_degree_0"]
-    assert names == ["warmup_surfels", "warmup_volumes", *trials, "mutual"]
+    assert names == ["warmup_surfels", "warmup_gaussians", *trials, "mutual"]
     assert [report.done for report in reports] == sorted(report.done for report in reports)
 
 
@@ -114,7 +114,7 @@ def test_views_held_back_are_trained_on_afterwards() -> None:
 
 
 def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
-    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.volumes
+    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.gaussians
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.rand_like(tensor)
     step_trained({branch: 0.0})
@@ -132,7 +132,7 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
 
 def test_widening_keeps_what_the_optimiser_knows() -> None:
     config = make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])
-    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).parts.volumes
+    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).parts.gaussians
     for tensor in branch.tensors("values").values():
         tensor.grad = None
     for tensor in branch.optimizer.params.values():

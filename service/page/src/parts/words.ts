@@ -28,7 +28,7 @@ const STEPS: Record<string, string> = {
 
 const STAGES: Record<string, string> = {
   warmup_surfels: "flat Gaussians, warm-up",
-  warmup_volumes: "3D Gaussians, warm-up",
+  warmup_gaussians: "3D Gaussians, warm-up",
   alone: "one branch",
   mutual: "both branches teach each other",
   trial_off: "trial: no reflections",

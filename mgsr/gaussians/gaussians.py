@@ -13,7 +13,7 @@ from mgsr.ops.harmonics import harmonics_to_rgb
 
 
 @dataclass
-class VolumeModel:
+class GaussianModel:
     """N Gaussians, as stored: float32, in the scene's frame.
 
     means [N,3]; quats [N,4] wxyz, normalised where used; log_scales [N,3]; opacity_logits [N] and sh [N,K,3] of the
@@ -100,15 +100,15 @@ class VolumeModel:
         degree = self.refl_sh_degree if degree is None else degree
         return harmonics_to_rgb(_stored(self.refl_sh), self.means, camera_center, degree)
 
-    def detached(self) -> VolumeModel:
+    def detached(self) -> GaussianModel:
         """Return a copy that carries no gradients."""
         tensors = {name: tensor.detach().clone() for name, tensor in self.parameters().items()}
-        return VolumeModel(**tensors, low_pass=self.low_pass)
+        return GaussianModel(**tensors, low_pass=self.low_pass)
 
-    def to(self, device: torch.device) -> VolumeModel:
+    def to(self, device: torch.device) -> GaussianModel:
         """Return the same model on a device (no copy where it already is)."""
         tensors = {name: tensor.to(device) for name, tensor in self.parameters().items()}
-        return VolumeModel(**tensors, low_pass=self.low_pass)
+        return GaussianModel(**tensors, low_pass=self.low_pass)
 
 
 def _stored(tensor: Tensor | None) -> Tensor:

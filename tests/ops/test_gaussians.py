@@ -8,11 +8,11 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
-from mgsr.native import _volumes
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
+from mgsr.native import _gaussians
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.variants import variant
-from tests.oracles import volumes as oracle
+from tests.oracles import gaussians as oracle
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
 # float32 rounding through a sum of ~100 layers; a splat that crosses the 1/255 threshold would show as 4e-3.
@@ -46,8 +46,8 @@ def run(renderer, splats, view, dtype, dual, compensate=False):
 
 def native(means, quats, scales, opacities, colors, view, background, reflected, compensate):
     refl = Reflected(*reflected) if reflected else None
-    options = VolumeOptions(compensate=compensate)
-    return rasterize_volumes(means, quats, scales, opacities, colors, view, background, refl, options)
+    options = GaussianOptions(compensate=compensate)
+    return rasterize_gaussians(means, quats, scales, opacities, colors, view, background, refl, options)
 
 
 def brute_force(means, quats, scales, opacities, colors, view, background, reflected, compensate):
@@ -60,9 +60,9 @@ def assert_close(ours, theirs, tolerance):
         assert error < tolerance, f"{name}: largest error {error:.2e} of its largest value"
 
 
-@pytest.fixture(params=_volumes.isas())
+@pytest.fixture(params=_gaussians.isas())
 def isa(request):
-    with variant(_volumes, request.param):
+    with variant(_gaussians, request.param):
         yield request.param
 
 
@@ -124,7 +124,7 @@ def test_same_bytes_for_any_thread_count():
     splats = {k: v.float() for k, v in dual_splats(3000).items()}
     results = []
     for threads in (1, 2, 3):
-        with variant(_volumes, threads=threads):
+        with variant(_gaussians, threads=threads):
             results.append(run(native, splats, camera(200, 150), torch.float32, True))
     for images, gradients in results[1:]:
         assert all(torch.equal(images[k], results[0][0][k]) for k in images)
@@ -166,7 +166,9 @@ def test_nothing_to_see():
 def test_wrong_shape_is_named():
     s = {k: v.float() for k, v in random_splats(5, 3).items()}
     with pytest.raises(TensorError, match=r"quats: expected \[N=5, 4\], got \[5, 3\]"):
-        rasterize_volumes(s["means"], s["quats"][:, :3], s["scales"], s["opacities"], s["colors"], camera(), BACKGROUND)
+        rasterize_gaussians(
+            s["means"], s["quats"][:, :3], s["scales"], s["opacities"], s["colors"], camera(), BACKGROUND
+        )
 
 
 @pytest.mark.parametrize("name", ["s5k_128", "s20k_256"])
@@ -174,7 +176,7 @@ def test_matches_reference_images(shared_data, name):
     z, ref = np.load(shared_data / "raster" / f"{name}.npz"), np.load(shared_data / "raster" / f"ref_{name}.npz")
     leaves = [torch.tensor(z[k]).requires_grad_() for k in ("means", "quats", "scales", "opacities", "rgb")]
     view = Camera(z["K"].astype(float), z["viewmat"].astype(float), int(z["width"]), int(z["height"]))
-    out = rasterize_volumes(*leaves, view, torch.tensor(z["background"]))
+    out = rasterize_gaussians(*leaves, view, torch.tensor(z["background"]))
     assert np.abs(out.color.detach().numpy() - ref["img"]).max() < 1e-3
     if name != "s5k_128":
         return

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from mgsr.gaussians.volumes import VolumeModel
-from mgsr.renderers.volumes import render_volumes
+from mgsr.gaussians.gaussians import GaussianModel
+from mgsr.renderers.gaussians import render_gaussians
 from tests.ops.splat_scenes import camera
-from tests.oracles import volumes as oracle
+from tests.oracles import gaussians as oracle
 
 
 @pytest.mark.parametrize("low_pass", [0.1, 0.3])
@@ -19,7 +19,7 @@ def test_splats_are_drawn_with_their_own_low_pass(low_pass: float) -> None:
     def draw(*shape: int) -> torch.Tensor:
         return torch.randn(30, *shape, generator=generator)
 
-    model = VolumeModel(
+    model = GaussianModel(
         0.3 * draw(3), draw(4), 0.2 * draw(3) - 5.5, 2 + draw(), draw(1, 3), low_pass=low_pass
     ).detached()
     view = camera()
@@ -28,4 +28,4 @@ def test_splats_are_drawn_with_their_own_low_pass(low_pass: float) -> None:
     *splats, black = (tensor.double() for tensor in tensors)
     expected = oracle.render(*splats, view, black, low_pass=low_pass)
     assert expected.alpha.max() > 0.3
-    assert (render_volumes(model, view).alpha - expected.alpha).abs().max() < 1e-5
+    assert (render_gaussians(model, view).alpha - expected.alpha).abs().max() < 1e-5

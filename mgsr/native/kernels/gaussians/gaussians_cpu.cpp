@@ -5,17 +5,17 @@
 // 4x4 sub-tile is blended on its own, its 16 pixels in registers, over the entries of the tile whose mask names it.
 // Backward: the same walk front to back leaves the gradient of each (splat, tile) pair in the pair's own slot; a splat's
 // slots are then added in tile order, so the result doesn't depend on the number of threads.
-#include "kernels/volumes/volumes.h"
+#include "kernels/gaussians/gaussians.h"
 
-#include "kernels/volumes/backward_cpu.h"
-#include "kernels/volumes/blending_cpu.h"
-#include "kernels/volumes/projection_cpu.h"
+#include "kernels/gaussians/backward_cpu.h"
+#include "kernels/gaussians/blending_cpu.h"
+#include "kernels/gaussians/projection_cpu.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
 namespace {
 
-void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, float* radii) {
+void forward(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, float* radii) {
   const bool dual = out.reflected != nullptr;  // of no splats at all, the inputs have no address either
   project_all(in, state, radii);
   sort_by_depth(state.sort, state.depths);
@@ -25,8 +25,8 @@ void forward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out
   else in.depth ? blend<false, true>(in, state, out) : blend<false, false>(in, state, out);
 }
 
-void backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out,
-              const VolumeGradients& v) {
+void backward(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, const GaussianImages& v_out,
+              const GaussianGradients& v) {
   const bool dual = out.reflected != nullptr;
   if (dual) {
     v_out.depth ? blend_backward<true, true>(in, state, out, v_out) : blend_backward<true, false>(in, state, out, v_out);
@@ -38,7 +38,7 @@ void backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& ou
 
 }  // namespace
 
-const VolumeKernels volume_kernels = {forward, backward};
+const GaussianKernels gaussian_kernels = {forward, backward};
 
 }  // namespace MGSR_ISA
 }  // namespace mgsr

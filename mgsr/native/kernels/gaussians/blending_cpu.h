@@ -6,7 +6,7 @@
 
 #include "kernels/common/blending.h"
 #include "kernels/common/subtiles.h"
-#include "kernels/volumes/volumes.h"
+#include "kernels/gaussians/gaussians.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
@@ -24,7 +24,7 @@ constexpr int chains(bool dual) { return dual ? 2 * kVectors : kVectors; }
 // Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
 template <bool Dual>
 struct Batch {
-  const VolumeRecord* splat[kBatch];
+  const GaussianRecord* splat[kBatch];
   float dx[kBatch], dy[kBatch];          // from their centres to the sub-tile's corner
   vfloat alpha[kBatch][chains(Dual)];    // 0 where one does not count
   vfloat T[kBatch][chains(Dual)];        // before it
@@ -37,7 +37,7 @@ inline vfloat alpha_of(float opacity, vfloat weight) {
 
 // Leaves the exponents of a splat's weights in alpha.
 template <bool Dual>
-inline void meet(const VolumeRecord& r, const Pixels& pixels, int e, Batch<Dual>& batch) {
+inline void meet(const GaussianRecord& r, const Pixels& pixels, int e, Batch<Dual>& batch) {
   const float x = float(pixels.x0 - r.x) - r.x_rest, y = float(pixels.y0 - r.y) - r.y_rest;
   batch.splat[e] = &r, batch.dx[e] = x, batch.dy[e] = y;
   const vfloat ux = r.root[0] * (pixels.x + x);
@@ -66,7 +66,7 @@ inline void raise_alphas(Batch<Dual>& batch) {
 
 // Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
 template <bool Dual>
-inline int pass_splats(const VolumeState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
+inline int pass_splats(const GaussianState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
                        vfloat lights[chains(Dual)], Batch<Dual>& batch) {
   const int n = std::min(count, kBatch);
   prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
@@ -102,7 +102,7 @@ inline void add_transmitted(const Batch<Dual>& batch, int v, Blend& out) {
   Sums<3> color(out.color, v);
   vfloat depth = out.depth[v], weight = out.weight[v];
   for (int e = 0; e < kBatch; ++e) {
-    const VolumeRecord& r = *batch.splat[e];
+    const GaussianRecord& r = *batch.splat[e];
     const vfloat share = batch.alpha[e][v] * batch.T[e][v];
     color.add(share, r.color);
     if (Depth) depth = fma(share, splat(r.depth), depth);
@@ -119,7 +119,7 @@ inline void add_reflected(const Batch<true>& batch, int v, Blend& out) {
 }
 
 template <bool Dual, bool Depth>
-inline void blend_subtile(const VolumeState& state, const SubTileLists& sub, int s, const Pixels& pixels,
+inline void blend_subtile(const GaussianState& state, const SubTileLists& sub, int s, const Pixels& pixels,
                           vfloat lights[chains(Dual)], Blend& out) {
   Batch<Dual> batch;
   const uint32_t* list = sub.begin(s);
@@ -135,7 +135,7 @@ inline void blend_subtile(const VolumeState& state, const SubTileLists& sub, int
 }
 
 template <bool Dual, bool Depth>
-void write_pixels(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const vfloat lights[kVectors],
+void write_pixels(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, const vfloat lights[kVectors],
                   const Blend& sums, const Pixels& pixels) {
   float T[16], color[3][16], depth[16], weight[16], refl_color[3][16];
   for (int v = 0; v < kVectors; ++v) store(T + v * kWidth, abs(lights[v]));
@@ -153,7 +153,7 @@ void write_pixels(const VolumeInputs& in, VolumeState& state, const VolumeImages
 }
 
 template <bool Dual, bool Depth>
-void blend(const VolumeInputs& in, VolumeState& state, const VolumeImages& out) {
+void blend(const GaussianInputs& in, GaussianState& state, const GaussianImages& out) {
   for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);

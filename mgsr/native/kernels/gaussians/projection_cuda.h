@@ -3,8 +3,8 @@
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
-#include "kernels/volumes/needle.h"
-#include "kernels/volumes/record.h"
+#include "kernels/gaussians/needle.h"
+#include "kernels/gaussians/record.h"
 #include "math/blending.h"
 #include "math/footprint.h"
 #include "math/two_floats.h"
@@ -14,7 +14,7 @@ namespace mgsr {
 constexpr int kSplatThreads = 128;
 
 // The 3D branch's parameters and the view of them.
-struct VolumeSplats {
+struct GaussianSplats {
   int64_t count;
   const float *means, *quats, *scales;        // [N,3], [N,4] wxyz, [N,3]
   const float *opacities, *colors;            // [N], [N,3]: the transmitted part
@@ -26,25 +26,25 @@ struct VolumeSplats {
   int compensate;                             // whether to take back the energy that the low-pass adds
 };
 
-struct VolumeProjectParams {
-  VolumeSplats in;
-  VolumeRecord* records;    // [N], set where a splat is visible
+struct GaussianProjectParams {
+  GaussianSplats in;
+  GaussianRecord* records;    // [N], set where a splat is visible
   SplatOutline* outlines;   // [N], likewise
   float* depths;            // [N] of the centres, kCulledDepth where a splat was culled
   int* tile_counts;         // [N]
   float* radii;             // [N] pixels, 0 where culled
 };
 
-struct VolumeGradientParams {
-  VolumeSplats in;
-  const VolumeRecord* records;
+struct GaussianGradientParams {
+  GaussianSplats in;
+  const GaussianRecord* records;
   const float* radii;
   const float* sums;        // [N, kPairFields], where a tile was touched
   const int* tile_counts;
   float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights, *means2d;  // outputs
 };
 
-__device__ inline bool finite_light(const VolumeSplats& in, int64_t i) {
+__device__ inline bool finite_light(const GaussianSplats& in, int64_t i) {
   if (!finite(in.colors + 3 * i, 3)) return false;
   return !in.refl_colors || (finite(in.refl_colors + 3 * i, 3) && finite(in.weights + i, 1));
 }
@@ -67,7 +67,7 @@ enum class Sight { kSeen, kUnseen, kUnsure };
 
 // Whether two floats each keep float's digits in all that a record takes from a projection, and decide as float64 does: no
 // number near the end of their range, no splat some thousand times longer than wide, and none at a limit.
-__device__ inline bool sure(const VolumeSplats& in, int64_t i, const ProjectedGaussian<TwoFloats>& g, float det) {
+__device__ inline bool sure(const GaussianSplats& in, int64_t i, const ProjectedGaussian<TwoFloats>& g, float det) {
   const float cxx = g.cxx.high, cyy = g.cyy.high, near_gap = g.depth.high - in.near;
   if (!(cxx > 1e-6f && cyy > 1e-6f && cxx + cyy < 0.999e12f)) return false;
   const float reach = fabsf(g.x.high) + fabsf(g.y.high) + fabsf(g.depth.high);
@@ -80,11 +80,11 @@ __device__ inline bool sure(const VolumeSplats& in, int64_t i, const ProjectedGa
   if (sqrtf(kept2 + 1e-12f * spread) * opacity < 0.999f * kMinAlpha) return true;
   return kept2 > 2e-6f * spread && fabsf(g.compensation.high * opacity - kMinAlpha) > 1e-5f * kMinAlpha;
 }
-__device__ inline bool sure(const VolumeSplats&, int64_t, const ProjectedGaussian<double>&, float) { return true; }
+__device__ inline bool sure(const GaussianSplats&, int64_t, const ProjectedGaussian<double>&, float) { return true; }
 
 // Fills a splat's record and outline, where it is seen: it can be, and is finite.
 template <class T>
-__device__ inline Sight project_as(const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
+__device__ inline Sight project_as(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   T mean[3], quat[4], scale[3], root[3];
   for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
   for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
@@ -113,15 +113,15 @@ __device__ inline Sight project_as(const VolumeSplats& in, int64_t i, VolumeReco
 // Fills a splat's record and outline; false when it can't be seen or isn't finite. A splat counts for a pixel or not by a
 // threshold, and what float leaves of a centre 256 pixels out flips thousands of those decisions, so that the CPU computes
 // in float64. That is slow on most cards: two floats do as well, and the few splats for which they might not are done again.
-__device__ inline bool project_volume(const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
+__device__ inline bool project_gaussian_splat(const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
   Sight sight = project_as<TwoFloats>(in, i, record, outline);
   if (sight == Sight::kUnsure) sight = project_as<double>(in, i, record, outline);
   return sight == Sight::kSeen;
 }
 
 // The gradients that need no projection; returns that of the compensation, 0 where there is none.
-__device__ inline float light_gradients(const VolumeGradientParams& p, int64_t i, const float* total) {
-  const VolumeSplats& in = p.in;
+__device__ inline float light_gradients(const GaussianGradientParams& p, int64_t i, const float* total) {
+  const GaussianSplats& in = p.in;
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
   const float o = in.opacities[i], o_r = in.refl_opacities ? in.refl_opacities[i] : 0.0f;
   p.opacities[i] = o > 0 ? total[kOpacity] / o : 0.0f;
@@ -136,8 +136,8 @@ __device__ inline float light_gradients(const VolumeGradientParams& p, int64_t i
   return factor > 0 ? (total[kOpacity] + total[kReflOpacity]) / factor : 0.0f;
 }
 
-__device__ inline void volume_gradients(const VolumeGradientParams& p, int64_t i) {
-  const VolumeSplats& in = p.in;
+__device__ inline void gaussian_gradients(const GaussianGradientParams& p, int64_t i) {
+  const GaussianSplats& in = p.in;
   const bool touched = p.tile_counts[i] > 0;
   float total[kPairFields] = {}, mean[3] = {}, quat[4] = {}, scale[3] = {}, x = 0.0f, y = 0.0f;
   for (int k = 0; k < kPairFields && touched; ++k) total[k] = p.sums[i * kPairFields + k];

@@ -6,7 +6,7 @@
 #pragma once
 
 #include "kernels/common/pairs.h"
-#include "kernels/volumes/blending_cpu.h"
+#include "kernels/gaussians/blending_cpu.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
@@ -20,7 +20,7 @@ struct PixelGradients {
   // What the walk will have added up by its end, and what lies behind the last splat.
   float behind[16] = {}, refl_behind[16] = {};
 
-  PixelGradients(const VolumeInputs& in, const VolumeState& state, const VolumeImages& out, const VolumeImages& v,
+  PixelGradients(const GaussianInputs& in, const GaussianState& state, const GaussianImages& out, const GaussianImages& v,
                  const Pixels& pixels) {
     for_pixels(pixels.x0, pixels.y0, in.width, in.height, [&](int64_t i, int j) {
       const float T = state.transmittance[i], alpha = 1.0f - T;
@@ -70,7 +70,7 @@ inline void walk_transmitted(const Batch<Dual>& batch, int v, const PixelGradien
   const vfloat v_color[3] = {load(g.color[0] + lane), load(g.color[1] + lane), load(g.color[2] + lane)};
   vfloat left = behind;
   for (int e = 0; e < kBatch; ++e) {
-    const VolumeRecord& r = *batch.splat[e];
+    const GaussianRecord& r = *batch.splat[e];
     vfloat gain = dot(v_color, r.color);
     if (Depth) gain = fma(load(g.color[3] + lane), splat(r.depth), gain);
     if (Dual) gain = fma(load(g.weight + lane), splat(r.weight), gain);
@@ -163,7 +163,7 @@ inline void add_to_pairs(vfloat fields[kPairFields], const uint32_t* list, int n
 }
 
 template <bool Dual, bool Depth>
-void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
+void backward_subtile(const GaussianState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
                       const Pixels& pixels, float* pairs) {
   vfloat lights[chains(Dual)], behind[chains(Dual)], fields[kPairFields];
   for (vfloat& light : lights) light = splat(1.0f);
@@ -188,7 +188,7 @@ void backward_subtile(const VolumeState& state, const PixelGradients<Dual, Depth
 }
 
 template <bool Dual, bool Depth>
-void blend_backward(const VolumeInputs& in, VolumeState& state, const VolumeImages& out, const VolumeImages& v_out) {
+void blend_backward(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, const GaussianImages& v_out) {
   const auto walk = [&](const SubTileLists& sub, int x0, int y0, float* pairs) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);

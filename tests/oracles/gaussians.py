@@ -42,7 +42,7 @@ def render(
     near=0.01,
     compensate=False,
 ) -> Images:
-    """Render Gaussians in float64, with tensors as in mgsr.ops.volumes; differentiable by autograd."""
+    """Render Gaussians in float64, with tensors as in mgsr.ops.gaussians; differentiable by autograd."""
     K, pose = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world)
     H, W = camera.height, camera.width
     local = means @ pose[:3, :3].T + pose[:3, 3]

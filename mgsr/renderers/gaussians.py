@@ -9,21 +9,21 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.native.cuda.activations import Activation
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.ops.activations import activated, activated_vjp
 from mgsr.ops.arrays import once_differentiable, plain
+from mgsr.ops.gaussians import GaussianOptions, GaussianPass
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
 from mgsr.ops.lights import lit_up, lit_up_vjp, with_reflection, with_reflection_vjp
-from mgsr.ops.volumes import VolumeOptions, VolumePass
-from mgsr.renderers.outputs import VolumeOutputs, camera_center
+from mgsr.renderers.outputs import GaussianOutputs, camera_center
 
 KINDS = (Activation.EXP, Activation.SIGMOID, Activation.SIGMOID, Activation.SIGMOID)
 
 
-def render_volumes(
-    model: VolumeModel,
+def render_gaussians(
+    model: GaussianModel,
     camera: Camera,
     background: Tensor | None = None,
     degree: int | None = None,
@@ -31,7 +31,7 @@ def render_volumes(
     depth: bool = True,
     mirrored: Tensor | None = None,
     lit: Tensor | None = None,
-) -> VolumeOutputs:
+) -> GaussianOutputs:
     """Render the Gaussians from any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
@@ -54,20 +54,20 @@ def render_volumes(
     inputs = [tensor for tensor in (*stored, *stored_split, mirrored) if tensor is not None]
     differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     rendering = _Rendering(
-        VolumePass(camera, VolumeOptions(low_pass=model.low_pass, depth=depth), launcher, differentiable),
+        GaussianPass(camera, GaussianOptions(low_pass=model.low_pass, depth=depth), launcher, differentiable),
         launcher,
         model.means.new_zeros(3) if background is None else plain(background),
         camera_center(camera),
         (degree, refl_degree),
         None if lit is None else plain(lit),
     )
-    images = _RenderVolumes.apply(rendering, mirrored, *stored, *stored_split)
+    images = _RenderGaussians.apply(rendering, mirrored, *stored, *stored_split)
     color, transmitted, alpha, depths, own, weight, reflected, even = images
     if reflected is None:
         transmitted, weight = color, None
     elif own is None:
         weight = alpha
-    return VolumeOutputs(
+    return GaussianOutputs(
         color, transmitted, reflected, weight, depths, alpha, rendering.raster.stats, own, mirrored, even
     )
 
@@ -76,7 +76,7 @@ def render_volumes(
 class _Rendering:
     """What a rendering is made with, beside the Gaussians; degrees: of the transmitted and the reflected colours."""
 
-    raster: VolumePass
+    raster: GaussianPass
     launcher: Launcher | None
     background: Tensor
     center: Tensor
@@ -84,7 +84,7 @@ class _Rendering:
     lit: Tensor | None
 
 
-class _RenderVolumes(torch.autograd.Function):
+class _RenderGaussians(torch.autograd.Function):
     """The rendering from stored parameters to images, in one node.
 
     It has scales and shares, colours, the raster, the flash and the reflected light.

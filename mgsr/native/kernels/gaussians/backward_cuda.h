@@ -5,35 +5,35 @@
 #pragma once
 
 #include "kernels/common/buckets_cuda.h"
-#include "kernels/volumes/blending_cuda.h"
+#include "kernels/gaussians/blending_cuda.h"
 
 namespace mgsr {
 
 // What the walk needs of a pixel, [tiles, planes, 256]: the gradients of its images, and what the walk will have added up
 // by its end, with what lies behind the last splat.
-enum VolumePixelPlane { kVColor, kVDepth = kVColor + 3, kBehind, kSinglePixelPlanes, kVWeight = kSinglePixelPlanes, kVReflColor,
+enum GaussianPixelPlane { kVColor, kVDepth = kVColor + 3, kBehind, kSinglePixelPlanes, kVWeight = kSinglePixelPlanes, kVReflColor,
                         kReflBehind = kVReflColor + 3, kDualPixelPlanes };
 
 // Images of the forward pass and gradients of images may be null: then they count as zero.
-struct VolumePixelParams {
+struct GaussianPixelParams {
   Tiles tiles;
   const float *transmittance, *color, *depth, *reflected, *weight;
   const float *v_color, *v_alpha, *v_depth, *v_reflected, *v_weight;
   float* planes;
 };
 
-struct VolumeBackwardParams {
+struct GaussianBackwardParams {
   Tiles tiles;
-  const VolumeRecord* records;
+  const GaussianRecord* records;
   const float* states;   // of the forward pass
   const int* reached;
-  const float* planes;   // of volumes_pixels
+  const float* planes;   // of gaussians_pixels
   float* pairs;          // [pairs, kPairFields] by slot
 };
 
 // A thread is a pixel of the tile that is its block.
 template <bool Dual>
-__device__ void prepare_pixel(const VolumePixelParams& p) {
+__device__ void prepare_pixel(const GaussianPixelParams& p) {
   const TilePixel pixel(p.tiles, blockIdx.x, threadIdx.x);
   if (!pixel.inside(p.tiles)) return;
   const int64_t i = pixel.index(p.tiles);
@@ -69,38 +69,38 @@ __device__ void prepare_pixel(const VolumePixelParams& p) {
 // What a pixel says of a splat: what the splat adds to the loss's sums is share times its colour, and the exponent's
 // gradient; the same of the reflected part.
 template <bool Dual>
-struct VolumeTerms;
+struct GaussianTerms;
 template <>
-struct alignas(8) VolumeTerms<false> {
+struct alignas(8) GaussianTerms<false> {
   float share, v_exponent;
 };
 template <>
-struct alignas(16) VolumeTerms<true> {
+struct alignas(16) GaussianTerms<true> {
   float share, v_exponent, refl_share, v_refl_exponent;
 };
 
 // A warp's shared memory. sums: of its splats' fields; terms: of a chunk's splats, by pixel; gradients: of the patch's
 // pixels, color and depth, reflected color and weight.
 template <bool Dual>
-struct VolumeStage {
+struct GaussianStage {
   static constexpr int kSums = Dual ? 16 : 12;
-  VolumeInTile splats[kBucket];
+  GaussianInTile splats[kBucket];
   float4 sums[kBucket][kSums / 4];
-  VolumeTerms<Dual> terms[kChunk][kTermsStride];
+  GaussianTerms<Dual> terms[kChunk][kTermsStride];
   float4 gradients[Dual ? 2 : 1][kWarp];
 };
 
 // What walk_patches needs.
 template <bool Dual>
-struct VolumeWalk {
-  VolumeStage<Dual>& stage;
+struct GaussianWalk {
+  GaussianStage<Dual>& stage;
   const float *state, *planes;  // of the bucket; of the tile
   int patch = 0;
   float x = 0.0f, y = 0.0f;     // of the lane's pixel in the tile
   float light = 0.0f, behind = 0.0f, v_color[3] = {}, v_depth = 0.0f;
   float refl_light = 0.0f, refl_behind = 0.0f, v_refl_color[3] = {}, v_weight = 0.0f;
 
-  __device__ VolumeWalk(VolumeStage<Dual>& own, const float* of_bucket, const float* of_tile)
+  __device__ GaussianWalk(GaussianStage<Dual>& own, const float* of_bucket, const float* of_tile)
       : stage(own), state(of_bucket), planes(of_tile) {}
 
   __device__ float of_state(int plane) const { return state[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
@@ -137,9 +137,9 @@ struct VolumeWalk {
   }
 
   __device__ void meet(int splat, int at) {
-    const VolumeInTile& r = stage.splats[splat];
-    VolumeTerms<Dual>& terms = stage.terms[at][threadIdx.x % kWarp];
-    const float w = volume_weight(r, r.x + x, r.y + y), T = light;
+    const GaussianInTile& r = stage.splats[splat];
+    GaussianTerms<Dual>& terms = stage.terms[at][threadIdx.x % kWarp];
+    const float w = gaussian_weight(r, r.x + x, r.y + y), T = light;
     const float alpha = pass_light(counted_alpha(r.opacity * w), light);
     float gain = v_depth * r.depth;
     for (int k = 0; k < 3; ++k) gain = fmaf(v_color[k], r.color[k], gain);
@@ -157,7 +157,7 @@ struct VolumeWalk {
   }
 
   __device__ void add(int splat) {
-    constexpr int kSums = VolumeStage<Dual>::kSums;
+    constexpr int kSums = GaussianStage<Dual>::kSums;
     const ChunkPlace mine(threadIdx.x % kWarp);
     float fields[kPairFields] = {};
     if (splat >= 0) add_row(stage.splats[splat], mine, fields);
@@ -168,12 +168,12 @@ struct VolumeWalk {
   }
 
   // Along a row only dx changes, by one a pixel.
-  __device__ void add_row(const VolumeInTile& r, const ChunkPlace& mine, float* fields) const {
+  __device__ void add_row(const GaussianInTile& r, const ChunkPlace& mine, float* fields) const {
     const float left = r.x + float(patch % 2 * kPatchWidth), dy = r.y + float(patch / 2 * kPatchHeight + mine.row);
     float moment = 0.0f;
     for (int column = 0; column < kPatchWidth; ++column) {
       const int pixel = mine.pixel(column);
-      const VolumeTerms<Dual> terms = stage.terms[mine.splat][pixel];
+      const GaussianTerms<Dual> terms = stage.terms[mine.splat][pixel];
       const float4 v = stage.gradients[0][pixel];
       const float dx = left + float(column);
       float v_exponent = terms.v_exponent;
@@ -196,18 +196,18 @@ struct VolumeWalk {
 
 // The sums that the lane's splat has in the end.
 template <bool Dual>
-__device__ inline void walk_splats(const VolumeBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
-                                   VolumeStage<Dual>& stage, float* fields) {
-  constexpr int kQuads = VolumeStage<Dual>::kSums / 4;
+__device__ inline void walk_splats(const GaussianBackwardParams& p, const Bucket& bucket, int number, bool mine, int splat,
+                                   GaussianStage<Dual>& stage, float* fields) {
+  constexpr int kQuads = GaussianStage<Dual>::kSums / 4;
   const int lane = threadIdx.x % kWarp;
   unsigned patches = 0;
   if (mine) {
-    const VolumeInTile r = in_tile(p.records[splat], TilePixel(p.tiles, bucket.tile, 0));
+    const GaussianInTile r = in_tile(p.records[splat], TilePixel(p.tiles, bucket.tile, 0));
     stage.splats[lane] = r, patches = touched_patches(r);
   }
   for (int k = 0; k < kQuads; ++k) stage.sums[lane][k] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
   __syncwarp();
-  VolumeWalk<Dual> walk(stage, p.states + int64_t(number) * (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels,
+  GaussianWalk<Dual> walk(stage, p.states + int64_t(number) * (Dual ? kDualPlanes : kSinglePlanes) * kTilePixels,
                         p.planes + int64_t(bucket.tile) * (Dual ? kDualPixelPlanes : kSinglePixelPlanes) * kTilePixels);
   walk_patches(patches, walk);
   for (int k = 0; k < kQuads; ++k) {
@@ -217,8 +217,8 @@ __device__ inline void walk_splats(const VolumeBackwardParams& p, const Bucket& 
 }
 
 template <bool Dual>
-__device__ void walk_bucket(const VolumeBackwardParams& p) {
-  __shared__ VolumeStage<Dual> stages[kBucketWarps];
+__device__ void walk_bucket(const GaussianBackwardParams& p) {
+  __shared__ GaussianStage<Dual> stages[kBucketWarps];
   const int warp = threadIdx.x / kWarp, lane = threadIdx.x % kWarp, number = blockIdx.x * kBucketWarps + warp;
   const Bucket bucket(p.tiles, number);
   if (!bucket.exists) return;

@@ -1,7 +1,7 @@
 // The way back through a needle's projection, the same on both machines.
 #pragma once
 
-#include "kernels/volumes/record.h"
+#include "kernels/gaussians/record.h"
 #include "math/footprint.h"
 
 namespace mgsr {

@@ -5,12 +5,12 @@
 
 #include "kernels/common/binning.h"
 #include "kernels/common/depth_sort.h"
-#include "kernels/volumes/record.h"
+#include "kernels/gaussians/record.h"
 #include "math/camera.h"
 
 namespace mgsr {
 
-struct VolumeInputs {
+struct GaussianInputs {
   int64_t count;
   const float *means, *quats, *scales;         // [N,3], [N,4] wxyz, [N,3]
   const float *opacities, *colors;             // [N], [N,3]: the transmitted part
@@ -24,20 +24,20 @@ struct VolumeInputs {
   bool depth;                                  // whether depth is asked for
 };
 
-struct VolumeImages {
+struct GaussianImages {
   float *color, *alpha;       // [H,W,3] transmitted with background, [H,W] 1 - transmittance
   float* depth;               // [H,W] mean camera depth, 0 where nothing; null when not asked for
   float *reflected, *weight;  // [H,W,3], [H,W]; null for single opacity
 };
 
-struct VolumeGradients {
-  float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights;  // as in VolumeInputs
+struct GaussianGradients {
+  float *means, *quats, *scales, *opacities, *colors, *refl_opacities, *refl_colors, *weights;  // as in GaussianInputs
   float* means2d;  // [N,2] pixels: gradient of the loss to each splat's projected centre
 };
 
 // Kept between forward and backward. Its vectors keep their memory when it is used again.
-struct VolumeState {
-  std::vector<VolumeRecord> records;   // [N], set where a splat is visible
+struct GaussianState {
+  std::vector<GaussianRecord> records;   // [N], set where a splat is visible
   std::vector<float> depths;           // [N] of the centres, -1 where a splat was culled
   DepthSort sort;
   TileLists lists;
@@ -45,17 +45,17 @@ struct VolumeState {
   std::vector<float> pair_gradients;   // [pairs, 16]
 };
 
-struct VolumeKernels {
+struct GaussianKernels {
   // radii: [N] pixels, 0 where culled.
-  void (*forward)(const VolumeInputs&, VolumeState&, const VolumeImages&, float* radii);
+  void (*forward)(const GaussianInputs&, GaussianState&, const GaussianImages&, float* radii);
   // `images` are the forward pass's outputs; a null gradient image means zero. Gradients are written where a splat is
   // visible; the caller zeroes them first.
-  void (*backward)(const VolumeInputs&, VolumeState&, const VolumeImages& images, const VolumeImages& v_images,
-                   const VolumeGradients&);
+  void (*backward)(const GaussianInputs&, GaussianState&, const GaussianImages& images, const GaussianImages& v_images,
+                   const GaussianGradients&);
 };
 
-namespace baseline { extern const VolumeKernels volume_kernels; }
-namespace avx2 { extern const VolumeKernels volume_kernels; }
-namespace avx512 { extern const VolumeKernels volume_kernels; }
+namespace baseline { extern const GaussianKernels gaussian_kernels; }
+namespace avx2 { extern const GaussianKernels gaussian_kernels; }
+namespace avx512 { extern const GaussianKernels gaussian_kernels; }
 
 }  // namespace mgsr

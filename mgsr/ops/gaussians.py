@@ -12,9 +12,9 @@ from torch import Tensor
 
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
-from mgsr.native import _volumes
+from mgsr.native import _gaussians
+from mgsr.native.cuda.gaussians import GaussianKernels
 from mgsr.native.cuda.launcher import Launcher, launcher_for
-from mgsr.native.cuda.volumes import VolumeKernels
 from mgsr.ops.raster import Rasterize, SplatStats
 
 
@@ -27,7 +27,7 @@ class Reflected(NamedTuple):
 
 
 @dataclass(frozen=True)
-class VolumeOptions:
+class GaussianOptions:
     """The options of the rasterizer of 3D Gaussians.
 
     near: camera units, splats nearer are left out; low_pass: px^2 added to each projected covariance; compensate: lower
@@ -41,7 +41,7 @@ class VolumeOptions:
 
 
 @dataclass(frozen=True)
-class VolumeRaster:
+class GaussianRaster:
     """The images of a rendering of 3D Gaussians.
 
     color [H,W,3]: transmitted light over the background; alpha [H,W]: 1 - transmittance; depth [H,W]: mean camera z, 0
@@ -56,7 +56,7 @@ class VolumeRaster:
     stats: SplatStats
 
 
-def rasterize_volumes(
+def rasterize_gaussians(
     means: Tensor,
     quats: Tensor,
     scales: Tensor,
@@ -65,8 +65,8 @@ def rasterize_volumes(
     camera: Camera,
     background: Tensor,
     reflected: Reflected | None = None,
-    options: VolumeOptions | None = None,
-) -> VolumeRaster:
+    options: GaussianOptions | None = None,
+) -> GaussianRaster:
     """Blend Gaussians front to back into images; gradients flow to all splat tensors.
 
     means [N,3] world; quats [N,4] wxyz, any length but zero; scales [N,3] world units, linear; opacities [N] in
@@ -76,7 +76,7 @@ def rasterize_volumes(
 
     Raises TensorError for a wrong shape or dtype. Source: supplement, Eq. 16-19; method.md "3D branch".
     """
-    options = options or VolumeOptions()
+    options = options or GaussianOptions()
     refl_opacities, refl_colors, weights = reflected or (None, None, None)
     check_tensors(
         means=(means, "N 3"),
@@ -91,20 +91,22 @@ def rasterize_volumes(
     )
     tensors = (means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background)
     differentiable = torch.is_grad_enabled() and any(t is not None and t.requires_grad for t in tensors)
-    pass_ = VolumePass(camera, options, launcher_for(means), differentiable)
+    pass_ = GaussianPass(camera, options, launcher_for(means), differentiable)
     color, alpha, depth, refl, weight = Rasterize.apply(pass_, *tensors)
-    return VolumeRaster(color, alpha, depth, refl, weight, pass_.stats)
+    return GaussianRaster(color, alpha, depth, refl, weight, pass_.stats)
 
 
-class VolumePass:
+class GaussianPass:
     """One rendering of Gaussians, forward and back, outside the graph.
 
     differentiable: whether `backward` will be called; stats: of the rendering, once it is done.
     """
 
-    def __init__(self, camera: Camera, options: VolumeOptions, launcher: Launcher | None, differentiable: bool) -> None:
+    def __init__(
+        self, camera: Camera, options: GaussianOptions, launcher: Launcher | None, differentiable: bool
+    ) -> None:
         self.stats = SplatStats(torch.empty(0))
-        self._kernels = _volumes if launcher is None else VolumeKernels(launcher, keep=differentiable)
+        self._kernels = _gaussians if launcher is None else GaussianKernels(launcher, keep=differentiable)
         self._depth = options.depth
         self._view = (
             np.ascontiguousarray(camera.K, dtype=np.float64),
@@ -120,8 +122,8 @@ class VolumePass:
     def forward(self, splats: Sequence[Tensor | None]) -> tuple[Tensor | None, ...]:
         """Render color, alpha, depth, reflected and weight, each [H,W] or [H,W,3].
 
-        splats: contiguous, the tensors of `rasterize_volumes` in its order, with the reflected three, or None for each
-        of them, before the background.
+        splats: contiguous, the tensors of `rasterize_gaussians` in its order, with the reflected three, or None for
+        each of them, before the background.
         """
         means, dual = splats[0], splats[5] is not None
         assert means is not None
@@ -141,7 +143,7 @@ class VolumePass:
         Each of the images' is contiguous or None.
         """
         # A card's kernels write all of it.
-        new_like = torch.zeros_like if self._kernels is _volumes else torch.empty_like
+        new_like = torch.zeros_like if self._kernels is _gaussians else torch.empty_like
         v_splats = [t if t is None else new_like(t) for t in splats[:-1]]
         assert splats[0] is not None
         v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)

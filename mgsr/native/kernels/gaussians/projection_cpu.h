@@ -8,9 +8,9 @@
 
 #include "kernels/common/blending.h"
 #include "kernels/common/lanes.h"
-#include "kernels/volumes/backward_cpu.h"
-#include "kernels/volumes/needle.h"
-#include "kernels/volumes/volumes.h"
+#include "kernels/gaussians/backward_cpu.h"
+#include "kernels/gaussians/needle.h"
+#include "kernels/gaussians/gaussians.h"
 #include "math/footprint.h"
 #include "math/gaussian.h"
 
@@ -23,7 +23,7 @@ template <class L>
 struct Geometry {
   L mean[3], quat[4], scale[3];
 
-  Geometry(const VolumeInputs& in, const int64_t splats[L::kCount]) {
+  Geometry(const GaussianInputs& in, const int64_t splats[L::kCount]) {
     for (int k = 0; k < 3; ++k) mean[k] = each_lane<L>([&](int lane) { return in.means[3 * splats[lane] + k]; });
     for (int k = 0; k < 4; ++k) quat[k] = each_lane<L>([&](int lane) { return in.quats[4 * splats[lane] + k]; });
     for (int k = 0; k < 3; ++k) scale[k] = each_lane<L>([&](int lane) { return in.scales[3 * splats[lane] + k]; });
@@ -34,14 +34,14 @@ struct Geometry {
 struct Opacities {
   float main, refl;
 
-  Opacities(const VolumeInputs& in, int64_t i, float compensation)
+  Opacities(const GaussianInputs& in, int64_t i, float compensation)
       : main(in.opacities[i] * compensation), refl(in.refl_opacities ? in.refl_opacities[i] * compensation : 0.0f) {}
   float strongest() const { return std::max(main, refl); }
   // In this form also false for a NaN.
   bool visible() const { return strongest() >= kMinAlpha && strongest() <= 1e6f && main >= 0 && refl >= 0; }
 };
 
-bool finite_colors(const VolumeInputs& in, int64_t i) {
+bool finite_colors(const GaussianInputs& in, int64_t i) {
   if (!all_finite(in.colors + 3 * i, 3)) return false;
   return !in.refl_colors || (all_finite(in.refl_colors + 3 * i, 3) && all_finite(in.weights + i, 1));
 }
@@ -53,14 +53,14 @@ struct Footprints {
   Doubles root[3];
   Doubles::Test visible;
 
-  Footprints(const VolumeInputs& in, const Camera<Doubles>& camera, const int64_t splats[Doubles::kCount]) {
+  Footprints(const GaussianInputs& in, const Camera<Doubles>& camera, const int64_t splats[Doubles::kCount]) {
     const Geometry<Doubles> geometry(in, splats);
     g = project_gaussian(camera, geometry.mean, geometry.quat, geometry.scale, Doubles(double(in.low_pass)));
     const Doubles det = footprint_root(g, root);
     visible = (g.depth > double(in.near)) & (det > 0.0) & (g.cxx + g.cyy < 1e12);
   }
 
-  void write(int lane, VolumeRecord& record) const {
+  void write(int lane, GaussianRecord& record) const {
     const double x = std::min(std::max(std::floor(g.x[lane]), -32768.0), 32767.0);
     const double y = std::min(std::max(std::floor(g.y[lane]), -32768.0), 32767.0);
     record.x = int16_t(x), record.y = int16_t(y);
@@ -70,7 +70,7 @@ struct Footprints {
   }
 };
 
-void write_light(const VolumeInputs& in, int64_t i, const Opacities& opacities, VolumeRecord& record) {
+void write_light(const GaussianInputs& in, int64_t i, const Opacities& opacities, GaussianRecord& record) {
   record.opacity = opacities.main, record.refl_opacity = opacities.refl;
   std::memcpy(record.color, in.colors + 3 * i, sizeof(record.color));
   if (!in.refl_opacities) return;
@@ -84,7 +84,7 @@ Ellipse lane_of(const EllipseForm<Doubles>& e, int lane) {
 }
 
 // Projects the splats [begin, end), at most as many as there are lanes. radii: [N] pixels, 0 where culled.
-void project_few(const VolumeInputs& in, const Camera<Doubles>& camera, int64_t begin, int64_t end, VolumeState& state,
+void project_few(const GaussianInputs& in, const Camera<Doubles>& camera, int64_t begin, int64_t end, GaussianState& state,
                  float* radii) {
   int64_t splats[Doubles::kCount];
   for (int lane = 0; lane < Doubles::kCount; ++lane) splats[lane] = std::min(begin + lane, end - 1);
@@ -114,7 +114,7 @@ void project_few(const VolumeInputs& in, const Camera<Doubles>& camera, int64_t 
 }
 
 // Projects and culls all splats, and notes the tiles that the visible ones touch.
-void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
+void project_all(const GaussianInputs& in, GaussianState& state, float* radii) {
   state.records.resize(in.count), state.depths.resize(in.count);
   start_lists(state.lists, in.count, in.width, in.height);
   const Camera<Doubles> camera = camera_as<Doubles>(in.camera);
@@ -126,7 +126,7 @@ void project_all(const VolumeInputs& in, VolumeState& state, float* radii) {
 }
 
 // The gradients of projected splats, from the moments of their exponents' gradients.
-ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const int64_t splats[Floats::kCount],
+ProjectedGaussian<Floats> projected_gradients(const GaussianState& state, const int64_t splats[Floats::kCount],
                                               const Floats total[kPairFields]) {
   Floats root[3];
   for (int k = 0; k < 3; ++k) root[k] = each_lane<Floats>([&](int lane) { return state.records[splats[lane]].root[k]; });
@@ -134,8 +134,8 @@ ProjectedGaussian<Floats> projected_gradients(const VolumeState& state, const in
 }
 
 // The gradients that need no projection; returns that of the compensation, 0 where there is none.
-float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, const float total[kPairFields],
-                     const VolumeGradients& v) {
+float light_backward(const GaussianInputs& in, const GaussianRecord& r, int64_t i, const float total[kPairFields],
+                     const GaussianGradients& v) {
   // The exponent's and the opacity's gradients differ by the factor o; alpha = (o * compensation) * G.
   const float o = in.opacities[i], o_r = in.refl_opacities ? in.refl_opacities[i] : 0.0f;
   v.opacities[i] = o > 0 ? total[kOpacity] / o : 0.0f;
@@ -151,8 +151,8 @@ float light_backward(const VolumeInputs& in, const VolumeRecord& r, int64_t i, c
 }
 
 // The gradients of one needle's geometry, in float64: they need its digits.
-void needle_backward(const VolumeInputs& in, int64_t i, const float total[kPairFields], float v_compensation,
-                     const VolumeGradients& v) {
+void needle_backward(const GaussianInputs& in, int64_t i, const float total[kPairFields], float v_compensation,
+                     const GaussianGradients& v) {
   double mean[3], quat[4], scale[3], v_mean[3] = {}, v_quat[4] = {}, v_scale[3] = {};
   for (int k = 0; k < 3; ++k) mean[k] = in.means[3 * i + k], scale[k] = in.scales[3 * i + k];
   for (int k = 0; k < 4; ++k) quat[k] = in.quats[4 * i + k];
@@ -165,8 +165,8 @@ void needle_backward(const VolumeInputs& in, int64_t i, const float total[kPairF
 
 // From the sums over the pairs of `count` splats (the other lanes repeat one of them) to their gradients.
 // sums: [lanes, kPairFields], used up.
-void splats_backward(const VolumeInputs& in, const VolumeState& state, const int64_t splats[Floats::kCount], int count,
-                     float sums[Floats::kCount][kPairFields], const VolumeGradients& v) {
+void splats_backward(const GaussianInputs& in, const GaussianState& state, const int64_t splats[Floats::kCount], int count,
+                     float sums[Floats::kCount][kPairFields], const GaussianGradients& v) {
   float v_compensation[Floats::kCount] = {};
   for (int lane = 0; lane < count; ++lane)
     v_compensation[lane] = light_backward(in, state.records[splats[lane]], splats[lane], sums[lane], v);
@@ -194,7 +194,7 @@ void splats_backward(const VolumeInputs& in, const VolumeState& state, const int
 }
 
 // From the pairs' gradients to those of the splats.
-void reduce_pairs(const VolumeInputs& in, const VolumeState& state, const VolumeGradients& v) {
+void reduce_pairs(const GaussianInputs& in, const GaussianState& state, const GaussianGradients& v) {
   parallel_chunks(in.count, kSplatChunk, [&](int64_t begin, int64_t end) {
     int64_t splats[Floats::kCount];
     alignas(64) float sums[Floats::kCount][kPairFields] = {};

@@ -1,4 +1,4 @@
-"""The CUDA half of the 3D branch: the same calls as `mgsr.native._volumes`."""
+"""The CUDA half of the 3D branch: the same calls as `mgsr.native._gaussians`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SPLAT_TENSORS = ("means", "quats", "scales", "opacities", "colors", "refl_opacit
 
 
 class Splats(ctypes.Structure):
-    """The struct VolumeSplats of kernels/volumes/projection_cuda.h."""
+    """The struct GaussianSplats of kernels/gaussians/projection_cuda.h."""
 
     _fields_ = (
         ("count", Long),
@@ -103,10 +103,10 @@ class Frame:
         return blended
 
 
-class VolumeKernels:
+class GaussianKernels:
     """The kernels that render and differentiate 3D Gaussians on one launcher.
 
-    Arguments as in `mgsr.native._volumes`; keep: whether backward will be called for the frame.
+    Arguments as in `mgsr.native._gaussians`; keep: whether backward will be called for the frame.
     """
 
     def __init__(self, launcher: Launcher, keep: bool) -> None:
@@ -124,7 +124,7 @@ class VolumeKernels:
             arguments[16:21],
             arguments[21],
         )
-        projected = project(self._launcher, "volumes", ProjectParams, splats_struct(splats, view), radii)
+        projected = project(self._launcher, "gaussians", ProjectParams, splats_struct(splats, view), radii)
         transmittance = background.new_empty(projected.height, projected.width)
         frame = Frame(projected, radii, transmittance, [projected.whole])
         blend = partial(self._blend, _kind(splats), frame, background, images)
@@ -149,7 +149,7 @@ class VolumeKernels:
         arrays = (frame.projected.records, frame.radii, sums, frame.projected.whole.tile_counts, *v_splats)
         gradients = GradientParams(frame.projected.splats, *addresses(*arrays))
         blocks = splat_blocks(splats[0].shape[0])
-        self._launcher.launch("volumes", "volumes_gradients", blocks, SPLAT_THREADS, gradients)
+        self._launcher.launch("gaussians", "gaussians_gradients", blocks, SPLAT_THREADS, gradients)
 
     def _blend(self, kind: str, frame: Frame, background: Tensor, images: Any, band: Band, keep: bool) -> Blended:
         """Draw a band's pixels into the images."""
@@ -159,7 +159,7 @@ class VolumeKernels:
             states = background.new_empty(lists.most_buckets, STATE_PLANES[kind], TILE_PIXELS)
         arrays = (frame.projected.records, background, *images, frame.transmittance, states, reached)
         params = BlendParams(lists.struct, *addresses(*arrays))
-        self._launcher.launch("volumes", f"volumes_blend_{kind}", lists.tiles, TILE_PIXELS, params)
+        self._launcher.launch("gaussians", f"gaussians_blend_{kind}", lists.tiles, TILE_PIXELS, params)
         return Blended(lists, states, reached)
 
     def _walk_back(self, kind: str, frame: Frame, blended: Blended, images: Any, v_images: Any) -> Tensor:
@@ -169,7 +169,7 @@ class VolumeKernels:
         pairs = planes.new_empty(lists.pairs, PAIR_FIELDS)
         arrays = (frame.projected.records, blended.states, blended.reached, planes, pairs)
         params = BackwardParams(lists.struct, *addresses(*arrays))
-        self._launcher.launch("volumes", f"volumes_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
+        self._launcher.launch("gaussians", f"gaussians_backward_{kind}", lists.bucket_blocks, BUCKET_THREADS, params)
         return sum_pairs(self._launcher, lists, pairs)
 
     def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
@@ -177,7 +177,7 @@ class VolumeKernels:
         planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, color, depth, reflected, weight, *v_images, planes)
         params = PixelParams(lists.struct, *addresses(*arrays))
-        self._launcher.launch("volumes", f"volumes_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
+        self._launcher.launch("gaussians", f"gaussians_pixels_{kind}", lists.tiles, TILE_PIXELS, params)
         return planes
 
 
@@ -189,7 +189,7 @@ def splats_struct(splats: Any, view: Any) -> Splats:
     """Return the struct of the splats and the view, for the kernels' parameters.
 
     splats: tensors as SPLAT_TENSORS, None for those that are not there, which must outlive the launch; view: as
-    `mgsr.native._volumes` takes it.
+    `mgsr.native._gaussians` takes it.
     """
     K, cam_from_world, width, height, near, low_pass, compensate = view
     camera = camera_struct(K, cam_from_world, width, height)

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from mgsr.native.cuda import tiles
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.splat_scenes import camera, random_splats
-from tests.ops.test_volumes import BACKGROUND, TOLERANCE, assert_close, brute_force, dual_splats, native, run
+from tests.ops.test_gaussians import BACKGROUND, TOLERANCE, assert_close, brute_force, dual_splats, native, run
 
 
 def compare(machine: Machine, splats, view, dual=False, compensate=False):
@@ -167,12 +167,12 @@ def test_statistics_and_rendering_without_gradients(machine: Machine) -> None:
     splats = {k: v.float().to(machine.device) for k, v in random_splats(30, 3).items()}
     names = ("means", "quats", "scales", "opacities", "colors")
     with machine.running():
-        out = rasterize_volumes(*(splats[k] for k in names), camera(), BACKGROUND.to(machine.device))
+        out = rasterize_gaussians(*(splats[k] for k in names), camera(), BACKGROUND.to(machine.device))
         leaves = [splats[k].clone().requires_grad_() for k in names]
-        differentiable = rasterize_volumes(*leaves, camera(), BACKGROUND.to(machine.device))
+        differentiable = rasterize_gaussians(*leaves, camera(), BACKGROUND.to(machine.device))
         differentiable.color.sum().backward()
     assert torch.equal(out.color, differentiable.color)
-    cpu = rasterize_volumes(*(splats[k].cpu() for k in names), camera(), BACKGROUND)
+    cpu = rasterize_gaussians(*(splats[k].cpu() for k in names), camera(), BACKGROUND)
     assert torch.equal(out.stats.visible.cpu(), cpu.stats.visible)
     torch.testing.assert_close(out.stats.radii.cpu(), cpu.stats.radii)
     assert differentiable.stats.v_means2d.shape == (30, 2) and differentiable.stats.v_means2d.any()
@@ -186,6 +186,6 @@ def test_images_without_a_gradient_count_as_zero(machine: Machine) -> None:
     names = ("means", "quats", "scales", "opacities", "colors")
     arguments = (*(splats[k] for k in names), camera(), BACKGROUND.to(machine.device), reflected)
     with machine.running():
-        rasterize_volumes(*arguments, VolumeOptions(depth=False)).reflected.sum().backward()
+        rasterize_gaussians(*arguments, GaussianOptions(depth=False)).reflected.sum().backward()
     assert splats["refl_colors"].grad.any() and splats["means"].grad.any()
     assert not splats["colors"].grad.any() and not splats["opacities"].grad.any()

@@ -5,18 +5,18 @@
 #pragma once
 
 #include "kernels/common/tiles_cuda.h"
-#include "kernels/volumes/record.h"
+#include "kernels/gaussians/record.h"
 #include "math/blending.h"
 
 namespace mgsr {
 
 // A pixel's state at the begin of a bucket, [buckets, planes, 256]: its two lights, and what it has added up.
-enum VolumePlane { kLightPlane, kColorPlane, kDepthPlane = kColorPlane + 3, kSinglePlanes, kWeightPlane = kSinglePlanes,
+enum GaussianPlane { kLightPlane, kColorPlane, kDepthPlane = kColorPlane + 3, kSinglePlanes, kWeightPlane = kSinglePlanes,
                    kReflLightPlane, kReflColorPlane, kDualPlanes = kReflColorPlane + 3 };
 
-struct VolumeBlendParams {
+struct GaussianBlendParams {
   Tiles tiles;
-  const VolumeRecord* records;
+  const GaussianRecord* records;
   const float* background;               // [3]
   float *color, *alpha, *depth;          // [H,W,3], [H,W], [H,W] or null
   float *reflected, *weight;             // [H,W,3], [H,W]; null for single opacity
@@ -26,7 +26,7 @@ struct VolumeBlendParams {
 };
 
 // A record as the walks over a tile read it.
-struct alignas(16) VolumeInTile {
+struct alignas(16) GaussianInTile {
   float x, y;  // from the centre to the tile's first pixel's centre
   float root[3];
   float opacity, depth;
@@ -37,7 +37,7 @@ struct alignas(16) VolumeInTile {
 
 __device__ inline float offset(int pixel, int16_t whole, float rest) { return (float(pixel - whole) + 0.5f) - rest; }
 
-__device__ inline VolumeInTile in_tile(const VolumeRecord& r, const TilePixel& corner) {
+__device__ inline GaussianInTile in_tile(const GaussianRecord& r, const TilePixel& corner) {
   return {offset(corner.x, r.x, r.x_rest), offset(corner.y, r.y, r.y_rest), {r.root[0], r.root[1], r.root[2]},
           r.opacity, r.depth, {r.color[0], r.color[1], r.color[2]},
           r.refl_opacity, r.weight, {r.refl_color[0], r.refl_color[1], r.refl_color[2]}, 0.0f};
@@ -45,13 +45,13 @@ __device__ inline VolumeInTile in_tile(const VolumeRecord& r, const TilePixel& c
 
 // A splat's weight at (dx, dy) pixels from its centre. Products and fused operations only, so that forward and backward
 // round alike.
-__device__ inline float volume_weight(const VolumeInTile& r, float dx, float dy) {
+__device__ inline float gaussian_weight(const GaussianInTile& r, float dx, float dy) {
   const float u = fmaf(r.root[1], dy, __fmul_rn(r.root[0], dx)), v = __fmul_rn(r.root[2], dy);
   return quick_exp2(fmaf(-u, u, -__fmul_rn(v, v)));
 }
 
 // The patches of a tile in which a splat can count, as bits.
-__device__ inline unsigned touched_patches(const VolumeInTile& r) {
+__device__ inline unsigned touched_patches(const GaussianInTile& r) {
   const float a = r.root[0], b = r.root[1], c = r.root[2], slope = -b / a, k = c * c / (a * a);
   const float exponent = log2f(fmaxf(r.opacity, r.refl_opacity) / (0.99f * kMinAlpha)), reach = sqrtf(exponent) / c;
   const EllipseForm<float> e = {0.0f, 0.0f, 0.0f, reach, -b * reach / sqrtf(b * b + c * c), slope, exponent / (a * a), k};
@@ -59,15 +59,15 @@ __device__ inline unsigned touched_patches(const VolumeInTile& r) {
 }
 
 template <bool Dual>
-struct VolumePixel {
+struct GaussianPixel {
   float light = 1.0f, color[3] = {}, depth = 0.0f;
   float weight = 0.0f, refl_light = 1.0f, refl_color[3] = {};
 
   __device__ bool open() const { return light > 0.0f || (Dual && refl_light > 0.0f); }
 
   // (x, y): the pixel's place in the tile.
-  __device__ void add(const VolumeInTile& r, float x, float y) {
-    const float w = volume_weight(r, r.x + x, r.y + y);
+  __device__ void add(const GaussianInTile& r, float x, float y) {
+    const float w = gaussian_weight(r, r.x + x, r.y + y);
     const float T = light, share = pass_light(counted_alpha(r.opacity * w), light) * T;
     for (int k = 0; k < 3; ++k) color[k] = fmaf(share, r.color[k], color[k]);
     depth = fmaf(share, r.depth, depth);
@@ -88,7 +88,7 @@ struct VolumePixel {
     for (int k = 0; k < 3; ++k) state[(kReflColorPlane + k) * kTilePixels + pixel] = refl_color[k];
   }
 
-  __device__ void write(const VolumeBlendParams& p, int64_t i) const {
+  __device__ void write(const GaussianBlendParams& p, int64_t i) const {
     const float T = fabsf(light), covered = 1.0f - T;
     p.transmittance[i] = T, p.alpha[i] = covered;
     for (int k = 0; k < 3; ++k) p.color[3 * i + k] = fmaf(T, p.background[k], color[k]);
@@ -100,8 +100,8 @@ struct VolumePixel {
 };
 
 template <bool Dual>
-__device__ void blend_volumes(const VolumeBlendParams& p) {
-  __shared__ VolumeInTile batch[kTilePixels];
+__device__ void blend_gaussians(const GaussianBlendParams& p) {
+  __shared__ GaussianInTile batch[kTilePixels];
   __shared__ unsigned char patches[kTilePixels];
   constexpr int kPlanes = Dual ? kDualPlanes : kSinglePlanes;
   const int tile = blockIdx.x, thread = threadIdx.x, lane = thread % kWarp, warp = thread / kWarp;
@@ -110,14 +110,14 @@ __device__ void blend_volumes(const VolumeBlendParams& p) {
   const float x = float(place.x), y = float(place.y);
   const int2 range = p.tiles.ranges[tile];
   float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * kPlanes * kTilePixels : nullptr;
-  VolumePixel<Dual> sums;
+  GaussianPixel<Dual> sums;
   if (!pixel.inside(p.tiles)) sums.light = sums.refl_light = -1.0f;
   int begin = range.x;
   for (; begin < range.y; begin += kTilePixels) {
     if (__syncthreads_count(sums.open()) == 0) break;
     const int count = range.y - begin < kTilePixels ? range.y - begin : kTilePixels;
     if (thread < count) {
-      const VolumeInTile splat = in_tile(p.records[p.tiles.entries[begin + thread].x], corner);
+      const GaussianInTile splat = in_tile(p.records[p.tiles.entries[begin + thread].x], corner);
       batch[thread] = splat, patches[thread] = (unsigned char)touched_patches(splat);
     }
     __syncthreads();

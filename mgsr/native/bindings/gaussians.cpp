@@ -1,5 +1,5 @@
 // Python's way to the 3D branch's kernels.
-#include "kernels/volumes/volumes.h"
+#include "kernels/gaussians/gaussians.h"
 
 #include <memory>
 
@@ -10,8 +10,8 @@
 namespace mgsr {
 namespace {
 
-IsaChoice<VolumeKernels>& kernels() {
-  static IsaChoice<VolumeKernels> choice(MGSR_TABLES(volume_kernels));
+IsaChoice<GaussianKernels>& kernels() {
+  static IsaChoice<GaussianKernels> choice(MGSR_TABLES(gaussian_kernels));
   return choice;
 }
 
@@ -21,10 +21,10 @@ struct Arguments {
   In background;
 };
 
-VolumeInputs make_inputs(const Arguments& a, const Matrix& K, const Matrix& cam_from_world, int width, int height, float near,
+GaussianInputs make_inputs(const Arguments& a, const Matrix& K, const Matrix& cam_from_world, int width, int height, float near,
                          float low_pass, bool compensate) {
   const int64_t n = a.means.size() / 3;
-  VolumeInputs in;
+  GaussianInputs in;
   in.count = n;
   in.means = data(a.means, 3 * n, "means");
   in.quats = data(a.quats, 4 * n, "quats");
@@ -42,7 +42,7 @@ VolumeInputs make_inputs(const Arguments& a, const Matrix& K, const Matrix& cam_
 }
 
 template <class Array>
-VolumeImages make_images(int64_t pixels, const std::optional<Array>& color, const std::optional<Array>& alpha,
+GaussianImages make_images(int64_t pixels, const std::optional<Array>& color, const std::optional<Array>& alpha,
                          const std::optional<Array>& depth, const std::optional<Array>& reflected,
                          const std::optional<Array>& weight) {
   // Gradient images come in as const; the kernels only read those.
@@ -54,9 +54,9 @@ VolumeImages make_images(int64_t pixels, const std::optional<Array>& color, cons
 }  // namespace
 }  // namespace mgsr
 
-NB_MODULE(_volumes, m) {
+NB_MODULE(_gaussians, m) {
   using namespace mgsr;
-  nb::class_<Frame<VolumeState>>(m, "Frame");
+  nb::class_<Frame<GaussianState>>(m, "Frame");
 
   m.def("forward",
         [](In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities, std::optional<In> refl_colors,
@@ -64,12 +64,12 @@ NB_MODULE(_volumes, m) {
            float low_pass, bool compensate, Out color, Out alpha, std::optional<Out> depth, std::optional<Out> reflected,
            std::optional<Out> weight, Out radii) {
           const Arguments a{means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background};
-          VolumeInputs in = make_inputs(a, K, cam_from_world, width, height, near, low_pass, compensate);
+          GaussianInputs in = make_inputs(a, K, cam_from_world, width, height, near, low_pass, compensate);
           in.depth = depth.has_value();
-          const VolumeImages out =
+          const GaussianImages out =
               make_images<Out>(int64_t(width) * height, color, alpha, depth, reflected, weight);
           float* r = data(radii, in.count, "radii");
-          auto frame = std::make_unique<Frame<VolumeState>>();
+          auto frame = std::make_unique<Frame<GaussianState>>();
           nb::gil_scoped_release release;
           kernels()->forward(in, **frame, out, r);
           return frame.release();
@@ -81,7 +81,7 @@ NB_MODULE(_volumes, m) {
         nb::arg("weight").none(), nb::arg("radii"));
 
   m.def("backward",
-        [](Frame<VolumeState>& frame, In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities,
+        [](Frame<GaussianState>& frame, In means, In quats, In scales, In opacities, In colors, std::optional<In> refl_opacities,
            std::optional<In> refl_colors, std::optional<In> weights, In background, Matrix K, Matrix cam_from_world, int width,
            int height, float near, float low_pass, bool compensate, In color, In alpha, std::optional<In> depth,
            std::optional<In> reflected, std::optional<In> weight, std::optional<In> v_color, std::optional<In> v_alpha,
@@ -89,11 +89,11 @@ NB_MODULE(_volumes, m) {
            Out v_scales, Out v_opacities, Out v_colors, std::optional<Out> v_refl_opacities, std::optional<Out> v_refl_colors,
            std::optional<Out> v_weights, Out v_means2d) {
           const Arguments a{means, quats, scales, opacities, colors, refl_opacities, refl_colors, weights, background};
-          const VolumeInputs in = make_inputs(a, K, cam_from_world, width, height, near, low_pass, compensate);
+          const GaussianInputs in = make_inputs(a, K, cam_from_world, width, height, near, low_pass, compensate);
           const int64_t n = in.count, pixels = int64_t(width) * height;
-          const VolumeImages out = make_images<In>(pixels, color, alpha, depth, reflected, weight);
-          const VolumeImages v_out = make_images<In>(pixels, v_color, v_alpha, v_depth, v_reflected, v_weight);
-          const VolumeGradients v = {data(v_means, 3 * n, "v_means"),
+          const GaussianImages out = make_images<In>(pixels, color, alpha, depth, reflected, weight);
+          const GaussianImages v_out = make_images<In>(pixels, v_color, v_alpha, v_depth, v_reflected, v_weight);
+          const GaussianGradients v = {data(v_means, 3 * n, "v_means"),
                                      data(v_quats, 4 * n, "v_quats"),
                                      data(v_scales, 3 * n, "v_scales"),
                                      data(v_opacities, n, "v_opacities"),
@@ -114,7 +114,7 @@ NB_MODULE(_volumes, m) {
         nb::arg("v_opacities"), nb::arg("v_colors"), nb::arg("v_refl_opacities").none(), nb::arg("v_refl_colors").none(),
         nb::arg("v_weights").none(), nb::arg("v_means2d"));
 
-  m.def("pairs", [](const Frame<VolumeState>& frame) { return frame->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
+  m.def("pairs", [](const Frame<GaussianState>& frame) { return frame->lists.pairs(); }, "Number of (splat, tile) pairs of a frame.");
   bind_choices(m, kernels());
 
   // The projection in float64, for checks of the derivative: (mean, quat, scale) -> x, y, depth, cxx, cxy, cyy, compensation.

@@ -21,7 +21,7 @@ from PIL import Image
 from mgsr.config import Config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.training.parts import StartingPoints
+from mgsr.training.train_state import StartingPoints
 
 BALL = "ball"
 PARTS = ("train", "test")

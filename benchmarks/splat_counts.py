@@ -23,8 +23,8 @@ from mgsr.config import Growth, make_config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.training.evaluate import gaussian_picture, mean_psnr
-from mgsr.training.parts import StartingPoints
 from mgsr.training.run import Training
+from mgsr.training.train_state import StartingPoints
 from mgsr.training.views import prepare_views
 
 CAPS = (5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 400_000)

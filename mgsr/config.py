@@ -155,13 +155,13 @@ class Branches(StrEnum):
 class StopRule(StrEnum):
     """When a warm-up ends before its iterations are spent.
 
-    epoch: the mean loss over all views hardly falls from one span of epochs to the next. held_back: the PSNR of a
+    epoch: the mean loss over all views hardly falls from one span of epochs to the next. validation: the PSNR of a
     few training views that the warm-up never sees stops rising. paper: the last 100 losses lie within a range
     (they come from different views, so this compares unlike things). none: never.
     """
 
     EPOCH = "epoch"
-    HELD_BACK = "held_back"
+    VALIDATION = "validation"
     PAPER = "paper"
     NONE = "none"
 
@@ -252,8 +252,8 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; none are added beyond them
-    drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
-    # scenes only: in others a few huge ones in the background carry most of it
+    prune_contribution: float = 0.06  # share of all contributions; splats that together contribute less go after the
+    # warm-up; masked scenes only: in others a few huge ones in the background contribute most
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ class GaussianDensifyConfig(DensifyConfig):
     by: Growth = Growth.ERROR
     tolerance: float = 0.04  # mean over 3 x 3 pixels of the difference, sRGB 0..1, from which it counts as visible
     growth: float = 0.5  # largest share of the count that is added in one round
-    replace: float = 0.1  # largest share of the count that is replaced in one round: those that carry least light
+    replace: float = 0.1  # largest share of the count that is replaced in one round: those that contribute least
     growth_views: int = 8  # training views that are rendered in one round
     new_opacity: float = 0.6  # of Gaussians that are added by errors
     scale_rate: float = 2e-2  # learning rate of log-scales, in place of rates.scale, where errors tell
@@ -271,7 +271,7 @@ class GaussianDensifyConfig(DensifyConfig):
     unmasked_count: int = 20_000  # max_count where the gradient tells because there are no masks
     prune_opacity: float = 0.005
     max_count: int = 1_000_000
-    drop_carrying: float = 0.01
+    prune_contribution: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -299,7 +299,7 @@ class SurfelConfig:
 
 
 class Reflection(StrEnum):
-    """What the 3D branch adds to the transmitted light. auto: a trial decides (see TrialConfig).
+    """What the 3D branch adds to the transmitted light. auto: model selection decides (see ModelSelectionConfig).
 
     off: nothing (3DGS). own: each splat's reflected colour, times its weight (the paper's). shared: two maps, the same
     for all splats, of the light that the 2D branch's surface mirrors. both: the maps added to the splats' own.
@@ -334,7 +334,7 @@ class GaussianConfig:
 
 
 @dataclass(frozen=True)
-class MirrorConfig:
+class EnvironmentMapConfig:
     """The maps of the light that the surface mirrors (see Reflection)."""
 
     side: int = 64  # texels along a map's side
@@ -345,11 +345,11 @@ class MirrorConfig:
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
     iterations: int = 300  # of the 3D branch and the light after the surface was made, which then mirrors instead of
     # the 2D branch; masked scenes only; 0 is never
-    weight_hold: float = 5e-7  # pull of each splat's reflection weight to its start
+    weight_prior: float = 5e-7  # pull of each splat's reflection weight to its start
 
 
 @dataclass(frozen=True)
-class TrialConfig:
+class ModelSelectionConfig:
     """The 3D branch warms up without any reflection. Then each of off and shared, or of off and own where no surface
     mirrors, goes on from there for a while, and off stays unless the other renders photographs kept from training
     better; lower degrees of the transmitted colour's harmonics stay as long as they are no worse.
@@ -359,8 +359,8 @@ class TrialConfig:
     """
 
     start: float = 0.5  # fraction of the 3D branch's warm-up that comes before
-    iterations: int = 150  # of each; 0 is no trial
-    views: int = 6  # training photographs kept from the warm-up until the trial is over; at most a quarter
+    iterations: int = 150  # of each; 0 is no selection
+    views: int = 6  # training photographs kept from the warm-up until the selection is over; at most a quarter
     gain: float = 0.1  # dB that a less simple one must render better
 
 
@@ -370,16 +370,16 @@ class WarmupConfig:
 
     surfel_iterations: int = 800  # at most
     gaussian_iterations: int = 2000  # at most
-    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never the trial's
+    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never those of model selection
     coarse_side: int = 400  # pixels; photographs whose shorter side is smaller are not made smaller still
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
     epoch_span: int = 5  # epochs that are averaged and compared with as many before them
     epoch_gain: float = 0.002  # relative fall of the loss under which a branch has converged
-    held_back_views: int = 3  # training views kept out of the warm-up under the rule held_back
-    held_back_every: int = 100  # iterations between looks at them
-    held_back_patience: int = 4  # looks without a gain
-    held_back_gain: float = 0.05  # dB
+    validation_views: int = 3  # training views kept out of the warm-up under the rule validation
+    validation_every: int = 100  # iterations between looks at them
+    validation_patience: int = 4  # looks without a gain
+    validation_gain: float = 0.05  # dB
     paper_range: float = 0.01  # of the last 100 losses
 
 
@@ -428,8 +428,8 @@ class TrainConfig:
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
     gaussians: GaussianConfig = field(default_factory=GaussianConfig)
-    mirror: MirrorConfig = field(default_factory=MirrorConfig)
-    trial: TrialConfig = field(default_factory=TrialConfig)
+    environment_map: EnvironmentMapConfig = field(default_factory=EnvironmentMapConfig)
+    model_selection: ModelSelectionConfig = field(default_factory=ModelSelectionConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
@@ -455,16 +455,16 @@ PRESETS: dict[str, dict[str, str]] = {
         "warmup.surfel_iterations": "250",
         "warmup.gaussian_iterations": "300",
         "mutual.iterations": "200",
-        "trial.iterations": "0",
-        "mirror.iterations": "100",
+        "model_selection.iterations": "0",
+        "environment_map.iterations": "100",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
         "gaussians.max_start": "5000",
-        "gaussians.sh_degree": "1",  # to which a trial comes, where there is time for one
+        "gaussians.sh_degree": "1",  # to which model selection comes, where there is time for it
         "surfels.densify.max_count": "10000",
         "gaussians.densify.unmasked_count": "8000",
-        "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
-        "gaussians.densify.drop_carrying": "0",
+        "surfels.densify.prune_contribution": "0",  # so short a mutual phase does not mend what goes
+        "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
@@ -489,7 +489,7 @@ METHODS: dict[str, dict[str, str]] = {
         "gaussians.sh_degree": "3",
         "transmitted_tv_weight": "0",
         "gaussians.densify.by": "gradient",
-        "gaussians.densify.drop_carrying": "0",
+        "gaussians.densify.prune_contribution": "0",
     },
 }
 
@@ -517,6 +517,14 @@ RENAMED: dict[str, str] = {
     "volumes": "gaussians",
     "volume_iterations": "gaussian_iterations",
     "volume_weight": "gaussian_weight",
+    "trial": "model_selection",
+    "drop_carrying": "prune_contribution",
+    "held_back_views": "validation_views",
+    "held_back_every": "validation_every",
+    "held_back_patience": "validation_patience",
+    "held_back_gain": "validation_gain",
+    "mirror": "environment_map",
+    "weight_hold": "weight_prior",
 }
 
 
@@ -613,7 +621,7 @@ def validate(config: Config) -> None:
     ):
         if degree > 3:
             raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
-    between = ("surfels.start_opacity", "gaussians.start_opacity", "gaussians.start_weight", "mirror.start")
+    between = ("surfels.start_opacity", "gaussians.start_opacity", "gaussians.start_weight", "environment_map.start")
     for path in (*between, "gaussians.densify.new_opacity"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
@@ -622,22 +630,22 @@ def validate(config: Config) -> None:
         raise ConfigError(
             f"train.gaussians.reflection={kind}: needs both branches, got train.branches={train.branches}"
         )
-    if train.warmup.coarse > train.trial.start:
+    if train.warmup.coarse > train.model_selection.start:
         raise ConfigError(
-            f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
-            f"whole photographs; got {train.warmup.coarse}"
+            f"train.warmup.coarse: expected at most train.model_selection.start ({train.model_selection.start}), since "
+            f"model selection looks at whole photographs; got {train.warmup.coarse}"
         )
-    if train.trial.start > train.warmup.stop_after:
+    if train.model_selection.start > train.warmup.stop_after:
         raise ConfigError(
-            f"train.trial.start: expected at most train.warmup.stop_after ({train.warmup.stop_after}), before which no "
-            f"warm-up ends; got {train.trial.start}"
+            f"train.model_selection.start: expected at most train.warmup.stop_after ({train.warmup.stop_after}), "
+            f"before which no warm-up ends; got {train.model_selection.start}"
         )
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path == "time_budget" and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")
-        if path.endswith("drop_carrying") and _value(config, path) >= 1:
+        if path.endswith("prune_contribution") and _value(config, path) >= 1:
             raise ConfigError(f"{path}: expected a share below 1, got {_value(config, path):g}")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")

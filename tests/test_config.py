@@ -77,7 +77,7 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("smoothing_angle=nan", "a finite number"),
         ("smoothing_angle=inf", "a finite number"),
         ("surfels.sh_degree=4", "0 to 3"),
-        ("surfels.densify.drop_carrying=1", "share below 1"),
+        ("surfels.densify.prune_contribution=1", "share below 1"),
         ("start_weight=1", "between 0 and 1"),
         ("report_every=0", "at least 1"),
         ("surfels.rates.position=0", "more than 0"),

@@ -65,7 +65,10 @@ PAPER_ROWS = (
 PAPER_CHOICES = (
     AblationRow("paper-photo", "photograph's share in the 2D target 0.5 (ours 0.3)", "mgsr", ("photo_weight=0.5",)),
     AblationRow(
-        "paper-light", "each splat has its own reflection (ours what a trial finds)", "mgsr", ("reflection=own",)
+        "paper-light",
+        "each splat has its own reflection (ours what model selection finds)",
+        "mgsr",
+        ("reflection=own",),
     ),
     AblationRow("paper-flash", "colours as a flash shows them (ours as under even light)", "mgsr", ("flash=off",)),
     AblationRow(
@@ -125,15 +128,15 @@ NEED_ROWS = (
         "need-carrying",
         "splats that carry next to nothing stay",
         "mgsr",
-        ("surfels.densify.drop_carrying=0", "gaussians.densify.drop_carrying=0"),
+        ("surfels.densify.prune_contribution=0", "gaussians.densify.prune_contribution=0"),
     ),
     AblationRow(
         "need-count",
         "splats that carry next to nothing stay, and densification has no limit, as in 3DGS",
         "mgsr",
         (
-            "surfels.densify.drop_carrying=0",
-            "gaussians.densify.drop_carrying=0",
+            "surfels.densify.prune_contribution=0",
+            "gaussians.densify.prune_contribution=0",
             "surfels.densify.max_count=200000",
             "gaussians.densify.max_count=200000",
         ),

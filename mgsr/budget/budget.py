@@ -28,7 +28,7 @@ from mgsr.config import (
     SurfelConfig,
     gaussian_settings,
 )
-from mgsr.training.pace import FINISH, StageLength
+from mgsr.training.stage_scheduler import FINISH, StageLength
 
 AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
 UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
@@ -38,7 +38,7 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
 RECENT = 5  # looks by which the present speed is told
-THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a lower degree of colour is as good
+THROWN_AWAY = 3  # candidates of a model selection that lead nowhere; one more where a lower degree of colour is as good
 
 
 class TimeBudget:
@@ -141,7 +141,7 @@ class TimeBudget:
         if stage.iterations - stage.iteration > PERIOD and stage.iteration % PERIOD:
             return stage.iterations
         if self._recent and stage.iteration > self._recent[-1][1] + PERIOD:
-            self._recent.clear()  # a trial lay between, whose iterations were done several times
+            self._recent.clear()  # a model selection lay between, whose iterations were done several times
         self._recent.append((now, stage.iteration))
         each = self._present(stage.name, splats)
         left = self._end(stages, index) - now
@@ -307,11 +307,13 @@ def _iterations(config: Config, stage: str) -> int:
 
 
 def _work(config: Config, stage: str) -> int:
-    """Return the iterations of a stage, with those of a trial's candidates that are thrown away."""
+    """Return the iterations of a stage, with those of a selection's candidates that are thrown away."""
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_gaussians" or train.gaussians.reflection is not Reflection.AUTO:
         return iterations
-    return iterations + THROWN_AWAY * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
+    return iterations + THROWN_AWAY * min(
+        train.model_selection.iterations, round((1 - train.model_selection.start) * iterations)
+    )
 
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from mgsr.config import GaussianDensifyConfig
 from mgsr.data.camera import Camera
-from mgsr.densify.carried import carried
+from mgsr.densify.contribution import contributions
 from mgsr.gaussians.gaussians import GaussianModel
 
 SOLID = 0.3  # alpha from which a rendered depth is taken for a surface's
@@ -124,9 +124,9 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
     return (points.lacking * view.lacking.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 
-def without_least_carrying(model: GaussianModel, views: Sequence[RenderedView], count: int) -> Tensor:
+def without_least_contributing(model: GaussianModel, views: Sequence[RenderedView], count: int) -> Tensor:
     """Return ascending indices [N - count] int64 of all Gaussians but the `count` that contribute least."""
-    light = carried(model, [view.camera for view in views])
+    light = contributions(model, [view.camera for view in views])
     return light.argsort(stable=True)[count:].sort().values
 
 

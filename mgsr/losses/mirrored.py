@@ -17,9 +17,9 @@ def light_terms(maps: Tensor, gaussians: GaussianModel, config: TrainConfig) -> 
     The maps' smoothness is the mean square of differences between neighbours. Each splat's reflection weight is pulled
     to where it began, so that a place where no photograph saw a highlight stays as glossy as the rest.
     """
-    settings = config.mirror
+    settings = config.environment_map
     terms: Terms = {"light.smooth": settings.smoothness * steps_term(maps)}
     if gaussians.weight_logits is not None:
         away = squares_term(gaussians.weight_logits, offset=logit(config.gaussians.start_weight))
-        terms["light.weights"] = settings.weight_hold * away
+        terms["light.weights"] = settings.weight_prior * away
     return terms

@@ -148,7 +148,7 @@ def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -
     # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
     fit = run.config.mesh.max_faces is None
     if run.budget is not None:
-        fit = fit and run.budget.room(run.models(trained).counts) >= run.config.train.mirror.iterations
+        fit = fit and run.budget.room(run.models(trained).counts) >= run.config.train.environment_map.iterations
     return fit and training.mirror_at(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
 
 
@@ -208,7 +208,7 @@ class _Training:
                 checkpoint_path=run.out / CHECKPOINT,
                 resume=resume,
                 device=run.device.torch,
-                pace=run.budget,
+                scheduler=run.budget,
             )
 
     def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:

@@ -144,8 +144,8 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
         yield Decision(f"End of stage “{stage_name(name)}”", f"after {run.iterations:,} iterations", reason)
         if run.dropped:
             branch = name.removeprefix("warmup_")
-            share = f"{data.other['settings']['train'][branch]['densify']['drop_carrying']:.0%}"
-            why = f"{run.dropped:,} went after the warm-up: together they carried less than {share} of the light"
+            share = f"{data.other['settings']['train'][branch]['densify']['prune_contribution']:.0%}"
+            why = f"{run.dropped:,} went after the warm-up: together they contributed less than {share} of the light"
             yield Decision(SPLATS[branch], f"{data.gaussians[branch]:,}", why)
 
 
@@ -207,7 +207,7 @@ def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterato
         return
     reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
     whole = f"with all of them {reflection['tried'][reflection['chosen']]:.2f} dB"
-    why = f"lowered while photographs kept from a trial were rendered no worse: {reached}; {whole}"
+    why = f"lowered while held-out photographs were rendered no worse: {reached}; {whole}"
     yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
 
 
@@ -215,4 +215,4 @@ def _why_reflected(chosen: str, tried: dict[str, float]) -> str:
     if not tried:
         return "so the start's look at how brightness changes from view to view suggests; it was not tried"
     reached = "; ".join(f"{REFLECTIONS[name]} {psnr:.2f} dB" for name, psnr in tried.items())
-    return f"the simplest that renders photographs kept from a trial as well as the best: {reached}"
+    return f"the simplest that renders held-out photographs as well as the best: {reached}"

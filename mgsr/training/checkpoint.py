@@ -67,14 +67,14 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
     return content
 
 
-def read_pace(path: Path) -> dict[str, Any] | None:
-    """Return what a checkpoint knows of the pace of its run (see `Pace.state`); None where there is none to be read."""
+def read_schedule(path: Path) -> dict[str, Any] | None:
+    """Return the state of a run's stage scheduler from its checkpoint; None where there is none to be read."""
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):
         return None  # who goes on from it says what is wrong
-    pace = content.get("pace") if isinstance(content, dict) else None
-    return pace if isinstance(pace, dict) else None
+    schedule = content.get("scheduler") if isinstance(content, dict) else None
+    return schedule if isinstance(schedule, dict) else None
 
 
 def _view_bytes(view: View) -> bytes:

@@ -23,8 +23,8 @@ from mgsr.data.scene import Exposures, Scene, View
 from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import point_exposures
 from mgsr.training.evaluate import gaussian_picture
-from mgsr.training.parts import StartingPoints
-from mgsr.training.scout import small_view, train_scout
+from mgsr.training.proxy_model import small_view, train_proxy_model
+from mgsr.training.train_state import StartingPoints
 
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
@@ -103,7 +103,7 @@ def _trained(
     scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
-    model = train_scout(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
+    model = train_proxy_model(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
     picture, behind = gaussian_picture(model, None, None), backdrop(scene, Background.AUTO)
 
     @torch.no_grad()

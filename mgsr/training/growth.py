@@ -15,24 +15,24 @@ from mgsr.densify.error_driven import (
     not_contradicted,
     planned_changes,
     visible_error,
-    without_least_carrying,
+    without_least_contributing,
 )
 from mgsr.gaussians.start import new_gaussians
 from mgsr.renderers.both import render_both
-from mgsr.training.parts import Parts
 from mgsr.training.stages import GaussianBranch
+from mgsr.training.train_state import TrainState
 from mgsr.training.views import TrainingView, color_tensor
 
 
 @dataclass(frozen=True)
 class ErrorGrowth:
-    """The growth of `branch`, which is that of `parts`.
+    """The growth of `branch`, a branch of `train_state`.
 
     behind: the colour on which renderings are judged.
     """
 
     branch: GaussianBranch
-    parts: Parts
+    train_state: TrainState
     config: GaussianConfig
     behind: Color
 
@@ -50,7 +50,7 @@ class ErrorGrowth:
         points = not_contradicted(new_points(rendered, error, replaced + added, branch.generator), rendered)
         if not len(points.positions):
             return
-        kept = without_least_carrying(branch.model, rendered, min(replaced, len(points.positions)))
+        kept = without_least_contributing(branch.model, rendered, min(replaced, len(points.positions)))
         new = new_gaussians(
             branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config
         )
@@ -58,7 +58,7 @@ class ErrorGrowth:
 
     @torch.no_grad()
     def _rendered(self, view: TrainingView) -> RenderedView:
-        surfels, gaussians, light = self.parts.models
+        surfels, gaussians, light = self.train_state.models
         mirror = surfels if light is not None and light.reflector is None else None
         behind = color_tensor(self.behind, self.branch.device)
         _, shown = render_both(mirror, gaussians, light, view.camera, behind, lit=view.light())

@@ -25,7 +25,7 @@ from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.parallel import one_torch_thread
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
-from mgsr.training.scout import POINTS, SIDE, small_view, train_scout
+from mgsr.training.proxy_model import POINTS, SIDE, small_view, train_proxy_model
 
 DEGREE = 2  # of the colours' harmonics
 ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # of the first branch and of the second
@@ -51,7 +51,7 @@ def learned_outlines(
     def learned(
         start: StartingPoints, views: list[View], iterations: int, cost: float, told: Callable[[float], None]
     ) -> GaussianModel:
-        return train_scout(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
+        return train_proxy_model(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
 
     share = ROUGH_ITERATIONS / (ROUGH_ITERATIONS + ITERATIONS)
     with one_torch_thread():

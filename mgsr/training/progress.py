@@ -76,7 +76,7 @@ class TrainResult:
 
     A branch is None where the method lacks it, and the light where it has no use. incidents: each bad step that was
     undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB, that each candidate for the reflection
-    reached in the trial, on photographs kept from training, and degrees: what lower degrees of the transmitted colour
+    reached in model selection, on held-out photographs, and degrees: what lower degrees of the transmitted colour
     reached there; empty without one.
     """
 

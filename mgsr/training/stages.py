@@ -26,9 +26,9 @@ from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
-from mgsr.training.light import LightInTraining
+from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.schedule import sh_degree_at
-from mgsr.training.trained import Trained
+from mgsr.training.trainable import Trainable
 from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
@@ -73,15 +73,15 @@ class Growing(Protocol):
     def grow(self, views: Sequence[TrainingView]) -> None: ...
 
 
-class Trial(Protocol):
-    """Something that is decided in a stage by trying (see `mgsr.training.trial`, also for psnr and degrees)."""
+class ModelSelection(Protocol):
+    """A choice between models in a stage (see `mgsr.training.model_selection`, also for psnr and degrees)."""
 
     psnr: dict[str, float]
     degrees: dict[int, float]
 
     def due(self, stage: Stage) -> bool: ...
 
-    def hold(self, stage: Stage, run: Callable[[str, int], None]) -> None: ...
+    def run(self, stage: Stage, train: Callable[[str, int], None]) -> None: ...
 
     def state(self) -> dict[str, Any]: ...
 
@@ -90,13 +90,13 @@ class Trial(Protocol):
 
 @dataclass
 class Stage:
-    """A stretch of training and where it stands; a pace may change its iterations on the way.
+    """A stretch of training and where it stands; a scheduler may change its iterations on the way.
 
     branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
     returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
-    densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
-    coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns; growth: what adapts the
-    splats of a branch that does not go by the gradient; clearance: where no splats may be.
+    densification; progress 0..1 of the whole run, for one of its trainables. selection: the choice of a model on
+    the way; coarse: how it begins; prune: how it ends, by dropping splats, whose number it returns; growth: what adapts
+    the splats of a branch that does not go by the gradient; clearance: where no splats may be.
     """
 
     name: str
@@ -106,19 +106,19 @@ class Stage:
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Trained, int], float]
+    progress: Callable[[Trainable, int], float]
     convergence: Convergence | None = None
-    light: LightInTraining | None = None
-    trial: Trial | None = None
+    light: EnvironmentMapTrainer | None = None
+    selection: ModelSelection | None = None
     coarse: Coarse | None = None
-    thin: Callable[[], int] | None = None
+    prune: Callable[[], int] | None = None
     growth: Growing | None = None
     clearance: Clearance | None = None
     iteration: int = 0
     seconds: float = 0.0
 
     @property
-    def trained(self) -> list[Trained]:
+    def trainables(self) -> list[Trainable]:
         """Return all that the stage trains."""
         return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
 
@@ -149,7 +149,7 @@ class Stage:
             "order": self.cycle.order,
             "generator": self.cycle.generator.get_state(),
             "convergence": None if self.convergence is None else self.convergence.state(),
-            "trial": None if self.trial is None else self.trial.state(),
+            "selection": None if self.selection is None else self.selection.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -160,8 +160,8 @@ class Stage:
         self.cycle.generator.set_state(state["generator"])
         if self.convergence is not None:
             self.convergence.restore(state["convergence"])
-        if self.trial is not None:
-            self.trial.restore(state["trial"], self)
+        if self.selection is not None:
+            self.selection.restore(state["selection"], self)
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class WhatIsMirrored:
     normals are kept, as float16, while KEPT_NORMALS lasts.
     """
 
-    light: LightInTraining
+    light: EnvironmentMapTrainer
     surfels: SurfelBranch
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
@@ -236,7 +236,7 @@ def gaussians_alone(
 
 
 def both_teach(
-    surfels: SurfelBranch, gaussians: GaussianBranch, config: TrainConfig, light: LightInTraining | None = None
+    surfels: SurfelBranch, gaussians: GaussianBranch, config: TrainConfig, light: EnvironmentMapTrainer | None = None
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 

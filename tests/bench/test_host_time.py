@@ -12,7 +12,7 @@ from tests.training.ball import ball_points, ball_scene
 
 
 def rows(*overrides: str) -> list[Row]:
-    config = make_config("high", overrides=["mirror.iterations=0", *overrides])
+    config = make_config("high", overrides=["environment_map.iterations=0", *overrides])
     return measure(make_plan(ball_scene(24, train=3, test=1, masked=True), ball_points(80), config), config, 2)
 
 

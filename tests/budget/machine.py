@@ -12,7 +12,7 @@ from mgsr.budget import costs
 from mgsr.budget.budget import PERIOD, TimeBudget
 from mgsr.budget.costs import Facts
 from mgsr.config import Config, MeshConfig
-from mgsr.training.pace import FINISH
+from mgsr.training.stage_scheduler import FINISH
 
 Speed = Callable[[float], float]  # how many times slower than the reference machine, at a time
 

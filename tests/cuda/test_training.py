@@ -88,7 +88,7 @@ def test_a_card_that_failed_is_told_with_the_cure(monkeypatch: pytest.MonkeyPatc
     def failed(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.AcceleratorError("CUDA error: an illegal memory access was encountered\nSearch for ...")
 
-    monkeypatch.setattr(trainer, "step_trained", failed)
+    monkeypatch.setattr(trainer, "step_trainables", failed)
     with pytest.raises(
         GpuError, match=r"the card failed \(CUDA error: an illegal memory access was encountered\), .*--resume"
     ):
@@ -99,6 +99,6 @@ def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPa
     def full(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
 
-    monkeypatch.setattr(trainer, "step_trained", full)
+    monkeypatch.setattr(trainer, "step_trainables", full)
     with pytest.raises(GpuError, match=r"80\.00 GiB.*max_side"):
         Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()

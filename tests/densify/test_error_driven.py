@@ -10,14 +10,14 @@ import torch
 
 from mgsr.config import GaussianDensifyConfig, Growth, gaussian_settings, make_config
 from mgsr.data.camera import Camera
-from mgsr.densify.carried import carried
+from mgsr.densify.contribution import contributions
 from mgsr.densify.error_driven import (
     RenderedView,
     new_points,
     not_contradicted,
     planned_changes,
     visible_error,
-    without_least_carrying,
+    without_least_contributing,
 )
 from mgsr.errors import ConfigError
 from mgsr.gaussians.start import new_gaussians, start_gaussians
@@ -143,8 +143,8 @@ def test_those_that_carry_least_make_room() -> None:
     model = start_gaussians(positions, None, np.full((40, 3), 0.5), CONFIG, torch.Generator(), split=False)
     nothing = torch.zeros(24, 24)
     views = [RenderedView(view.camera, *(nothing,) * 4) for view in scene.train]
-    kept = without_least_carrying(model, views, 15)
-    light = carried(model, [view.camera for view in scene.train])
+    kept = without_least_contributing(model, views, 15)
+    light = contributions(model, [view.camera for view in scene.train])
     assert len(kept) == 25
     assert (kept.diff() > 0).all()
     gone = torch.ones(40, dtype=torch.bool)

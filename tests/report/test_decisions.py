@@ -99,7 +99,7 @@ def test_pixels_that_no_photograph_shows_are_told() -> None:
 def test_dropped_gaussians_are_counted() -> None:
     data = sample_report()
     data.iterations["warmup_gaussians"] = StageRun(2000, "converged", dropped=8123)
-    data.other["settings"]["train"] = {"gaussians": {"densify": {"drop_carrying": 0.06}}}
+    data.other["settings"]["train"] = {"gaussians": {"densify": {"prune_contribution": 0.06}}}
     told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
     assert told.choice == "21,877" and "8,123 went" in told.why and "6%" in told.why
 

@@ -81,8 +81,10 @@ def growth(looks: list[Look]) -> dict[str, float]:
 
 
 def _look(report: Progress, plan: Plan, incidents: int, iterations: int) -> Look:
-    parameters = {f"{part.name}.{name}": t for part in plan.parts.trained for name, t in part.tensors("values").items()}
-    states = [part.state()["optimizer"][kind] for part in plan.parts.trained for kind in ("first", "second")]
+    parameters = {
+        f"{part.name}.{name}": t for part in plan.train_state.trainables for name, t in part.tensors("values").items()
+    }
+    states = [part.state()["optimizer"][kind] for part in plan.train_state.trainables for kind in ("first", "second")]
     moments = [tensor for state in states for tensor in state.values()]
     quats = torch.cat([t.norm(dim=1) for name, t in parameters.items() if name.endswith(".quats")])
     logits = [t for name, t in parameters.items() if name.endswith("opacity_logits")]

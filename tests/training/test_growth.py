@@ -26,7 +26,7 @@ def plan(masked: bool = True, *overrides: str) -> Plan:
 
 def test_at_most_a_share_of_the_count_is_added() -> None:
     made = plan(True, "gaussians.densify.replace=0")
-    stage, branch = made.stages[1], made.parts.gaussians
+    stage, branch = made.stages[1], made.train_state.gaussians
     before = branch.model.means.detach().clone()
     stage.adapt(branch)
     assert 350 < len(branch.model) <= 450  # half more, without what other views contradict
@@ -37,7 +37,7 @@ def test_gaussians_are_added_on_the_surface() -> None:
     """Check that Gaussians are added within a pixel of the surface, 0.026 there, which is a new Gaussian's own size."""
     dense = config("gaussians.densify.replace=0", "gaussians.start_scale=0.5", "gaussians.start_opacity=0.95")
     made = make_plan(ball_scene(48, train=16), ball_points(3000, RADIUS), dense)
-    stage, branch = made.stages[1], made.parts.gaussians
+    stage, branch = made.stages[1], made.train_state.gaussians
     stage.adapt(branch)
     added = branch.model.means[3000:].detach().norm(dim=1)
     assert len(added) > 100
@@ -46,7 +46,7 @@ def test_gaussians_are_added_on_the_surface() -> None:
 
 def test_gaussians_are_replaced_without_changing_the_count() -> None:
     made = plan(True, "gaussians.densify.growth=0")
-    stage, branch = made.stages[1], made.parts.gaussians
+    stage, branch = made.stages[1], made.train_state.gaussians
     before = {tuple(row) for row in branch.model.means.tolist()}
     stage.adapt(branch)
     assert len(branch.model) == 300
@@ -56,7 +56,7 @@ def test_gaussians_are_replaced_without_changing_the_count() -> None:
 
 def test_nothing_is_added_where_all_is_within_the_tolerance() -> None:
     made = plan(True, "gaussians.densify.tolerance=1")
-    stage, branch = made.stages[1], made.parts.gaussians
+    stage, branch = made.stages[1], made.train_state.gaussians
     stage.adapt(branch)
     assert len(branch.model) == 300
 
@@ -65,20 +65,20 @@ def test_nothing_is_added_for_what_photographs_do_not_show() -> None:
     scene = ball_scene(48, train=16)
     hidden = [replace(view, known=np.zeros((48, 48), bool)) for view in scene.train]
     made = make_plan(replace(scene, train=hidden), ball_points(300, RADIUS), config())
-    stage, branch = made.stages[1], made.parts.gaussians
+    stage, branch = made.stages[1], made.train_state.gaussians
     stage.adapt(branch)
     assert len(branch.model) == 300
 
 
 def test_the_surfels_and_scenes_without_masks_go_by_the_gradient() -> None:
     masked, unmasked = plan(True), plan(False)
-    assert masked.stages[1].growth.branch is masked.parts.gaussians
+    assert masked.stages[1].growth.branch is masked.train_state.gaussians
     assert masked.stages[0].growth is None
     assert all(stage.growth is None for stage in unmasked.stages)
-    assert masked.parts.gaussians.settings.beta2 == 0.99
-    assert unmasked.parts.gaussians.settings.beta2 == 0.999
-    assert masked.parts.gaussians.densify.max_count == 1_000_000
-    assert unmasked.parts.gaussians.densify.max_count == 8_000
+    assert masked.train_state.gaussians.settings.beta2 == 0.99
+    assert unmasked.train_state.gaussians.settings.beta2 == 0.999
+    assert masked.train_state.gaussians.densify.max_count == 1_000_000
+    assert unmasked.train_state.gaussians.densify.max_count == 8_000
 
 
 def test_a_finer_tolerance_ends_with_more_gaussians_and_a_smaller_loss() -> None:

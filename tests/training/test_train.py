@@ -97,10 +97,15 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
 ) -> None:
     """Check that a resumed run equals one that was not stopped.
 
-    With reflection auto the third stop lies in the trial, and the second and the first before it.
+    With reflection auto the third stop lies in model selection, and the second and the first before it.
     """
-    settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "held_back_every=6"]
-    settings += ["stop_after=0.5", f"reflection={reflection}", "trial.iterations=10", "trial.views=2"]
+    settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "validation_every=6"]
+    settings += [
+        "stop_after=0.5",
+        f"reflection={reflection}",
+        "model_selection.iterations=10",
+        "model_selection.views=2",
+    ]
     config = short("mgsr", f"stop_rule={rule}", *settings)
     scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
     calls = iter(range(1000))
@@ -180,7 +185,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
 
     def trained(reflection: str) -> TrainResult:
-        config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"reflection={reflection}"])
+        config = make_config("draft", "mgsr", 0, [*lengths, "environment_map.side=16", f"reflection={reflection}"])
         return Training(scene, ball_points(600, RADIUS), config).run()
 
     plain, lit = trained("own"), trained("both")
@@ -195,7 +200,7 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
 def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
     lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
-    config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared"])
+    config = make_config("draft", "mgsr", 0, [*lengths, "environment_map.side=16", "reflection=shared"])
     training = Training(scene, ball_points(1200, RADIUS), config)
     before = training.run()
     assert before.light is not None and before.light.reflector is None
@@ -204,12 +209,12 @@ def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     after = training.run()
     assert after.light is not None and after.light.reflector is not None
-    assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.mirror.iterations
+    assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.environment_map.iterations
     assert after.curve[-1].psnr_gaussians > before.curve[-1].psnr_gaussians + 0.3
     assert torch.equal(after.surfels.means, before.surfels.means)
 
 
-@pytest.mark.parametrize("setting", ["reflection=off", "mirror.iterations=0"])
+@pytest.mark.parametrize("setting", ["reflection=off", "environment_map.iterations=0"])
 def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
     training = Training(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", setting))
     before = training.run()
@@ -229,12 +234,12 @@ def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
 @pytest.mark.parametrize("branch", ["surfels", "gaussians"])
 def test_splats_that_carry_little_light_go_after_the_warm_up(branch: str) -> None:
     scene = ball_scene()
-    kept = [f"{each}.densify.drop_carrying=0" for each in ("surfels", "gaussians")]
+    kept = [f"{each}.densify.prune_contribution=0" for each in ("surfels", "gaussians")]
 
     def trained(*shares: str) -> TrainResult:
         return Training(scene, ball_points(), short("mgsr", "reflection=off", "mutual.iterations=0", *shares)).run()
 
-    whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.drop_carrying=0.1")
+    whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.prune_contribution=0.1")
     dropped = {report.name: report.dropped for report in thinned.stages}
     one, two = getattr(whole, branch).means, getattr(thinned, branch).means
     assert 0 < dropped[f"warmup_{branch}"] == sum(dropped.values()) == len(one) - len(two)

@@ -18,7 +18,7 @@ SETTINGS = (
     "warmup.surfel_iterations=10",
     "warmup.gaussian_iterations=10",
     "mutual.iterations=10",
-    "trial.iterations=0",
+    "model_selection.iterations=0",
 )
 
 

@@ -1,4 +1,4 @@
-"""The trial by which the 3D branch is chosen: a part must earn its place on photographs that training did not see.
+"""Model selection of the 3D branch: a part must earn its place on photographs that training did not see.
 
 It decides what the branch adds to the transmitted light, and how far that light's colour may change with direction.
 """
@@ -13,16 +13,16 @@ from mgsr.config import Reflection, TrainConfig
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.start import reflected_half
 from mgsr.training.branch import Branch
-from mgsr.training.light import LightInTraining
+from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.stages import Stage
-from mgsr.training.trained import copied
+from mgsr.training.trainable import copied
 
 # From the simplest to the one with the most parameters. Both is none of them: a reflected half of each splat's own
 # gains less on shiny objects than the shared light alone, and on matte ones it gains by being more parameters.
 CANDIDATES = (Reflection.OFF, Reflection.SHARED)
 CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that mirrors
 
-Run = Callable[[str, int], None]  # trains the stage on, under a candidate's name, for so many iterations
+Train = Callable[[str, int], None]  # trains the stage on, under a candidate's name, for so many iterations
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class Candidate:
     state: dict[str, Any]
 
 
-class ReflectionTrial:
-    """A trial that trains each candidate on from one state, on the same views, and leaves the best in place.
+class ReflectionSelection:
+    """Trains each candidate on from one state, on the same views, and leaves the best in place.
 
     First the reflections are tried, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by
     one, while that is no worse. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB,
     on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
-    those it is trained on, it may see once the trial is over.
+    those it is trained on, it may see once the selection is over.
 
     psnr and degrees: what each reflection, and each lower degree, reached; empty before.
     """
@@ -50,11 +50,11 @@ class ReflectionTrial:
         self,
         config: TrainConfig,
         branch: Branch[GaussianModel],
-        light: LightInTraining | None,
+        light: EnvironmentMapTrainer | None,
         measure: Callable[[], float],
         all_views: int,
     ) -> None:
-        self.settings, self.gaussians = config.trial, config.gaussians
+        self.settings, self.gaussians = config.model_selection, config.gaussians
         self.branch, self.light = branch, light
         self.measure = measure
         self.all_views = all_views
@@ -63,21 +63,21 @@ class ReflectionTrial:
         self.degrees: dict[int, float] = {}
 
     def due(self, stage: Stage) -> bool:
-        """Return whether it is time for the trial; a pace may change the stage's length until then."""
+        """Return whether it is time for the selection; a scheduler may change the stage's length until then."""
         return self.chosen is None and stage.iteration >= round(self.settings.start * stage.iterations)
 
-    def hold(self, stage: Stage, run: Run) -> None:
+    def run(self, stage: Stage, train: Train) -> None:
         """Try all candidates, and keep the best.
 
-        Whatever `run` raises leaves the trial undecided.
+        Whatever `train` raises leaves the selection undecided.
         """
         before, highest = copied(self._state(stage)), self.branch.model.sh_degree
         kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
-        tried = [self._try(stage, run, before, kind, highest) for kind in kinds]
+        tried = [self._try(stage, train, before, kind, highest) for kind in kinds]
         best = simplest(tried, self.settings.gain)
         lower: list[Candidate] = []
         for degree in reversed(range(best.sh_degree)):
-            lower.append(self._try(stage, run, before, best.reflection, degree))
+            lower.append(self._try(stage, train, before, best.reflection, degree))
             # Fewer numbers are learnt faster: what is a little behind here would be more so in the end.
             if lower[-1].psnr < best.psnr:
                 break
@@ -98,14 +98,16 @@ class ReflectionTrial:
         if state["chosen"] is not None:
             self._decide(stage, Reflection(state["chosen"]))
 
-    def _try(self, stage: Stage, run: Run, before: dict[str, Any], reflection: Reflection, sh_degree: int) -> Candidate:
+    def _try(
+        self, stage: Stage, train: Train, before: dict[str, Any], reflection: Reflection, sh_degree: int
+    ) -> Candidate:
         self._restore(stage, before)
         lowered = sh_degree < self.branch.model.sh_degree
         self._add(reflection)
         if lowered:
             self.branch.narrow("sh", (sh_degree + 1) ** 2)
         iterations = min(self.settings.iterations, stage.iterations - stage.iteration)
-        run(f"degree_{sh_degree}" if lowered else str(reflection), iterations)
+        train(f"degree_{sh_degree}" if lowered else str(reflection), iterations)
         return Candidate(reflection, sh_degree, self.measure(), copied(self._state(stage)))
 
     def _decide(self, stage: Stage, reflection: Reflection) -> None:
@@ -120,15 +122,15 @@ class ReflectionTrial:
             self.branch.widen(reflected_half(self.branch.model, self.gaussians))
 
     def _state(self, stage: Stage) -> dict[str, Any]:
-        return {"stage": stage.state(), "parts": {part.name: part.state() for part in self._parts()}}
+        return {"stage": stage.state(), "trainables": {each.name: each.state() for each in self._trainables()}}
 
     def _restore(self, stage: Stage, state: dict[str, Any]) -> None:
         state = copied(state)
         stage.restore(state["stage"])
-        for part in self._parts():
-            part.restore(state["parts"][part.name])
+        for each in self._trainables():
+            each.restore(state["trainables"][each.name])
 
-    def _parts(self) -> list[Branch[GaussianModel] | LightInTraining]:
+    def _trainables(self) -> list[Branch[GaussianModel] | EnvironmentMapTrainer]:
         return [self.branch, *([] if self.light is None else [self.light])]
 
 

@@ -1,4 +1,4 @@
-"""What a run trains, made from the starting points: the branches, and the environment maps that the surface mirrors."""
+"""The state of training: the branches, and the environment maps that the surface reflects."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.start import start_gaussians, start_surfels
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.training.branch import Branch
+from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
-from mgsr.training.light import LightInTraining
 from mgsr.training.stages import GaussianBranch, SurfelBranch
-from mgsr.training.trained import Trained
+from mgsr.training.trainable import Trainable
 
 
 class StartingPoints(Protocol):
@@ -42,7 +42,7 @@ class StartingPoints(Protocol):
 
 
 @dataclass(frozen=True)
-class Parts:
+class TrainState:
     """The branches and the environment maps of a run.
 
     A branch is None where the method has none; light is None where it can't come to be of use.
@@ -50,7 +50,7 @@ class Parts:
 
     surfels: SurfelBranch | None
     gaussians: GaussianBranch | None
-    light: LightInTraining | None
+    light: EnvironmentMapTrainer | None
 
     @property
     def branches(self) -> list[Branch]:
@@ -58,7 +58,7 @@ class Parts:
         return [branch for branch in (self.surfels, self.gaussians) if branch is not None]
 
     @property
-    def trained(self) -> list[Trained]:
+    def trainables(self) -> list[Trainable]:
         """Return the branches, and the light where there is one."""
         return [*self.branches, *([] if self.light is None else [self.light])]
 
@@ -79,12 +79,12 @@ class Parts:
         return gaussian_picture(gaussians, surfels, light)
 
 
-def make_parts(
+def make_train_state(
     scene: Scene, start: StartingPoints, config: Config, reflection: Reflection, tried: bool, device: torch.device
-) -> Parts:
+) -> TrainState:
     """Build the branches and the environment maps on the starting points, on `device`.
 
-    reflection: what the 3D branch adds at first; tried: whether a trial may add to it.
+    reflection: what the 3D branch adds at first; tried: whether model selection may add to it.
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
@@ -101,9 +101,9 @@ def make_parts(
         gaussians = Branch("gaussians", full, settings.rates, settings.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
-        maps = MirroredLight.uniform(train.mirror.side, train.mirror.start).to(device)
-        light = LightInTraining(maps, train.mirror, used)
-    return Parts(surfels, gaussians, light)
+        maps = MirroredLight.uniform(train.environment_map.side, train.environment_map.start).to(device)
+        light = EnvironmentMapTrainer(maps, train.environment_map, used)
+    return TrainState(surfels, gaussians, light)
 
 
 def camera_extent(scene: Scene) -> float:

@@ -1,4 +1,4 @@
-"""The trial of what the 3D branch adds to the transmitted light."""
+"""Model selection of what the 3D branch adds to the transmitted light."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import torch
 
 from mgsr.config import Reflection, make_config
 from mgsr.errors import Cancelled
+from mgsr.training.model_selection import CANDIDATES, Candidate, simplest
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
-from mgsr.training.trained import step_trained
-from mgsr.training.trial import CANDIDATES, Candidate, simplest
+from mgsr.training.trainable import step_trainables
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
 LENGTHS = [
@@ -22,7 +22,13 @@ LENGTHS = [
     "mutual.iterations=40",
     "stop_rule=none",
 ]
-TRIED = ["trial.iterations=100", "trial.views=3", "mirror.side=16", "trial.start=0.5", "gaussians.sh_degree=2"]
+TRIED = [
+    "model_selection.iterations=100",
+    "model_selection.views=3",
+    "environment_map.side=16",
+    "model_selection.start=0.5",
+    "gaussians.sh_degree=2",
+]
 
 
 def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: Any) -> TrainResult:
@@ -57,10 +63,10 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
 def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int, degrees: dict[int, float]) -> None:
     plan = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft", "mgsr", 0, TRIED))
     stage, names, values = plan.stages[1], [], iter(reached)
-    stage.trial.measure = lambda: next(values)
-    stage.trial.hold(stage, lambda name, iterations: names.append(name))
+    stage.selection.measure = lambda: next(values)
+    stage.selection.run(stage, lambda name, iterations: names.append(name))
     assert names == ["off", "shared", *(f"degree_{degree}" for degree in degrees)]
-    assert plan.parts.gaussians.model.sh_degree == kept and stage.trial.degrees == degrees
+    assert plan.train_state.gaussians.model.sh_degree == kept and stage.selection.degrees == degrees
 
 
 def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> None:
@@ -88,19 +94,21 @@ def test_too_few_photographs_are_not_held_back() -> None:
     assert result.reflection is Reflection.BOTH and not result.tried
 
 
-def test_the_trial_reports_itself() -> None:
+def test_model_selection_reports_itself() -> None:
     reports: list[Progress] = []
     trained(0.0, progress=reports.append)
     names = list(dict.fromkeys(report.stage for report in reports))
-    trials = ["trial_off", "trial_shared", "trial_degree_1", "trial_degree_0"]
-    assert names == ["warmup_surfels", "warmup_gaussians", *trials, "mutual"]
+    candidates = ["selection_off", "selection_shared", "selection_degree_1", "selection_degree_0"]
+    assert names == ["warmup_surfels", "warmup_gaussians", *candidates, "mutual"]
     assert [report.done for report in reports] == sorted(report.done for report in reports)
 
 
-def test_a_trial_heeds_the_wish_to_stop() -> None:
+def test_model_selection_stops_on_request() -> None:
     reports: list[Progress] = []
     with pytest.raises(Cancelled, match="off was tried"):
-        trained(0.0, progress=reports.append, should_stop=lambda: bool(reports) and reports[-1].stage == "trial_off")
+        trained(
+            0.0, progress=reports.append, should_stop=lambda: bool(reports) and reports[-1].stage == "selection_off"
+        )
 
 
 def test_views_held_back_are_trained_on_afterwards() -> None:
@@ -109,15 +117,15 @@ def test_views_held_back_are_trained_on_afterwards() -> None:
     stage = plan.stages[1]
     assert (len(stage.views), stage.cycle.count) == (14, 11)
     stage.iteration = 120
-    stage.trial.hold(stage, lambda reflection, iterations: None)
-    assert stage.cycle.count == 14 and not stage.trial.due(stage)
+    stage.selection.run(stage, lambda reflection, iterations: None)
+    assert stage.cycle.count == 14 and not stage.selection.due(stage)
 
 
 def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
-    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.gaussians
+    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).train_state.gaussians
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.rand_like(tensor)
-    step_trained({branch: 0.0})
+    step_trainables({branch: 0.0})
     values, before = branch.model.sh.detach().clone(), branch.optimizer.state_dict()
     branch.narrow("sh", 4)
     after = branch.optimizer.state_dict()
@@ -126,18 +134,18 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
         assert torch.equal(after[kind]["sh"], before[kind]["sh"][:, :4])
         assert torch.equal(after[kind]["means"], before[kind]["means"])
     branch.optimizer.params["sh"].grad = torch.ones_like(branch.model.sh)
-    step_trained({branch: 0.0})
+    step_trainables({branch: 0.0})
     assert not torch.equal(branch.model.sh, values[:, :4])
 
 
 def test_widening_keeps_what_the_optimiser_knows() -> None:
     config = make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])
-    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).parts.gaussians
+    branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).train_state.gaussians
     for tensor in branch.tensors("values").values():
         tensor.grad = None
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.ones_like(tensor)
-    step_trained({branch: 0.0})
+    step_trainables({branch: 0.0})
     before = branch.optimizer.state_dict()
     branch.widen({"weight_logits": torch.zeros(len(branch.model))})
     after = branch.optimizer.state_dict()

@@ -14,7 +14,7 @@ from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.surfels import rasterize_surfels
 
 
-def carried(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Tensor:
+def contributions(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Tensor:
     """Return each splat's contribution [N]: its blending weights summed over all pixels of all cameras.
 
     A weight is the opacity times the transmittance before it; of a reflected half, times what the pixel adds of that.
@@ -29,13 +29,13 @@ def carried(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Te
     return total
 
 
-def faintest(carried: Tensor, share: float) -> Tensor:
+def least_contributing(contributions: Tensor, share: float) -> Tensor:
     """Return which splats [N] bool, taken least first, together contribute less than `share` of the sum.
 
-    carried [N]: the contributions. No splat is chosen where none contributes anything.
+    contributions [N]: of the splats. No splat is chosen where none contributes anything.
     """
-    least_first = carried.argsort(stable=True)
-    within = carried[least_first].cumsum(0, dtype=torch.float64) < share * carried.sum(dtype=torch.float64)
+    least_first = contributions.argsort(stable=True)
+    within = contributions[least_first].cumsum(0, dtype=torch.float64) < share * contributions.sum(dtype=torch.float64)
     return torch.empty_like(within).scatter_(0, least_first, within)
 
 

@@ -6,30 +6,30 @@ from typing import Any
 
 from torch import Tensor
 
-from mgsr.config import MirrorConfig
+from mgsr.config import EnvironmentMapConfig
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import fade
-from mgsr.training.trained import Trained
+from mgsr.training.trainable import Trainable
 
 
-class LightInTraining(Trained[MirroredLight]):
+class EnvironmentMapTrainer(Trainable[MirroredLight]):
     """The environment maps that the surface mirrors, with their optimiser.
 
     `used` says whether they are part of the model.
     """
 
-    def __init__(self, model: MirroredLight, config: MirrorConfig, used: bool) -> None:
+    def __init__(self, model: MirroredLight, config: EnvironmentMapConfig, used: bool) -> None:
         self.settings = config
         self.used = used
         super().__init__("light", model)
 
     def rates(self, progress: float) -> dict[str, float]:
-        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trained`)."""
+        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trainable`)."""
         return {"logits": self.settings.rate * fade(progress, self.settings.fade_from, self.settings.final)}
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """Return a new optimiser for the maps (see `Trained`)."""
+        """Return a new optimiser for the maps (see `Trainable`)."""
         return FusedAdam(parameters, self.rates(0.0))
 
     def state(self) -> dict[str, Any]:

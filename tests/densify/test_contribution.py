@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
-from mgsr.densify.carried import carried, faintest
+from mgsr.densify.contribution import contributions, least_contributing
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
 from tests.oracles import gaussians, surfels
@@ -43,7 +43,7 @@ def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
     cameras = [view.camera for view in ball_scene(size=24, train=3).train]
     alone = torch.tensor([sum(add(model, camera, i) for camera in cameras) for i in range(COUNT)])
     assert alone.min() < 0.05 * alone.max()
-    torch.testing.assert_close(carried(model, cameras), alone, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(contributions(model, cameras), alone, rtol=1e-4, atol=1e-3)
 
 
 def added_by_surfel(model: SurfelModel, camera: Camera, index: int) -> float:
@@ -71,8 +71,8 @@ def white(index: int) -> torch.Tensor:
 
 def test_the_least_that_together_stay_below_the_share() -> None:
     weights = torch.tensor([5.0, 0.0, 1.0, 3.0, 1.0])
-    assert faintest(weights, 0.15).tolist() == [False, True, True, False, False]
-    assert faintest(weights, 0.2).tolist() == [False, True, True, False, False]
-    assert faintest(weights, 0.21).tolist() == [False, True, True, False, True]
-    assert not faintest(weights + 1, 0.0).any()
-    assert not faintest(torch.zeros(4), 0.5).any()
+    assert least_contributing(weights, 0.15).tolist() == [False, True, True, False, False]
+    assert least_contributing(weights, 0.2).tolist() == [False, True, True, False, False]
+    assert least_contributing(weights, 0.21).tolist() == [False, True, True, False, True]
+    assert not least_contributing(weights + 1, 0.0).any()
+    assert not least_contributing(torch.zeros(4), 0.5).any()

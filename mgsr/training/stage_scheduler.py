@@ -9,7 +9,7 @@ FINISH = "finish"  # the stage after the surface was made
 
 
 class StageLength(Protocol):
-    """A stage as a pace sees it: its name, the iterations that it has done, and those that it shall do."""
+    """A stage as a scheduler sees it: its name, the iterations that it has done, and those that it shall do."""
 
     @property
     def name(self) -> str: ...
@@ -21,7 +21,7 @@ class StageLength(Protocol):
     def iterations(self) -> int: ...
 
 
-class Pace(Protocol):
+class StageScheduler(Protocol):
     """A stage scheduler, which is asked before every iteration."""
 
     def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:

@@ -13,9 +13,9 @@ from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.start.view_colors import seen_colors
-from mgsr.training.parts import StartingPoints, make_parts, seeded
 from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, Step, gaussians_alone
+from mgsr.training.train_state import StartingPoints, make_train_state, seeded
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, Color, TrainingView, ViewCycle, prepare_views
 
@@ -28,7 +28,7 @@ def small_view(view: View, side: int = SIDE) -> View:
     return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
 
 
-def train_scout(
+def train_proxy_model(
     scene: Scene,
     start: StartingPoints,
     views: list[View],
@@ -50,8 +50,10 @@ def train_scout(
     """
     kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
     settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
-    parts = make_parts(replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU)
-    branch = parts.gaussians
+    train_state = make_train_state(
+        replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU
+    )
+    branch = train_state.gaussians
     assert branch is not None
     cycle = ViewCycle(len(views), seeded(settings, 7))
     see = gaussians_alone(branch, settings.train, warming=False)
@@ -64,7 +66,7 @@ def train_scout(
 
     prepared = prepare_views(views, scene.masked)
     stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
-    plan = Plan(parts, [stage], [], backdrop(scene, settings.train.background))
+    plan = Plan(train_state, [stage], [], backdrop(scene, settings.train.background))
     Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
     return branch.model
 

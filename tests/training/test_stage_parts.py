@@ -10,7 +10,7 @@ import torch
 
 from mgsr.config import RatesConfig, StopRule, WarmupConfig, make_config
 from mgsr.data.backdrop import WHITE, Backdrop
-from mgsr.training.convergence import EpochMeans, HeldBack, LossRange, make_convergence
+from mgsr.training.convergence import EpochMeans, LossRange, Validation, make_convergence
 from mgsr.training.plan import make_plan
 from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
 from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
@@ -95,7 +95,7 @@ def test_small_views_of_odd_sides() -> None:
 
 
 def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:
-    settings = ["surfel_iterations=10", "gaussian_iterations=20", "coarse=0.4", "mirror.iterations=0"]
+    settings = ["surfel_iterations=10", "gaussian_iterations=20", "coarse=0.4", "environment_map.iterations=0"]
     config = make_config("draft", "mgsr", 0, [*settings, "coarse_side=48"])
     stages = make_plan(ball_scene(48), ball_points(), config).stages
     widths = []
@@ -151,14 +151,14 @@ def test_no_test_stops_early() -> None:
 
 def test_held_back_waits_for_its_patience() -> None:
     psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
-    test = HeldBack(0, WarmupConfig(held_back_every=10, held_back_patience=3), lambda: next(psnrs))
+    test = Validation(0, WarmupConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
     stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
     assert stops == [50]
 
 
 @pytest.mark.parametrize("rule", ["epoch", "held_back", "paper"])
 def test_state_goes_through_a_checkpoint(rule: str) -> None:
-    config = WarmupConfig(stop_rule=StopRule(rule), held_back_every=1, epoch_span=1)
+    config = WarmupConfig(stop_rule=StopRule(rule), validation_every=1, epoch_span=1)
     first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))
     for i in range(1, 6):
         first.converged(torch.tensor(0.5), i, i % 2 == 0)

@@ -18,7 +18,7 @@ Model = TypeVar("Model", bound=SurfelModel | GaussianModel | MirroredLight)
 Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
 
 
-class Trained(ABC, Generic[Model]):
+class Trainable(ABC, Generic[Model]):
     """A model and its optimiser, which owns the model's tensors. `name` is unique in a run."""
 
     def __init__(self, name: str, model: Model) -> None:
@@ -98,7 +98,7 @@ class Trained(ABC, Generic[Model]):
             setattr(self.model, name, self.optimizer.params.get(name))
 
 
-def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -> None:
+def step_trainables(progress: Mapping[Trainable, float], bad: Tensor | None = None) -> None:
     """Take one optimiser step of all these models, on a card in one launch.
 
     progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.

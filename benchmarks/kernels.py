@@ -31,20 +31,20 @@ from mgsr.data.camera import Camera
 from mgsr.native import _image, runtime
 from mgsr.ops.adam import FusedAdam
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.ops.environment_map import look_up_environment_map
 from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.harmonics import harmonics_to_rgb
 from mgsr.ops.image_loss import image_loss
-from mgsr.ops.mirrored import look_up_mirrored
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
 from mgsr.ops.tv import edge_aware_tv
 from tests.ops.splat_scenes import camera as small_camera
 from tests.ops.splat_scenes import random_splats
 from tests.oracles import adam as adam_oracle
 from tests.oracles import depth_normals as normals_oracle
+from tests.oracles import environment_map as environment_map_oracle
 from tests.oracles import gaussians as gaussians_oracle
 from tests.oracles import harmonics as harmonics_oracle
 from tests.oracles import image_loss as loss_oracle
-from tests.oracles import mirrored as mirrored_oracle
 from tests.oracles import surfels as surfels_oracle
 from tests.oracles import tv as tv_oracle
 
@@ -206,12 +206,12 @@ def image_cases(side: int) -> list[Case]:
         _same("TV of depth", text, (depth, second), 1, lambda a, b: [edge_aware_tv(a, b)],
               lambda a, b: [tv_oracle.edge_aware_tv(a, b)], None),
         _same("depth to normals", text, (depth,), 1, lambda a: [depth_to_normals(a, view)], normals, normals),
-        mirrored_case(view, text),
+        environment_map_case(view, text),
     ]  # fmt: skip
 
 
-def mirrored_case(view: Camera, text: str) -> Case:
-    """Return the case of mirrored light: smooth maps of 64 texels a side, and a ball's normals in every pixel."""
+def environment_map_case(view: Camera, text: str) -> Case:
+    """Return the case of the environment map: smooth maps of 64 texels a side, and a ball's normals in every pixel."""
     angles = torch.linspace(0, 9, 64)
     waves = 0.5 + 0.25 * (torch.sin(angles)[:, None, None] + torch.cos(angles[:, None] + torch.arange(3)))
     rows, columns = (torch.arange(side) + 0.5 - side / 2 for side in (view.height, view.width))
@@ -220,12 +220,12 @@ def mirrored_case(view: Camera, text: str) -> Case:
     K, pose = torch.from_numpy(view.K), torch.from_numpy(view.cam_from_world)
 
     def plain(maps: Tensor, normals: Tensor) -> list[Tensor]:
-        return [mirrored_oracle.look_up_mirrored(maps, normals, K.to(maps), pose.to(maps))]
+        return [environment_map_oracle.look_up_environment_map(maps, normals, K.to(maps), pose.to(maps))]
 
     def ours(maps: Tensor, normals: Tensor) -> list[Tensor]:
-        return [look_up_mirrored(maps, normals, view)]
+        return [look_up_environment_map(maps, normals, view)]
 
-    return _same("mirrored light", text, (torch.stack([waves, waves.flip(0)]), normals), 2, ours, plain, plain)
+    return _same("environment map", text, (torch.stack([waves, waves.flip(0)]), normals), 2, ours, plain, plain)
 
 
 def torch_loss(a: Tensor, b: Tensor) -> list[Tensor]:

@@ -97,10 +97,10 @@ def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, device: 
     ]
     config = make_config("standard", "3dgs", overrides=overrides)
     result = Training(scene, start, config, device=device).run()
-    assert result.gaussians is not None
-    gaussians = result.gaussians.to(device)
+    model = result.model.to(device)
+    assert model.gaussians is not None
     views = prepare_views(scene.test, scene.masked, device=device)
-    psnr = mean_psnr(gaussian_picture(gaussians, None, None), views, backdrop(scene, config.train.background).color)
+    psnr = mean_psnr(gaussian_picture(model), views, backdrop(scene, config.train.background).color)
     side = max(max(view.camera.width, view.camera.height) for view in scene.train)
     name = torch.cuda.get_device_name() if device.type == "cuda" else "cpu"
     return CountRow(
@@ -109,7 +109,7 @@ def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, device: 
         len(scene.train),
         str(by),
         cap,
-        len(gaussians),
+        len(model.gaussians),
         psnr,
         result.seconds,
         name,

@@ -58,10 +58,10 @@ def run(name: str, seed: int) -> Outcome:
     except TrainingError as error:
         print(f"{name}, seed {seed}: {error}")
         return Outcome(np.nan, np.nan, np.nan, True, 0, time.process_time() - begun)
-    assert result.surfels is not None
+    assert result.model.surfels is not None
     row = result.curve[-1]
     assert row.psnr_gaussians is not None and row.psnr_surfels is not None
-    points = np.concatenate([depth_points(result.surfels, view.camera) for view in scene.test])
+    points = np.concatenate([depth_points(result.model.surfels, view.camera) for view in scene.test])
     failed, seconds = not _finite(result), time.process_time() - begun
     error = surface_error(name, points)
     return Outcome(row.psnr_gaussians, row.psnr_surfels, error, failed, len(result.incidents), seconds)
@@ -78,7 +78,7 @@ def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
 
 
 def _finite(result: TrainResult) -> bool:
-    models = [model for model in (result.surfels, result.gaussians) if model is not None]
+    models = [model for model in (result.model.surfels, result.model.gaussians) if model is not None]
     return all(bool(torch.isfinite(t).all()) for model in models for t in model.parameters().values())
 
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
         TensorError,
         TrainingError,
     )
+    from mgsr.gaussians.environment_map import EnvironmentMap
     from mgsr.gaussians.gaussians import GaussianModel
-    from mgsr.gaussians.mirrored import MirroredLight
     from mgsr.gaussians.surfels import SurfelModel
     from mgsr.mesh.surface import Mesh
     from mgsr.pipeline.novel_view import Rendering, render
@@ -46,6 +46,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "DataConfig",
+    "EnvironmentMap",
     "Event",
     "GaussianModel",
     "GpuError",
@@ -53,7 +54,6 @@ __all__ = [
     "Mesh",
     "MeshError",
     "MgsrError",
-    "MirroredLight",
     "MissingPhotoError",
     "Reconstruction",
     "Rendering",
@@ -78,7 +78,7 @@ _MODULES = {
     "DataConfig": "mgsr.config",
     "Event": "mgsr.pipeline.progress",
     "Mesh": "mgsr.mesh.surface",
-    "MirroredLight": "mgsr.gaussians.mirrored",
+    "EnvironmentMap": "mgsr.gaussians.environment_map",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.pipeline.novel_view",
     "Scene": "mgsr.data.scene",

@@ -100,7 +100,7 @@ class MeshConfig:
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    shading_ratio: float | None = 0.85  # a flash on the camera, or mirrored surroundings, count as known where they
+    shading_ratio: float | None = 0.85  # a flash on the camera, or an environment map, counts as known where they
     # leave at most this share of what one brightness a point leaves; the mesh then heeds them; none is off, for
     # parallax too
     parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
@@ -302,7 +302,7 @@ class Reflection(StrEnum):
     """What the 3D branch adds to the transmitted light. auto: model selection decides (see ModelSelectionConfig).
 
     off: nothing (3DGS). own: each splat's reflected colour, times its weight (the paper's). shared: two maps, the same
-    for all splats, of the light that the 2D branch's surface mirrors. both: the maps added to the splats' own.
+    for all splats, of the environment that the 2D branch's surface reflects. both: the maps added to the splats' own.
     """
 
     AUTO = "auto"
@@ -335,7 +335,7 @@ class GaussianConfig:
 
 @dataclass(frozen=True)
 class EnvironmentMapConfig:
-    """The maps of the light that the surface mirrors (see Reflection)."""
+    """The environment maps that the surface reflects (see Reflection)."""
 
     side: int = 64  # texels along a map's side
     start: float = 0.007  # the maps' light, 0..1
@@ -343,7 +343,7 @@ class EnvironmentMapConfig:
     fade_from: float = 0.5  # fraction of the run after which the rate begins to fade
     final: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
-    iterations: int = 300  # of the 3D branch and the light after the surface was made, which then mirrors instead of
+    iterations: int = 300  # of the 3D branch and the maps after the surface was made, which then reflects instead of
     # the 2D branch; masked scenes only; 0 is never
     weight_prior: float = 5e-7  # pull of each splat's reflection weight to its start
 
@@ -351,11 +351,11 @@ class EnvironmentMapConfig:
 @dataclass(frozen=True)
 class ModelSelectionConfig:
     """The 3D branch warms up without any reflection. Then each of off and shared, or of off and own where no surface
-    mirrors, goes on from there for a while, and off stays unless the other renders photographs kept from training
+    reflects, goes on from there for a while, and off stays unless the other renders photographs kept from training
     better; lower degrees of the transmitted colour's harmonics stay as long as they are no worse.
 
     Without iterations, or with too few photographs, the start decides: off where brightness does not change from view
-    to view as mirrored light does, shared where it does, both where that is not known.
+    to view as reflected light does, shared where it does, both where that is not known.
     """
 
     start: float = 0.5  # fraction of the 3D branch's warm-up that comes before

@@ -116,7 +116,7 @@ PAPER_CHOICES = (
 # Where a run takes no more than its scene needs: the run that takes more.
 NEED_ROWS = (
     AblationRow(
-        "need-light", "mirrored light, and a reflection of each splat's own, everywhere", "mgsr", ("reflection=both",)
+        "need-light", "environment map, and a reflection of each splat's own, everywhere", "mgsr", ("reflection=both",)
     ),
     AblationRow(
         "need-colors",

@@ -53,17 +53,17 @@ def lit_up_vjp(
 
 
 def with_reflection(
-    launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, mirrored: Tensor | None
+    launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, environment: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored.
+    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + environment.
 
-    weight [H,W]. Of own and mirrored one may be None.
+    weight [H,W]. Of own and environment one may be None.
     """
     if launcher is not None:
         color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
-        LightKernels(launcher).add_reflection(transmitted, weight, own, mirrored, color, reflected)
+        LightKernels(launcher).add_reflection(transmitted, weight, own, environment, color, reflected)
         return color, reflected
-    parts = [each for each in (own, mirrored) if each is not None]
+    parts = [each for each in (own, environment) if each is not None]
     reflected = parts[0] + parts[1] if len(parts) == 2 else parts[0].detach()  # a tensor of its own, for the graph
     color = torch.empty_like(transmitted)
     for channel in range(3):
@@ -78,21 +78,21 @@ def with_reflection_vjp(
     weight: Tensor,
     before: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the gradients of transmitted, weight, own and mirrored, from that of the image, v_color [H,W,3].
+    """Return the gradients of transmitted, weight, own and environment, from that of the image, v_color [H,W,3].
 
     before: what is added to the first three.
     """
     if launcher is not None:
-        v_transmitted, v_own, v_mirrored = (torch.empty_like(v_color) for _ in range(3))
+        v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))
         v_weight = torch.empty_like(weight)
-        out = (v_transmitted, v_weight, v_own, v_mirrored)
+        out = (v_transmitted, v_weight, v_own, v_environment)
         LightKernels(launcher).add_reflection_vjp(v_color, reflected, weight, before, out)
         return out
-    v_mirrored = torch.empty_like(v_color)
+    v_environment = torch.empty_like(v_color)
     for channel in range(3):
-        torch.mul(v_color[..., channel], weight, out=v_mirrored[..., channel])
-    own = (v_color, (v_color * reflected) @ torch.ones(3), v_mirrored)
+        torch.mul(v_color[..., channel], weight, out=v_environment[..., channel])
+    own = (v_color, (v_color * reflected) @ torch.ones(3), v_environment)
     v_transmitted, v_weight, v_own = (
         each if added is None else each + added for each, added in zip(own, before, strict=True)
     )
-    return v_transmitted, v_weight, v_own, v_mirrored
+    return v_transmitted, v_weight, v_own, v_environment

@@ -63,7 +63,7 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
         raise ConfigError(f"camera: expected a Camera or a View, got {type(camera).__name__}")
     flash = result.normalised_flash
     lit = None if flash is None else flash.seen_by(seen_by)
-    images = render_camera(result.normalised_models, seen_by, result.surface_depth, lit)
+    images = render_camera(result.normalised_model, seen_by, result.surface_depth, lit)
     shown = straight_view(images, result.normalisation.scale)
     return Rendering(
         color=shown.color.astype(np.float32),

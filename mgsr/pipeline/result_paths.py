@@ -11,7 +11,7 @@ MESH_OBJ = "mesh.obj"
 MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
 GAUSSIANS = "splats_3d.ply"
-LIGHT = "mirrored_light.npz"
+ENVIRONMENT_MAP = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
 OBJECT = "object.json"
@@ -62,8 +62,8 @@ class ResultPaths:
 
     @property
     def light(self) -> Path:
-        """mirrored_light.npz, where a shiny surface mirrors one."""
-        return self.folder / LIGHT
+        """mirrored_light.npz, where a shiny surface reflects an environment map."""
+        return self.folder / ENVIRONMENT_MAP
 
     @property
     def flash(self) -> Path:

@@ -20,7 +20,6 @@ from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import Mesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.steps import StepClock
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
 from mgsr.start.starting_points import StartingPoints
@@ -59,7 +58,7 @@ def run_report(
         iterations={
             stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
         },
-        gaussians=Models(trained.surfels, trained.gaussians).counts,
+        gaussians=trained.model.counts,
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
@@ -70,9 +69,9 @@ def run_report(
             "parallax": mesh.parallax,
             "opened": mesh.opened,
             "start_kept": mesh.start_kept,
-            "reflection": {"chosen": trained.reflection, "tried": trained.tried},
+            "reflection": {"chosen": trained.model.reflection, "tried": trained.tried},
             "sh_degree": {
-                "chosen": None if trained.gaussians is None else trained.gaussians.sh_degree,
+                "chosen": None if trained.model.gaussians is None else trained.model.gaussians.sh_degree,
                 "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
             },
             "settings": asdict(config),

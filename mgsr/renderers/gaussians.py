@@ -29,16 +29,16 @@ def render_gaussians(
     degree: int | None = None,
     refl_degree: int | None = None,
     depth: bool = True,
-    mirrored: Tensor | None = None,
+    environment: Tensor | None = None,
     lit: Tensor | None = None,
 ) -> GaussianOutputs:
     """Render the Gaussians from any camera, at its size.
 
-    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and
-    the reflected colours, by default all that is stored; depth: off saves its time; mirrored [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.renderers.mirrored`); lit [H,W]: what a flash makes of the transmitted
-    colour (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's tensors,
-    and to the mirrored light, where these ask for them; from `reflected` and `even` none flow.
+    background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and the
+    reflected colours, by default all that is stored; depth: off saves its time; environment [H,W,3]: light that is
+    added to the reflected colour (see `mgsr.renderers.environment_map`); lit [H,W]: what a flash makes of the
+    transmitted colour (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's
+    tensors, and to what is reflected, where these ask for them; from `reflected` and `even` none flow.
 
     Raises TensorError for a model whose tensors don't fit together.
     """
@@ -51,7 +51,7 @@ def render_gaussians(
     stored = (model.means, model.quats, model.log_scales, model.opacity_logits, model.sh)
     stored_split = (model.refl_opacity_logits, model.weight_logits, model.refl_sh)
     launcher = launcher_for(model.means)
-    inputs = [tensor for tensor in (*stored, *stored_split, mirrored) if tensor is not None]
+    inputs = [tensor for tensor in (*stored, *stored_split, environment) if tensor is not None]
     differentiable = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs)
     rendering = _Rendering(
         GaussianPass(camera, GaussianOptions(low_pass=model.low_pass, depth=depth), launcher, differentiable),
@@ -61,14 +61,14 @@ def render_gaussians(
         (degree, refl_degree),
         None if lit is None else plain(lit),
     )
-    images = _RenderGaussians.apply(rendering, mirrored, *stored, *stored_split)
+    images = _RenderGaussians.apply(rendering, environment, *stored, *stored_split)
     color, transmitted, alpha, depths, own, weight, reflected, even = images
     if reflected is None:
         transmitted, weight = color, None
     elif own is None:
         weight = alpha
     return GaussianOutputs(
-        color, transmitted, reflected, weight, depths, alpha, rendering.raster.stats, own, mirrored, even
+        color, transmitted, reflected, weight, depths, alpha, rendering.raster.stats, own, environment, even
     )
 
 
@@ -91,7 +91,9 @@ class _RenderGaussians(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx: Any, r: _Rendering, mirrored: Tensor | None, *stored: Tensor | None) -> tuple[Tensor | None, ...]:
+    def forward(
+        ctx: Any, r: _Rendering, environment: Tensor | None, *stored: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
         tensors: list[Any] = [None if tensor is None else plain(tensor) for tensor in stored]
         means, quats, log_scales, opacity_logits, sh, refl_opacity_logits, weight_logits, refl_sh = tensors
         logits = [each for each in (opacity_logits, refl_opacity_logits, weight_logits) if each is not None]
@@ -106,8 +108,8 @@ class _RenderGaussians(torch.autograd.Function):
         assert even is not None and alpha is not None
         transmitted = even if r.lit is None else lit_up(r.launcher, even, alpha, r.background, r.lit)
         color, reflected = transmitted, None
-        if own is not None or mirrored is not None:
-            light = None if mirrored is None else plain(mirrored)
+        if own is not None or environment is not None:
+            light = None if environment is None else plain(environment)
             by = alpha if weight is None else weight
             color, reflected = with_reflection(r.launcher, transmitted, by, own, light)
         ctx.rendering, ctx.images = r, len(images)
@@ -127,20 +129,20 @@ class _RenderGaussians(torch.autograd.Function):
         v_color, v_transmitted, v_alpha, v_depth, v_own, v_weight = (
             None if v is None else plain(v) for v in v_outputs[:6]
         )
-        v_mirrored = None
+        v_environment = None
         if reflected is None:
             v_transmitted = v_color
         elif v_color is not None:
             by, v_by = (images[1], v_alpha) if images[4] is None else (images[4], v_weight)
             before = (v_transmitted, v_by, v_own)
-            v_transmitted, v_by, v_own, v_mirrored = with_reflection_vjp(r.launcher, v_color, reflected, by, before)
+            v_transmitted, v_by, v_own, v_environment = with_reflection_vjp(r.launcher, v_color, reflected, by, before)
             v_alpha, v_weight = (v_by, None) if images[4] is None else (v_alpha, v_by)
             v_own = None if images[3] is None else v_own
         if r.lit is not None and v_transmitted is not None:
             v_transmitted, v_alpha = lit_up_vjp(r.launcher, v_transmitted, r.background, r.lit, v_alpha)
         v_images = (v_transmitted, v_alpha, v_depth, v_own, v_weight)
         v_stored = _to_stored(r, sh, refl_sh, splats, r.raster.backward(splats, images, v_images))
-        return None, v_mirrored if ctx.needs_input_grad[1] else None, *v_stored
+        return None, v_environment if ctx.needs_input_grad[1] else None, *v_stored
 
 
 def _to_stored(

@@ -38,9 +38,9 @@ class GaussianOutputs:
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
     weight [H,W], None without a light split; own_reflected [H,W,3]: the share of reflected that the splats hold, None
-    without one; mirrored [H,W,3]: the share that is the shared light's, None without one; even [H,W,3]: transmitted as
-    it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if not asked for;
-    alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    without one; environment [H,W,3]: the share that the environment map gives, None without one; even [H,W,3]:
+    transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if
+    not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
     """
 
     color: Tensor
@@ -51,7 +51,7 @@ class GaussianOutputs:
     alpha: Tensor
     stats: Any
     own_reflected: Tensor | None = None
-    mirrored: Tensor | None = None
+    environment: Tensor | None = None
     even: Tensor | None = None
 
 

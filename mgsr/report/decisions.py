@@ -35,18 +35,18 @@ LIGHTS = {
         "it explains how a point's brightness changes from view to view: shading bent the surface",
     ),
     "surroundings": (
-        "mirrored surroundings",
+        "environment map",
         "one map of them explains how a point changes from view to view: their shading bent the start, and tells how "
         "far parallax can be believed",
     ),
-    "unknown": ("none", "neither a flash nor mirrored surroundings explain how points change from view to view"),
+    "unknown": ("none", "neither a flash nor an environment map explains how points change from view to view"),
 }
 SPLATS = {"surfels": "Surfels that give the surface", "gaussians": "Gaussians that give the renders"}
 REFLECTIONS = {
     "off": "none",
     "own": "each splat's own",
-    "shared": "one light that the whole surface mirrors",
-    "both": "one light that the whole surface mirrors, and each splat's own",
+    "shared": "one environment map that the whole surface reflects",
+    "both": "one environment map that the whole surface reflects, and each splat's own",
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",

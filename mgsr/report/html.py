@@ -49,7 +49,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
     title = escape(data.scene)
     sections = (
         _light_split(pictures.views),
-        _mirrored(pictures.mirrored),
+        _environment_map(pictures.environment_maps),
         _surface(data, pictures.surface),
         _more_views(pictures.views),
         _curves(data),
@@ -151,7 +151,7 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         '<section><h2>The light, taken apart</h2><div class="split">'
         f'<div class="tile stack">{pair}</div>'
         "<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen "
-        "(transmitted), and light that its surface mirrors (reflected), where the learnt weight lets it through. "
+        "(transmitted), and light that its surface reflects (reflected), where the learnt weight lets it through. "
         "The mesh takes its colours from the first alone, so no highlight is baked into it.</p>"
         '<label for="fade">Reflected light</label>'
         '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
@@ -160,15 +160,15 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
     )
 
 
-def _mirrored(pictures: Sequence[Picture]) -> str:
+def _environment_map(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
-    tiles = (_tile(f"Mirrored light, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
+    tiles = (_tile(f"Environment map, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
     return (
-        "<section><h2>What the surface mirrors</h2><p>No photograph shows the lamps: this light was learnt from how "
+        "<section><h2>What the surface reflects</h2><p>No photograph shows the lamps: this light was learnt from how "
         "highlights wander over the surface. All splats share it, so that highlights are right also where no "
         "photograph saw them. Brightened until the brightest is white.</p>"
-        f'<div class="row mirrored">{"".join(tiles)}</div></section>'
+        f'<div class="row environment">{"".join(tiles)}</div></section>'
     )
 
 

@@ -67,11 +67,11 @@ class SurfacePictures:
 class ReportPictures:
     """All pictures of a report; the first view is the one at the top.
 
-    mirrored: the environment maps that the surface mirrors, where they were learnt.
+    environment_maps: those that the surface reflects, where they were learnt.
     """
 
     views: Sequence[TestViewPictures] = ()
-    mirrored: Sequence[Picture] = ()
+    environment_maps: Sequence[Picture] = ()
     surface: SurfacePictures = field(default_factory=SurfacePictures)
 
 

@@ -194,7 +194,7 @@ def _trained(
     stages = [f"warmup.surfel_iterations={ITERATIONS}", "mutual.iterations=0", "stop_rule=none"]
     config = make_config(seed=seed, overrides=["branches=surfels", *stages])
     training = Training(scene, start, config, lambda report: progress(report.done), should_stop)
-    found = training.run().surfels
+    found = training.run().model.surfels
     assert found is not None
     return found
 

@@ -7,22 +7,22 @@ from typing import Any
 from torch import Tensor
 
 from mgsr.config import EnvironmentMapConfig
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import fade
 from mgsr.training.trainable import Trainable
 
 
-class EnvironmentMapTrainer(Trainable[MirroredLight]):
-    """The environment maps that the surface mirrors, with their optimiser.
+class EnvironmentMapTrainer(Trainable[EnvironmentMap]):
+    """The environment maps that the surface reflects, with their optimiser.
 
     `used` says whether they are part of the model.
     """
 
-    def __init__(self, model: MirroredLight, config: EnvironmentMapConfig, used: bool) -> None:
+    def __init__(self, model: EnvironmentMap, config: EnvironmentMapConfig, used: bool) -> None:
         self.settings = config
         self.used = used
-        super().__init__("light", model)
+        super().__init__("environment_map", model)
 
     def rates(self, progress: float) -> dict[str, float]:
         """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trainable`)."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.gaussians import GaussianModel
-from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.renderers.both import render_both
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import Color, TrainingView, color_tensor
@@ -29,13 +29,16 @@ def surfel_picture(model: SurfelModel) -> Picture:
     return picture
 
 
-def gaussian_picture(model: GaussianModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
-    """Return a function that renders the 3D branch, with what the surface mirrors."""
+def gaussian_picture(model: TrainedModel) -> Picture:
+    """Return a function that renders the 3D branch, with what the surface reflects of the environment map.
+
+    The 2D branch is rendered only where it is that surface.
+    """
+    light = model.environment_map
+    drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
-        color = color_tensor(background, model.means.device)
-        mirror = surfels if mirrored is not None and mirrored.reflector is None else None
-        _, full = render_both(mirror, model, mirrored, camera, color, depth=False, lit=light)
+        _, full = render_both(drawn, camera, color_tensor(background, model.device), depth=False, lit=light)
         assert full is not None
         return full.color
 

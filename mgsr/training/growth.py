@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -58,10 +58,11 @@ class ErrorGrowth:
 
     @torch.no_grad()
     def _rendered(self, view: TrainingView) -> RenderedView:
-        surfels, gaussians, light = self.train_state.models
-        mirror = surfels if light is not None and light.reflector is None else None
+        model = self.train_state.model
+        light = model.environment_map
+        drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
         behind = color_tensor(self.behind, self.branch.device)
-        _, shown = render_both(mirror, gaussians, light, view.camera, behind, lit=view.light())
+        _, shown = render_both(drawn, view.camera, behind, lit=view.light())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)

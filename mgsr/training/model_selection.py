@@ -20,7 +20,7 @@ from mgsr.training.trainable import copied
 # From the simplest to the one with the most parameters. Both is none of them: a reflected half of each splat's own
 # gains less on shiny objects than the shared light alone, and on matte ones it gains by being more parameters.
 CANDIDATES = (Reflection.OFF, Reflection.SHARED)
-CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that mirrors
+CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that reflects
 
 Train = Callable[[str, int], None]  # trains the stage on, under a candidate's name, for so many iterations
 
@@ -39,7 +39,7 @@ class ReflectionSelection:
     """Trains each candidate on from one state, on the same views, and leaves the best in place.
 
     First the reflections are tried, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by
-    one, while that is no worse. light: None where there is no surface to mirror it. measure: the 3D branch's PSNR, dB,
+    one, while that is no worse. environment_map: None where no surface reflects it. measure: the 3D branch's PSNR, dB,
     on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
     those it is trained on, it may see once the selection is over.
 
@@ -50,12 +50,12 @@ class ReflectionSelection:
         self,
         config: TrainConfig,
         branch: Branch[GaussianModel],
-        light: EnvironmentMapTrainer | None,
+        environment_map: EnvironmentMapTrainer | None,
         measure: Callable[[], float],
         all_views: int,
     ) -> None:
         self.settings, self.gaussians = config.model_selection, config.gaussians
-        self.branch, self.light = branch, light
+        self.branch, self.environment_map = branch, environment_map
         self.measure = measure
         self.all_views = all_views
         self.chosen: Reflection | None = None
@@ -72,7 +72,7 @@ class ReflectionSelection:
         Whatever `train` raises leaves the selection undecided.
         """
         before, highest = copied(self._state(stage)), self.branch.model.sh_degree
-        kinds = CANDIDATES_ALONE if self.light is None else CANDIDATES
+        kinds = CANDIDATES_ALONE if self.environment_map is None else CANDIDATES
         tried = [self._try(stage, train, before, kind, highest) for kind in kinds]
         best = simplest(tried, self.settings.gain)
         lower: list[Candidate] = []
@@ -116,8 +116,8 @@ class ReflectionSelection:
 
     def _add(self, reflection: Reflection) -> None:
         """Add to the models what the candidate has and they lack."""
-        if self.light is not None:
-            self.light.used = reflection is not Reflection.OFF
+        if self.environment_map is not None:
+            self.environment_map.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):
             self.branch.widen(reflected_half(self.branch.model, self.gaussians))
 
@@ -131,7 +131,7 @@ class ReflectionSelection:
             each.restore(state["trainables"][each.name])
 
     def _trainables(self) -> list[Branch[GaussianModel] | EnvironmentMapTrainer]:
-        return [self.branch, *([] if self.light is None else [self.light])]
+        return [self.branch, *([] if self.environment_map is None else [self.environment_map])]
 
 
 def simplest(tried: list[Candidate], gain: float) -> Candidate:

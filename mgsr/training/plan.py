@@ -24,9 +24,9 @@ from mgsr.training.stage_scheduler import FINISH
 from mgsr.training.stages import (
     Coarse,
     ModelSelection,
+    ReflectingSurface,
     Stage,
     Step,
-    WhatIsMirrored,
     both_teach,
     gaussians_alone,
     surfels_alone,
@@ -56,12 +56,12 @@ class Plan:
         """Return the model selection of the 3D branch; None where there is none."""
         return next((stage.selection for stage in self.stages if stage.selection is not None), None)
 
-    def mirror_at(self, reflector: Reflector) -> bool:
-        """Let a mesh mirror the light from the stage FINISH on, and return whether it does.
+    def set_reflector(self, reflector: Reflector) -> bool:
+        """Let a mesh reflect the environment map from the stage FINISH on, and return whether it does.
 
         It does where there is such light, and masks tell the object.
         """
-        finish, light = self.stages[-1], self.train_state.light
+        finish, light = self.stages[-1], self.train_state.environment_map
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
             return False
         if any(view.mask is None for view in finish.views):
@@ -100,8 +100,8 @@ def make_plan(
 ) -> Plan:
     """Build the branches on the starting points, all on `device`, and the stages that the settings ask for.
 
-    With `finish`, or where a mesh may mirror the light in the end, there is one more stage, of no iterations yet, in
-    which the branch that renders goes on alone.
+    With `finish`, or where a mesh may reflect the environment map in the end, there is one more stage, of no iterations
+    yet, in which the branch that renders goes on alone.
 
     Raises TrainingError for too few training views.
     """
@@ -129,7 +129,7 @@ def make_plan(
     stages.append(last)
     for stage in stages:
         stage.clearance = clearance
-    if finish or (train_state.light is not None and scene.masked and config.train.environment_map.iterations):
+    if finish or (train_state.environment_map is not None and scene.masked and config.train.environment_map.iterations):
         stages.append(_finish(train_state, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
     return Plan(train_state, stages, curve_views, behind)
@@ -177,16 +177,16 @@ def _gaussian_warmup(
     views = len(photographs.views)
     held_back = _validation_views(config, views)
     photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
-    mirrored = None
-    if train_state.light is not None and train_state.surfels is not None:
-        mirrored = WhatIsMirrored(train_state.light, train_state.surfels)
-    compute = gaussians_alone(train_state.gaussians, config.train, warming=True, mirrored=mirrored)
+    surface = None
+    if train_state.environment_map is not None and train_state.surfels is not None:
+        surface = ReflectingSurface(train_state.environment_map, train_state.surfels)
+    compute = gaussians_alone(train_state.gaussians, config.train, warming=True, surface=surface)
     stage = _warmup("warmup_gaussians", train_state, train_state.gaussians, compute, photographs, last, config)
     if tried:
         measure = _measure(train_state, "gaussians", photographs)
         seen_after = views - held_back
         stage.selection = ReflectionSelection(
-            config.train, train_state.gaussians, train_state.light, measure, seen_after
+            config.train, train_state.gaussians, train_state.environment_map, measure, seen_after
         )
     return stage
 
@@ -236,7 +236,7 @@ def _warmup(
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is train_state.surfels else 4))
     measure = _measure(train_state, branch.name, photographs)
     convergence = make_convergence(warmup, iterations, measure)
-    light = train_state.light if branch is train_state.gaussians else None
+    light = train_state.environment_map if branch is train_state.gaussians else None
     views = photographs.views
     stage = Stage(
         name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse
@@ -256,13 +256,13 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 
     def progress(part: Trainable, iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
-        planned = next(each.iterations for each in stages if part in (*each.branches, each.light))
+        planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         begun = (part.steps - iteration) / max(1, planned + stage.iterations)
         return begun + (1 - begun) * iteration / max(1, stage.iterations)
 
     name = "mutual"
     if train_state.surfels is not None and train_state.gaussians is not None:
-        compute = both_teach(train_state.surfels, train_state.gaussians, config.train, train_state.light)
+        compute = both_teach(train_state.surfels, train_state.gaussians, config.train, train_state.environment_map)
     elif train_state.surfels is not None:
         name, compute = "alone", surfels_alone(train_state.surfels, config.train, warming=False)
     else:
@@ -271,7 +271,15 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
     cycle = ViewCycle(len(views), seeded(config, 5))
     iterations = mutual_iterations(config)
     stage = Stage(
-        name, train_state.branches, iterations, views, cycle, compute, window, progress, light=train_state.light
+        name,
+        train_state.branches,
+        iterations,
+        views,
+        cycle,
+        compute,
+        window,
+        progress,
+        environment_map=train_state.environment_map,
     )
     return stage
 
@@ -279,25 +287,25 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
     """Build the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
 
-    Once a mesh mirrors the light, the rates begin at those of the middle of training instead.
+    Once a mesh reflects the environment map, the rates begin at those of the middle of training instead.
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
     if train_state.gaussians is None:
         assert train_state.surfels is not None
         compute = surfels_alone(train_state.surfels, config.train, warming=False)
         return Stage(FINISH, [train_state.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
-    light, mirrored = train_state.light, None
+    light, surface = train_state.environment_map, None
     if light is not None and train_state.surfels is not None:
-        mirrored = WhatIsMirrored(light, train_state.surfels)
+        surface = ReflectingSurface(light, train_state.surfels)
 
     def progress(part: Trainable, iteration: int) -> float:
         if light is None or light.model.reflector is None:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)
 
-    compute = gaussians_alone(train_state.gaussians, config.train, warming=False, mirrored=mirrored)
+    compute = gaussians_alone(train_state.gaussians, config.train, warming=False, surface=surface)
     stage = [train_state.gaussians], 0, views, cycle, compute, lambda _: (1, 0), progress
-    return Stage(FINISH, *stage, light=light)
+    return Stage(FINISH, *stage, environment_map=light)
 
 
 def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:

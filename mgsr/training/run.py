@@ -52,8 +52,8 @@ class Training:
     resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
     deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
     much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-    scheduler: sets the lengths of all stages, of which there then is one more, FINISH; so is there for light that the
-    finished mesh may mirror (`mirror_at`).
+    scheduler: sets the lengths of all stages, of which there then is one more, FINISH; so is there for an environment
+    map that the finished mesh may reflect (`set_reflector`).
 
     Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
     branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be
@@ -87,18 +87,18 @@ class Training:
             if resume and checkpoint_path is not None and checkpoint_path.exists():
                 self._trainer.resume()
 
-    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
-        """Let the finished mesh mirror the light from here on, and return whether the stage FINISH has work then.
+    def set_reflector(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """Let the finished mesh reflect the environment map from here on; return whether FINISH has work then.
 
         vertices [V,3] in the scene's frame; faces [F,3]. Call it before that stage.
         """
         with one_torch_thread(), card_explained():
-            return self._trainer.plan.mirror_at(Reflector(vertices, faces))
+            return self._trainer.plan.set_reflector(Reflector(vertices, faces))
 
     def run(self, finish: bool = True) -> TrainResult:
         """Train all stages, and return the branches; without `finish`, as they are before the stage FINISH.
 
-        A scheduler or `mirror_at` gives that stage something to do.
+        A scheduler or `set_reflector` gives that stage something to do.
         """
         plan, scheduled = self._trainer.plan, self._trainer.scheduler is not None
         with one_torch_thread(), card_explained():
@@ -107,12 +107,9 @@ class Training:
 
 
 def _result(trainer: Trainer) -> TrainResult:
-    surfels, gaussians, light = trainer.plan.train_state.models
     selection = trainer.plan.selection
     return TrainResult(
-        surfels=None if surfels is None else surfels.detached().to(CPU),
-        gaussians=None if gaussians is None else gaussians.detached().to(CPU),
-        light=None if light is None else light.detached().to(CPU),
+        model=trainer.plan.train_state.model.detached().to(CPU),
         stages=list(trainer.reports),
         curve=list(trainer.curve),
         seconds=trainer.seconds,

@@ -14,14 +14,14 @@ from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.densify.clearance import Clearance
+from mgsr.gaussians.environment_map import RenderedMap
 from mgsr.gaussians.gaussians import GaussianModel
-from mgsr.gaussians.mirrored import Light
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.losses.environment_map import environment_map_terms
 from mgsr.losses.loss import Loss
-from mgsr.losses.mirrored import light_terms
 from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.renderers.environment_map import reflected_environment
 from mgsr.renderers.gaussians import render_gaussians
-from mgsr.renderers.mirrored import mirrored_light
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.branch import Branch
@@ -92,11 +92,11 @@ class ModelSelection(Protocol):
 class Stage:
     """A stretch of training and where it stands; a scheduler may change its iterations on the way.
 
-    branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
-    returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
-    densification; progress 0..1 of the whole run, for one of its trainables. selection: the choice of a model on
-    the way; coarse: how it begins; prune: how it ends, by dropping splats, whose number it returns; growth: what adapts
-    the splats of a branch that does not go by the gradient; clearance: where no splats may be.
+    branches: those that it trains; environment_map: what it trains beside them. compute renders one view on a
+    background and returns its Step, given the iteration (from 0); window gives the first and last iteration of a
+    branch's densification; progress 0..1 of the whole run, for one of its trainables. selection: the choice of a model
+    on the way; coarse: how it begins; prune: how it ends, by dropping splats, whose number it returns; growth: what
+    adapts the splats of a branch that does not go by the gradient; clearance: where no splats may be.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Stage:
     window: Callable[[DensifyConfig], tuple[float, float]]
     progress: Callable[[Trainable, int], float]
     convergence: Convergence | None = None
-    light: EnvironmentMapTrainer | None = None
+    environment_map: EnvironmentMapTrainer | None = None
     selection: ModelSelection | None = None
     coarse: Coarse | None = None
     prune: Callable[[], int] | None = None
@@ -120,7 +120,10 @@ class Stage:
     @property
     def trainables(self) -> list[Trainable]:
         """Return all that the stage trains."""
-        return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
+        return [
+            *self.branches,
+            *([] if self.environment_map is None or not self.environment_map.used else [self.environment_map]),
+        ]
 
     def next_view(self) -> TrainingView:
         """Return the view whose turn it is."""
@@ -165,22 +168,22 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class WhatIsMirrored:
-    """The environment maps that the surface mirrors, and the surface that mirrors them; only the maps learn.
+class ReflectingSurface:
+    """The environment map and the surface that reflects it; only the map learns.
 
-    Where the light has no reflector, the 2D branch's normals mirror it. The branch must stand still then, for its
+    Where the map has no reflector, the 2D branch reflects it. The branch must stand still then, for its
     normals are kept, as float16, while KEPT_NORMALS lasts.
     """
 
-    light: EnvironmentMapTrainer
+    environment_map: EnvironmentMapTrainer
     surfels: SurfelBranch
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
-    def shown(self, view: TrainingView, shining: Light) -> Tensor:
-        """Return what each pixel of a view mirrors of the light, [H,W,3]."""
-        model = self.light.model
+    def shown(self, view: TrainingView, rendered: RenderedMap) -> Tensor:
+        """Return what each pixel of a view reflects of the map, [H,W,3]."""
+        model = self.environment_map.model
         if model.reflector is not None:
-            return mirrored_light(model, view.camera, pixels=view.covered, shining=shining)
+            return reflected_environment(model, view.camera, pixels=view.covered, rendered=rendered)
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:
@@ -188,7 +191,7 @@ class WhatIsMirrored:
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
                 self.kept[key] = normal
-        return mirrored_light(model, view.camera, normal.float(), view.covered, shining)
+        return reflected_environment(model, view.camera, normal.float(), view.covered, rendered)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
@@ -210,11 +213,11 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
 
 
 def gaussians_alone(
-    branch: GaussianBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
+    branch: GaussianBranch, config: TrainConfig, warming: bool, surface: ReflectingSurface | None = None
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree; `mirrored` adds what the surface mirrors, as the 2D branch stands.
+    `warming` raises the SH degree; surface: adds what it reflects of the environment map, as the 2D branch stands.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -224,9 +227,9 @@ def gaussians_alone(
         needs_depth = config.tv and config.gaussians.depth_tv_weight > 0
         shown: Tensor | None = None
         held: Terms = {}
-        if mirrored is not None and mirrored.light.used:
-            shining = mirrored.light.model.light()
-            shown, held = mirrored.shown(view, shining), light_terms(shining.texels, branch.model, config)
+        if surface is not None and surface.environment_map.used:
+            rendered = surface.environment_map.model.rendered()
+            shown, held = surface.shown(view, rendered), environment_map_terms(rendered.texels, branch.model, config)
         behind = color_tensor(background, branch.device)
         outputs = _see_gaussians(branch, view, behind, degree, refl_degree, needs_depth, shown)
         terms = gaussian_terms(outputs, view.target(behind), config) | held
@@ -236,11 +239,14 @@ def gaussians_alone(
 
 
 def both_teach(
-    surfels: SurfelBranch, gaussians: GaussianBranch, config: TrainConfig, light: EnvironmentMapTrainer | None = None
+    surfels: SurfelBranch,
+    gaussians: GaussianBranch,
+    config: TrainConfig,
+    environment_map: EnvironmentMapTrainer | None = None,
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
-    light: the environment maps that the surface mirrors, which are trained too where they are used.
+    environment_map: what the surface reflects, which is trained too where it is used.
     """
     both = config.mutual.teaching is Teaching.BOTH_WAYS
 
@@ -249,10 +255,11 @@ def both_teach(
         flat = _see_surfels(surfels, view, behind, surfels.model.sh_degree, config)
         shown: Tensor | None = None
         held: Terms = {}
-        if light is not None and light.used:
-            normal, shining = flat.normal if both else flat.normal.detach(), light.model.light()
-            shown = mirrored_light(light.model, view.camera, normal, view.covered, shining)
-            held = light_terms(shining.texels, gaussians.model, config)
+        if environment_map is not None and environment_map.used:
+            light, normal = environment_map.model, flat.normal if both else flat.normal.detach()
+            rendered = light.rendered()
+            shown = reflected_environment(light, view.camera, normal, view.covered, rendered)
+            held = environment_map_terms(rendered.texels, gaussians.model, config)
         degrees = gaussians.model.sh_degree, gaussians.model.refl_sh_degree
         full = _see_gaussians(gaussians, view, behind, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(behind), config) | held
@@ -283,7 +290,7 @@ def _see_gaussians(
     degree: int,
     refl_degree: int,
     depth: bool,
-    mirrored: Tensor | None,
+    environment: Tensor | None,
 ) -> GaussianOutputs:
-    light = (mirrored, view.light())
+    light = (environment, view.light())
     return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

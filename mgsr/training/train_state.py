@@ -10,10 +10,9 @@ import torch
 
 from mgsr.config import Branches, Config, Reflection, gaussian_settings
 from mgsr.data.scene import Scene
-from mgsr.gaussians.gaussians import GaussianModel
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.start import start_gaussians, start_surfels
-from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.training.branch import Branch
 from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
@@ -45,12 +44,12 @@ class StartingPoints(Protocol):
 class TrainState:
     """The branches and the environment maps of a run.
 
-    A branch is None where the method has none; light is None where it can't come to be of use.
+    A branch is None where the method has none; the environment map is None where it cannot become useful.
     """
 
     surfels: SurfelBranch | None
     gaussians: GaussianBranch | None
-    light: EnvironmentMapTrainer | None
+    environment_map: EnvironmentMapTrainer | None
 
     @property
     def branches(self) -> list[Branch]:
@@ -59,24 +58,26 @@ class TrainState:
 
     @property
     def trainables(self) -> list[Trainable]:
-        """Return the branches, and the light where there is one."""
-        return [*self.branches, *([] if self.light is None else [self.light])]
+        """Return the branches, and the environment map where there is one."""
+        return [*self.branches, *([] if self.environment_map is None else [self.environment_map])]
 
     @property
-    def models(self) -> tuple[SurfelModel | None, GaussianModel | None, MirroredLight | None]:
-        """Return the models of the 2D branch, the 3D branch and the light; None for each that is not used."""
-        surfels = None if self.surfels is None else self.surfels.model
-        gaussians = None if self.gaussians is None else self.gaussians.model
-        return surfels, gaussians, None if self.light is None or not self.light.used else self.light.model
+    def model(self) -> TrainedModel:
+        """Return the branches and the environment map as they stand; None for each that is not used."""
+        light = self.environment_map
+        return TrainedModel(
+            None if self.surfels is None else self.surfels.model,
+            None if self.gaussians is None else self.gaussians.model,
+            None if light is None or not light.used else light.model,
+        )
 
     def picture(self, branch: str) -> Picture:
         """Return a function that renders a branch, surfels or gaussians, as it stands."""
-        surfels, gaussians, light = self.models
+        model = self.model
         if branch == "surfels":
-            assert surfels is not None
-            return surfel_picture(surfels)
-        assert gaussians is not None
-        return gaussian_picture(gaussians, surfels, light)
+            assert model.surfels is not None
+            return surfel_picture(model.surfels)
+        return gaussian_picture(model)
 
 
 def make_train_state(
@@ -88,7 +89,7 @@ def make_train_state(
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
-    surfels, gaussians, light = None, None, None
+    surfels, gaussians, environment_map = None, None, None
     if train.branches is not Branches.GAUSSIANS:
         generator = seeded(config, 1)
         model = start_surfels(*points, train.surfels, generator).to(device)
@@ -101,9 +102,9 @@ def make_train_state(
         gaussians = Branch("gaussians", full, settings.rates, settings.densify, extent, generator)
     used = reflection in (Reflection.SHARED, Reflection.BOTH)
     if train.branches is Branches.BOTH and (used or tried):
-        maps = MirroredLight.uniform(train.environment_map.side, train.environment_map.start).to(device)
-        light = EnvironmentMapTrainer(maps, train.environment_map, used)
-    return TrainState(surfels, gaussians, light)
+        maps = EnvironmentMap.uniform(train.environment_map.side, train.environment_map.start).to(device)
+        environment_map = EnvironmentMapTrainer(maps, train.environment_map, used)
+    return TrainState(surfels, gaussians, environment_map)
 
 
 def camera_extent(scene: Scene) -> float:

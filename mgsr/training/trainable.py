@@ -9,12 +9,12 @@ from typing import Any, Generic, Literal, TypeVar
 import torch
 from torch import Tensor
 
+from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
-from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.ops.adam import FusedAdam, step_together
 
-Model = TypeVar("Model", bound=SurfelModel | GaussianModel | MirroredLight)
+Model = TypeVar("Model", bound=SurfelModel | GaussianModel | EnvironmentMap)
 Kind = Literal["values", "grad"]  # a parameter's numbers, or its gradient's
 
 

@@ -16,7 +16,7 @@ import torch
 from benchmarks import cuda_training
 from benchmarks.packed_scenes import Packed, pack, unpack
 from mgsr.config import make_config
-from mgsr.export.mirrored_light import load_mirrored_light
+from mgsr.export.environment_map import load_environment_map
 from mgsr.export.ply_notes import LOW_PASS, read_number
 from mgsr.export.splats import load_splats
 from tests.training.ball import ball_points, ball_scene
@@ -43,7 +43,7 @@ def test_a_packed_scene_trains_to_files(tmp_path: Path) -> None:
     for name, branch in (("splats_2d.ply", "surfels"), ("splats_3d.ply", "gaussians")):
         assert len(load_splats(out / name)["means"]) == facts["splats"][branch]
         assert facts["psnr"][branch] > 10
-    assert load_mirrored_light(out / "mirrored_light.npz").maps.shape[:2] == (2, 3)
+    assert load_environment_map(out / "mirrored_light.npz").maps.shape[:2] == (2, 3)
     assert read_number(out / "splats_3d.ply", LOW_PASS) == CONFIG.train.gaussians.low_pass
     assert (out / "flash.npz").read_bytes() == b"found before"
     assert cuda_training.digests(out) == facts["sha256"]

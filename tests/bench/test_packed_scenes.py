@@ -32,9 +32,13 @@ def packed(scene: Scene, folder: Path, start: StartingPoints | None = None) -> P
 
 
 def learnt(scene: Scene, start: StartingPoints, config: Config = CONFIG) -> list[torch.Tensor]:
-    result = Training(scene, start, config).run()
-    assert result.surfels is not None and result.gaussians is not None and result.light is not None
-    tensors = [*result.surfels.parameters().values(), *result.gaussians.parameters().values(), result.light.maps()]
+    model = Training(scene, start, config).run().model
+    assert model.surfels is not None and model.gaussians is not None and model.environment_map is not None
+    tensors = [
+        *model.surfels.parameters().values(),
+        *model.gaussians.parameters().values(),
+        model.environment_map.maps(),
+    ]
     return [tensor.detach() for tensor in tensors]
 
 

@@ -77,7 +77,7 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)
-    assert plan.train_state.light is not None and plan.train_state.light.model.logits.device == META
+    assert plan.train_state.environment_map is not None and plan.train_state.environment_map.model.logits.device == META
     for branch in plan.train_state.branches:
         assert all(tensor.device == META for tensor in branch.model.parameters().values())
         assert branch.densify_state.seen.device == META
@@ -87,7 +87,7 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
         "image_loss",
         "tiles_sum",
         "harmonics_backward_3",
-        "mirrored_texels",
+        "environment_map_texels",
     }
     assert expected <= set(launcher.launched)
 

@@ -80,7 +80,7 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
         result = Training(
             scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device
         ).run()
-    assert result.surfels is not None
+    assert result.model.surfels is not None
 
 
 @pytest.mark.skipif(not hasattr(torch, "AcceleratorError"), reason="NEEDS TORCH 2.8: older ones have no such error")

@@ -23,7 +23,7 @@ def assert_close(ours: Tensor, theirs: Tensor | None) -> None:
 
 @on_every_kernel
 @pytest.mark.parametrize("added", [False, True])
-@pytest.mark.parametrize("lights", [("own",), ("mirrored",), ("own", "mirrored")], ids="+".join)
+@pytest.mark.parametrize("lights", [("own",), ("environment_map",), ("own", "environment_map")], ids="+".join)
 def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], added: bool) -> None:
     """Check that reflected light is added; `added`: as where the loss looks at the parts too."""
     inputs = random((5, 7, 3), (5, 7), *((5, 7, 3) for _ in lights))
@@ -33,7 +33,7 @@ def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], add
     before = tuple(each.to(machine.device) if added else None for each in v_parts)
     with machine.running():
         launcher = launcher_for(on_machine[0])
-        arrays = (on_machine[0], on_machine[1], named.get("own"), named.get("mirrored"))
+        arrays = (on_machine[0], on_machine[1], named.get("own"), named.get("environment_map"))
         color, reflected = with_reflection(launcher, *arrays)
         gradients = with_reflection_vjp(launcher, v_color.to(machine.device), reflected, on_machine[1], before)
     transmitted, weight, *parts = [each.double().requires_grad_() for each in inputs]

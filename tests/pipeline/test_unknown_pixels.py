@@ -21,9 +21,9 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.pipeline.evaluation import image_scores
 from mgsr.pipeline.meshing import make_mesh
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import scene_facts
@@ -83,7 +83,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]
     models = _trained(scene, start, config)
-    for model in (models.surfels, models.gaussians, models.light):
+    for model in (models.surfels, models.gaussians, models.environment_map):
         yield "training", [] if model is None else list(model.parameters().values())
     mesh = make_mesh(models, scene, config)
     yield "mesh", [mesh.vertices, mesh.faces, mesh.colors, str(mesh.light)]
@@ -94,7 +94,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)
-    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.light, behind)
+    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.environment_map, behind)
     yield "pictures", [view.photo for view in pictures.views]
     folder.mkdir()
     write_scene(folder, scene)
@@ -110,9 +110,9 @@ def _halved(view: View) -> View:
     return reduced_view(view, 0.5)
 
 
-def _trained(scene: Scene, start: StartingPoints, config: Config) -> Models:
+def _trained(scene: Scene, start: StartingPoints, config: Config) -> TrainedModel:
     result = Training(scene, start, config).run()
-    return Models(result.surfels, result.gaussians, result.light)
+    return result.model
 
 
 def same(one: object, other: object) -> bool:

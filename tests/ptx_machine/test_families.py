@@ -12,10 +12,10 @@ import pytest
 from mgsr.native.cuda.compiler import SOURCES
 from tests.cuda import (
     test_adam,
+    test_environment_map,
     test_gaussians,
     test_harmonics,
     test_image,
-    test_mirrored,
     test_statistics,
     test_surfels,
 )
@@ -35,8 +35,8 @@ QUICK: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "total_variation": (test_image.test_total_variation, {"size": (17, 33), "channels": 3, "masked": True}),
     "depth_normals": (test_image.test_normals_of_depth, {"size": (9, 7), "with_alpha": True}),
     "judge": (test_adam.test_what_is_bad_is_seen, {"bad": float("inf")}),
-    "lights": (test_lights.test_reflected_light_is_added, {"lights": ("own", "mirrored"), "added": True}),
-    "mirrored": (test_mirrored.test_matches_the_oracle, {"size": (9, 8), "side": 2, "chosen": True}),
+    "lights": (test_lights.test_reflected_light_is_added, {"lights": ("own", "environment_map"), "added": True}),
+    "environment_map": (test_environment_map.test_matches_the_oracle, {"size": (9, 8), "side": 2, "chosen": True}),
     "statistics": (test_statistics.test_matches_torch, {}),
     "normal_agreement": (test_terms.test_agreement_of_normals, {}),
     "squares": (test_terms.test_squares, {}),

@@ -90,21 +90,21 @@ def compare(machine: Machine, render, oracle, parameters: dict[str, Tensor], ext
 
 @on_every_kernel
 @pytest.mark.parametrize("flash", [False, True])
-@pytest.mark.parametrize("lights", [(), ("own",), ("mirrored",), ("own", "mirrored")], ids="+".join)
+@pytest.mark.parametrize("lights", [(), ("own",), ("environment_map",), ("own", "environment_map")], ids="+".join)
 def test_gaussians(machine: Machine, lights: tuple[str, ...], flash: bool) -> None:
     lit = draw(VIEW.height, VIEW.width, seed=5) if flash else None
-    extra = {"mirrored": draw(VIEW.height, VIEW.width, 3, seed=6)} if "mirrored" in lights else {}
+    extra = {"environment_map": draw(VIEW.height, VIEW.width, 3, seed=6)} if "environment_map" in lights else {}
 
-    def render(leaves: dict[str, Tensor], mirrored: Tensor | None = None) -> dict[str, Tensor]:
+    def render(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
         model = GaussianModel(**leaves, low_pass=LOW_PASS)
         on_machine = None if lit is None else lit.float().to(machine.device)
-        out = render_gaussians(model, VIEW, BEHIND.to(machine.device), 2, 1, mirrored=mirrored, lit=on_machine)
+        out = render_gaussians(model, VIEW, BEHIND.to(machine.device), 2, 1, environment=environment, lit=on_machine)
         shown = {"color": out.color, "alpha": out.alpha, "depth": out.depth}
         if lights:
             shown |= {"transmitted": out.transmitted, "weight": out.weight}
         return shown | ({"own": out.own_reflected} if "own" in lights else {})
 
-    def oracle(leaves: dict[str, Tensor], mirrored: Tensor | None = None) -> dict[str, Tensor]:
+    def oracle(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
         split = None
         if "own" in lights:
             shares = leaves["refl_opacity_logits"].sigmoid(), leaves["weight_logits"].sigmoid()
@@ -117,7 +117,7 @@ def test_gaussians(machine: Machine, lights: tuple[str, ...], flash: bool) -> No
         shown = {"color": transmitted, "alpha": out.alpha, "depth": out.depth}
         if lights:
             weight = out.weight if "own" in lights else out.alpha
-            parts = [each for each in (out.reflected if "own" in lights else None, mirrored) if each is not None]
+            parts = [each for each in (out.reflected if "own" in lights else None, environment) if each is not None]
             shown["color"] = transmitted + weight[..., None] * sum(parts)
             shown |= {"transmitted": transmitted, "weight": weight}
         return shown | ({"own": out.reflected} if "own" in lights else {})
@@ -149,14 +149,14 @@ def test_surfels(machine: Machine, flash: bool) -> None:
 
 @on_every_kernel
 def test_what_the_loss_does_not_look_at_costs_nothing(machine: Machine) -> None:
-    """Check that a loss on the transmitted image sends no gradient to the reflected half or the mirrored light."""
+    """Check that a loss on the transmitted image sends no gradient to the reflected half or the environment."""
     leaves = {name: each.float().to(machine.device).requires_grad_() for name, each in stored(3, split=True).items()}
-    mirrored = draw(VIEW.height, VIEW.width, 3).float().to(machine.device).requires_grad_()
+    environment = draw(VIEW.height, VIEW.width, 3).float().to(machine.device).requires_grad_()
     with machine.running():
-        out = render_gaussians(GaussianModel(**leaves, low_pass=LOW_PASS), VIEW, mirrored=mirrored)
+        out = render_gaussians(GaussianModel(**leaves, low_pass=LOW_PASS), VIEW, environment=environment)
         out.transmitted.sum().backward()
     assert leaves["sh"].grad.any() and not leaves["refl_sh"].grad.any() and not leaves["weight_logits"].grad.any()
-    assert mirrored.grad is None or not mirrored.grad.any()
+    assert environment.grad is None or not environment.grad.any()
 
 
 def test_a_model_that_does_not_fit_together_is_named() -> None:

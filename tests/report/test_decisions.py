@@ -69,8 +69,8 @@ def test_the_reflected_light_is_told_with_its_reason() -> None:
         return next(each for each in tell_decisions(run) if each.what == "Reflected light")
 
     tried = told("shared", "auto", {"off": 30.0, "shared": 30.614, "both": 30.5})
-    assert tried.choice == "one light that the whole surface mirrors"
-    assert "none 30.00 dB; one light that the whole surface mirrors 30.61 dB" in tried.why
+    assert tried.choice == "one environment map that the whole surface reflects"
+    assert "none 30.00 dB; one environment map that the whole surface reflects 30.61 dB" in tried.why
     assert told("off", "auto", {}).choice == "none" and "not tried" in told("off", "auto", {}).why
     assert told("own", "own", {}).why == "as asked for"
 

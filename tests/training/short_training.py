@@ -37,7 +37,11 @@ def _each_branch(override: str) -> list[str]:
 
 def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
     """Return all that was learnt, by the model's and the tensor's name."""
-    models = {"surfels": result.surfels, "gaussians": result.gaussians, "light": result.light}
+    models = {
+        "surfels": result.model.surfels,
+        "gaussians": result.model.gaussians,
+        "environment_map": result.model.environment_map,
+    }
     return {
         f"{name}.{key}": tensor
         for name, model in models.items()

@@ -86,5 +86,5 @@ def test_a_finer_tolerance_ends_with_more_gaussians_and_a_smaller_loss() -> None
     coarse, fine = (
         Training(scene, points, config(f"gaussians.densify.tolerance={value}")).run() for value in (0.2, 0.02)
     )
-    assert len(fine.gaussians) > len(coarse.gaussians)
+    assert len(fine.model.gaussians) > len(coarse.model.gaussians)
     assert fine.curve[-1].psnr_gaussians > coarse.curve[-1].psnr_gaussians

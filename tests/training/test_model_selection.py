@@ -40,8 +40,8 @@ def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: An
 
 def test_a_matte_ball_ends_without_reflection() -> None:
     result = trained(0.0)
-    assert result.reflection is Reflection.OFF
-    assert result.light is None and not result.gaussians.split
+    assert result.model.reflection is Reflection.OFF
+    assert result.model.environment_map is None and not result.model.gaussians.split
     assert list(result.tried) == ["off", "shared"]
 
 
@@ -49,7 +49,7 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]
     assert result.tried["off"] <= result.degrees[1] <= result.degrees[0]
-    assert result.gaussians.sh_degree == 0 and result.surfels.sh_degree == 2
+    assert result.model.gaussians.sh_degree == 0 and result.model.surfels.sh_degree == 2
 
 
 @pytest.mark.parametrize(
@@ -72,8 +72,8 @@ def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int,
 def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> None:
     result = trained(0.6)
     assert result.tried["shared"] > result.tried["off"] + 0.1
-    assert result.reflection is Reflection.SHARED
-    assert result.light is not None and not result.gaussians.split
+    assert result.model.reflection is Reflection.SHARED
+    assert result.model.environment_map is not None and not result.model.gaussians.split
 
 
 def test_without_a_surface_splats_can_only_have_their_own() -> None:
@@ -83,15 +83,15 @@ def test_without_a_surface_splats_can_only_have_their_own() -> None:
 
 def test_what_was_asked_for_is_not_tried() -> None:
     result = trained(0.0, "mgsr", "reflection=both")
-    assert result.reflection is Reflection.BOTH and not result.tried
-    assert trained(0.6, "3dgs").reflection is Reflection.OFF
+    assert result.model.reflection is Reflection.BOTH and not result.tried
+    assert trained(0.6, "3dgs").model.reflection is Reflection.OFF
 
 
 def test_too_few_photographs_are_not_held_back() -> None:
     """Check that three photographs are too few to spare one: then the start's word counts, and it had none."""
     scene = ball_scene(32, train=3, test=1)
     result = Training(scene, ball_points(600, RADIUS), make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])).run()
-    assert result.reflection is Reflection.BOTH and not result.tried
+    assert result.model.reflection is Reflection.BOTH and not result.tried
 
 
 def test_model_selection_reports_itself() -> None:

@@ -39,7 +39,7 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
         ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append
     ).run()
     assert [stage.name for stage in result.stages] == names
-    assert (result.surfels is None, result.gaussians is None) == (method == "3dgs", method == "2dgs")
+    assert (result.model.surfels is None, result.model.gaussians is None) == (method == "3dgs", method == "2dgs")
     assert all(np.isfinite(row.psnr) for row in result.curve)
     assert reports[-1].done == 1.0
     assert set(reports[-1].previews) == PREVIEWS[method]
@@ -67,7 +67,7 @@ def test_training_finds_the_ball(masked: bool) -> None:
 
 def surface_error(result: TrainResult, camera: Camera) -> float:
     """Return the mean distance of the surfels' depth points from the ball."""
-    outputs = render_surfels(result.surfels, camera)
+    outputs = render_surfels(result.model.surfels, camera)
     depth, alpha = outputs.depth.numpy(), outputs.alpha.numpy()
     rows, columns = np.nonzero(alpha > 0.5)
     local = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
@@ -189,10 +189,10 @@ def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
         return Training(scene, ball_points(600, RADIUS), config).run()
 
     plain, lit = trained("own"), trained("both")
-    assert plain.light is None and lit.light is not None
+    assert plain.model.environment_map is None and lit.model.environment_map is not None
     assert lit.curve[-1].psnr_gaussians > plain.curve[-1].psnr_gaussians + 0.1
-    still, held = lit.light.maps()
-    middle = slice(lit.light.side // 2 - 1, lit.light.side // 2 + 1)
+    still, held = lit.model.environment_map.maps()
+    middle = slice(lit.model.environment_map.side // 2 - 1, lit.model.environment_map.side // 2 + 1)
     assert held[:, middle, middle].mean() > 5 * held[:, :2, :2].mean()  # bright on the way back to the camera
     assert held[:, middle, middle].mean() > 5 * still.mean()
 
@@ -203,15 +203,15 @@ def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     config = make_config("draft", "mgsr", 0, [*lengths, "environment_map.side=16", "reflection=shared"])
     training = Training(scene, ball_points(1200, RADIUS), config)
     before = training.run()
-    assert before.light is not None and before.light.reflector is None
+    assert before.model.environment_map is not None and before.model.environment_map.reflector is None
     assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_gaussians", "mutual"]
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert training.set_reflector(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     after = training.run()
-    assert after.light is not None and after.light.reflector is not None
+    assert after.model.environment_map is not None and after.model.environment_map.reflector is not None
     assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.environment_map.iterations
     assert after.curve[-1].psnr_gaussians > before.curve[-1].psnr_gaussians + 0.3
-    assert torch.equal(after.surfels.means, before.surfels.means)
+    assert torch.equal(after.model.surfels.means, before.model.surfels.means)
 
 
 @pytest.mark.parametrize("setting", ["reflection=off", "environment_map.iterations=0"])
@@ -219,7 +219,7 @@ def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
     training = Training(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", setting))
     before = training.run()
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
-    assert not training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert not training.set_reflector(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     assert len(training.run().stages) == len(before.stages)
 
 
@@ -228,7 +228,7 @@ def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     result = Training(
         ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short()
     ).run()
-    assert result.light is None and result.reflection is Reflection.OFF
+    assert result.model.environment_map is None and result.model.reflection is Reflection.OFF
 
 
 @pytest.mark.parametrize("branch", ["surfels", "gaussians"])

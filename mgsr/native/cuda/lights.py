@@ -15,14 +15,14 @@ THREADS = 256
 class ReflectionParams(ctypes.Structure):
     """The struct ReflectionParams of kernels/lights/lights.cu, as are the structs below."""
 
-    _fields_ = (("pixels", Long), *pointers("transmitted", "weight", "own", "mirrored", "color", "reflected"))
+    _fields_ = (("pixels", Long), *pointers("transmitted", "weight", "own", "environment_map", "color", "reflected"))
 
 
 class ReflectionVjpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
         *pointers("v_color", "reflected", "weight", "add_transmitted", "add_weight", "add_own"),
-        *pointers("v_transmitted", "v_weight", "v_own", "v_mirrored"),
+        *pointers("v_transmitted", "v_weight", "v_own", "v_environment"),
     )
 
 
@@ -55,12 +55,12 @@ class LightKernels:
         transmitted: Tensor,
         weight: Tensor,
         own: Tensor | None,
-        mirrored: Tensor | None,
+        environment: Tensor | None,
         color: Tensor,
         reflected: Tensor,
     ) -> None:
         """Write color and reflected [H,W,3]."""
-        arrays = (transmitted, weight, own, mirrored, color, reflected)
+        arrays = (transmitted, weight, own, environment, color, reflected)
         self._run("lights_reflection", weight, ReflectionParams(weight.numel(), *addresses(*arrays)))
 
     def add_reflection_vjp(
@@ -71,7 +71,7 @@ class LightKernels:
         before: tuple[Tensor | None, ...],
         out: tuple[Tensor, ...],
     ) -> None:
-        """Write the gradients of transmitted, weight, own and mirrored; `before` is added to the first three."""
+        """Write the gradients of transmitted, weight, own and environment; `before` is added to the first three."""
         arrays = addresses(v_color, reflected, weight, *before, *out)
         self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
 

@@ -165,8 +165,8 @@ inline void add_to_pairs(vfloat fields[kPairFields], const uint32_t* list, int n
 template <bool Dual, bool Depth>
 void backward_subtile(const GaussianState& state, const PixelGradients<Dual, Depth>& g, const SubTileLists& sub, int s,
                       const Pixels& pixels, float* pairs) {
-  vfloat lights[chains(Dual)], behind[chains(Dual)], fields[kPairFields];
-  for (vfloat& light : lights) light = splat(1.0f);
+  vfloat transmittances[chains(Dual)], behind[chains(Dual)], fields[kPairFields];
+  for (vfloat& transmittance : transmittances) transmittance = splat(1.0f);
   for (int v = 0; v < kVectors; ++v) {
     behind[v] = load(g.behind + v * kWidth);
     if (Dual) behind[kVectors + v] = load(g.refl_behind + v * kWidth);
@@ -176,14 +176,14 @@ void backward_subtile(const GaussianState& state, const PixelGradients<Dual, Dep
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = pass_splats<Dual>(state, sub, list + e, count - e, pixels, lights, batch);
+    const int n = composite_splats<Dual>(state, sub, list + e, count - e, pixels, transmittances, batch);
     for (int v = 0; v < kVectors; ++v) {
       walk_transmitted<Dual, Depth>(batch, v, g, behind[v], steps);
       if constexpr (Dual) walk_reflected<Depth>(batch, v, g, behind[kVectors + v], steps);
     }
     gather<Dual, Depth>(steps, g, load(batch.dx) + 0.5f * kSubTile, load(batch.dy) + 0.5f * kSubTile, fields);
     add_to_pairs(fields, list + e, n, pairs);
-    if (!any_open<chains(Dual)>(lights)) break;
+    if (!any_open<chains(Dual)>(transmittances)) break;
   }
 }
 

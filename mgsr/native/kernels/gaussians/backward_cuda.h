@@ -97,8 +97,8 @@ struct GaussianWalk {
   const float *state, *planes;  // of the bucket; of the tile
   int patch = 0;
   float x = 0.0f, y = 0.0f;     // of the lane's pixel in the tile
-  float light = 0.0f, behind = 0.0f, v_color[3] = {}, v_depth = 0.0f;
-  float refl_light = 0.0f, refl_behind = 0.0f, v_refl_color[3] = {}, v_weight = 0.0f;
+  float transmittance = 0.0f, behind = 0.0f, v_color[3] = {}, v_depth = 0.0f;
+  float refl_transmittance = 0.0f, refl_behind = 0.0f, v_refl_color[3] = {}, v_weight = 0.0f;
 
   __device__ GaussianWalk(GaussianStage<Dual>& own, const float* of_bucket, const float* of_tile)
       : stage(own), state(of_bucket), planes(of_tile) {}
@@ -107,9 +107,9 @@ struct GaussianWalk {
   __device__ float of_pixel(int plane) const { return planes[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
 
   __device__ bool enter(int number) {
-    patch = number, light = of_state(kLightPlane);
-    if (Dual) refl_light = of_state(kReflLightPlane);
-    const bool open = light > 0.0f || (Dual && refl_light > 0.0f);
+    patch = number, transmittance = of_state(kTransmittancePlane);
+    if (Dual) refl_transmittance = of_state(kReflLightPlane);
+    const bool open = transmittance > 0.0f || (Dual && refl_transmittance > 0.0f);
     if (!__any_sync(kFullWarp, open)) return false;
     const int lane = threadIdx.x % kWarp;
     const TilePlace place(number * kWarp + lane);
@@ -139,14 +139,14 @@ struct GaussianWalk {
   __device__ void meet(int splat, int at) {
     const GaussianInTile& r = stage.splats[splat];
     GaussianTerms<Dual>& terms = stage.terms[at][threadIdx.x % kWarp];
-    const float w = gaussian_weight(r, r.x + x, r.y + y), T = light;
-    const float alpha = pass_light(counted_alpha(r.opacity * w), light);
+    const float w = gaussian_weight(r, r.x + x, r.y + y), T = transmittance;
+    const float alpha = transmit(counted_alpha(r.opacity * w), transmittance);
     float gain = v_depth * r.depth;
     for (int k = 0; k < 3; ++k) gain = fmaf(v_color[k], r.color[k], gain);
     if (Dual) gain = fmaf(v_weight, r.weight, gain);
     const BlendStep step = blend_vjp(alpha, T, gain, behind);
     if constexpr (Dual) {
-      const float T_r = refl_light, refl_alpha = pass_light(counted_alpha(r.refl_opacity * w), refl_light);
+      const float T_r = refl_transmittance, refl_alpha = transmit(counted_alpha(r.refl_opacity * w), refl_transmittance);
       float refl_gain = 0.0f;
       for (int k = 0; k < 3; ++k) refl_gain = fmaf(v_refl_color[k], r.refl_color[k], refl_gain);
       const BlendStep refl = blend_vjp(refl_alpha, T_r, refl_gain, refl_behind);

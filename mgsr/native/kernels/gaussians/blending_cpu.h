@@ -13,12 +13,12 @@ namespace MGSR_ISA {
 namespace {
 
 // The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
-// another; the passing of the light, which does; then what is made of it. In one loop the processor would not see far
+// another; the transmittance, which does; then what is made of it. In one loop the processor would not see far
 // enough ahead to overlap them. A batch has a splat for each lane of a vector, so that the backward pass can turn it over
 // and sum over pixels.
 constexpr int kBatch = kWidth;
 
-// The vectors of a sub-tile's pixels once, or once for each of the two lights.
+// The vectors of a sub-tile's pixels once, or once for each of the two layers.
 constexpr int chains(bool dual) { return dual ? 2 * kVectors : kVectors; }
 
 // Splats on a sub-tile. The last batch of a list is filled up with splats that count nowhere.
@@ -66,13 +66,13 @@ inline void raise_alphas(Batch<Dual>& batch) {
 
 // Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
 template <bool Dual>
-inline int pass_splats(const GaussianState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
-                       vfloat lights[chains(Dual)], Batch<Dual>& batch) {
+inline int composite_splats(const GaussianState& state, const SubTileLists& sub, const uint32_t* list, int count, const Pixels& pixels,
+                       vfloat transmittances[chains(Dual)], Batch<Dual>& batch) {
   const int n = std::min(count, kBatch);
   prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
   for (int e = 0; e < kBatch; ++e) meet<Dual>(state.records[sub.splat(list[e < n ? e : 0])], pixels, e, batch);
   raise_alphas(batch);
-  pass_batch<kBatch, chains(Dual)>(n, lights, batch.alpha, batch.T);
+  transmit_batch<kBatch, chains(Dual)>(n, transmittances, batch.alpha, batch.T);
   return n;
 }
 
@@ -120,25 +120,25 @@ inline void add_reflected(const Batch<true>& batch, int v, Blend& out) {
 
 template <bool Dual, bool Depth>
 inline void blend_subtile(const GaussianState& state, const SubTileLists& sub, int s, const Pixels& pixels,
-                          vfloat lights[chains(Dual)], Blend& out) {
+                          vfloat transmittances[chains(Dual)], Blend& out) {
   Batch<Dual> batch;
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    pass_splats<Dual>(state, sub, list + e, count - e, pixels, lights, batch);
+    composite_splats<Dual>(state, sub, list + e, count - e, pixels, transmittances, batch);
     for (int v = 0; v < kVectors; ++v) {
       add_transmitted<Dual, Depth>(batch, v, out);
       if constexpr (Dual) add_reflected(batch, v, out);
     }
-    if (!any_open<chains(Dual)>(lights)) break;
+    if (!any_open<chains(Dual)>(transmittances)) break;
   }
 }
 
 template <bool Dual, bool Depth>
-void write_pixels(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, const vfloat lights[kVectors],
+void write_pixels(const GaussianInputs& in, GaussianState& state, const GaussianImages& out, const vfloat transmittances[kVectors],
                   const Blend& sums, const Pixels& pixels) {
   float T[16], color[3][16], depth[16], weight[16], refl_color[3][16];
-  for (int v = 0; v < kVectors; ++v) store(T + v * kWidth, abs(lights[v]));
+  for (int v = 0; v < kVectors; ++v) store(T + v * kWidth, abs(transmittances[v]));
   std::memcpy(color, sums.color, sizeof(color)), std::memcpy(depth, sums.depth, sizeof(depth));
   std::memcpy(weight, sums.weight, sizeof(weight)), std::memcpy(refl_color, sums.refl_color, sizeof(refl_color));
   for_pixels(pixels.x0, pixels.y0, in.width, in.height, [&](int64_t i, int j) {
@@ -157,11 +157,11 @@ void blend(const GaussianInputs& in, GaussianState& state, const GaussianImages&
   for_tiles(state.lists, state.records.data(), [&](int, const SubTileLists& sub, int x0, int y0) {
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
-      vfloat lights[chains(Dual)];
-      for (vfloat& light : lights) light = splat(1.0f);
+      vfloat transmittances[chains(Dual)];
+      for (vfloat& transmittance : transmittances) transmittance = splat(1.0f);
       Blend sums;
-      blend_subtile<Dual, Depth>(state, sub, s, pixels, lights, sums);
-      write_pixels<Dual, Depth>(in, state, out, lights, sums, pixels);
+      blend_subtile<Dual, Depth>(state, sub, s, pixels, transmittances, sums);
+      write_pixels<Dual, Depth>(in, state, out, transmittances, sums, pixels);
     });
   });
 }

@@ -10,8 +10,8 @@
 
 namespace mgsr {
 
-// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its two lights, and what it has added up.
-enum GaussianPlane { kLightPlane, kColorPlane, kDepthPlane = kColorPlane + 3, kSinglePlanes, kWeightPlane = kSinglePlanes,
+// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its two transmittances, and what it has added up.
+enum GaussianPlane { kTransmittancePlane, kColorPlane, kDepthPlane = kColorPlane + 3, kSinglePlanes, kWeightPlane = kSinglePlanes,
                    kReflLightPlane, kReflColorPlane, kDualPlanes = kReflColorPlane + 3 };
 
 struct GaussianBlendParams {
@@ -60,26 +60,26 @@ __device__ inline unsigned touched_patches(const GaussianInTile& r) {
 
 template <bool Dual>
 struct GaussianPixel {
-  float light = 1.0f, color[3] = {}, depth = 0.0f;
-  float weight = 0.0f, refl_light = 1.0f, refl_color[3] = {};
+  float transmittance = 1.0f, color[3] = {}, depth = 0.0f;
+  float weight = 0.0f, refl_transmittance = 1.0f, refl_color[3] = {};
 
-  __device__ bool open() const { return light > 0.0f || (Dual && refl_light > 0.0f); }
+  __device__ bool open() const { return transmittance > 0.0f || (Dual && refl_transmittance > 0.0f); }
 
   // (x, y): the pixel's place in the tile.
   __device__ void add(const GaussianInTile& r, float x, float y) {
     const float w = gaussian_weight(r, r.x + x, r.y + y);
-    const float T = light, share = pass_light(counted_alpha(r.opacity * w), light) * T;
+    const float T = transmittance, share = transmit(counted_alpha(r.opacity * w), transmittance) * T;
     for (int k = 0; k < 3; ++k) color[k] = fmaf(share, r.color[k], color[k]);
     depth = fmaf(share, r.depth, depth);
     if (!Dual) return;
     weight = fmaf(share, r.weight, weight);
-    const float T_r = refl_light, refl_share = pass_light(counted_alpha(r.refl_opacity * w), refl_light) * T_r;
+    const float T_r = refl_transmittance, refl_share = transmit(counted_alpha(r.refl_opacity * w), refl_transmittance) * T_r;
     for (int k = 0; k < 3; ++k) refl_color[k] = fmaf(refl_share, r.refl_color[k], refl_color[k]);
   }
 
   __device__ void save(float* state, int pixel) const {
-    state[kLightPlane * kTilePixels + pixel] = light;
-    if (Dual) state[kReflLightPlane * kTilePixels + pixel] = refl_light;
+    state[kTransmittancePlane * kTilePixels + pixel] = transmittance;
+    if (Dual) state[kReflLightPlane * kTilePixels + pixel] = refl_transmittance;
     if (!open()) return;  // the backward pass looks no further
     for (int k = 0; k < 3; ++k) state[(kColorPlane + k) * kTilePixels + pixel] = color[k];
     state[kDepthPlane * kTilePixels + pixel] = depth;
@@ -89,7 +89,7 @@ struct GaussianPixel {
   }
 
   __device__ void write(const GaussianBlendParams& p, int64_t i) const {
-    const float T = fabsf(light), covered = 1.0f - T;
+    const float T = fabsf(transmittance), covered = 1.0f - T;
     p.transmittance[i] = T, p.alpha[i] = covered;
     for (int k = 0; k < 3; ++k) p.color[3 * i + k] = fmaf(T, p.background[k], color[k]);
     if (p.depth) p.depth[i] = covered > kMinAlpha / 2 ? depth / covered : 0.0f;
@@ -111,7 +111,7 @@ __device__ void blend_gaussians(const GaussianBlendParams& p) {
   const int2 range = p.tiles.ranges[tile];
   float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * kPlanes * kTilePixels : nullptr;
   GaussianPixel<Dual> sums;
-  if (!pixel.inside(p.tiles)) sums.light = sums.refl_light = -1.0f;
+  if (!pixel.inside(p.tiles)) sums.transmittance = sums.refl_transmittance = -1.0f;
   int begin = range.x;
   for (; begin < range.y; begin += kTilePixels) {
     if (__syncthreads_count(sums.open()) == 0) break;

@@ -1,13 +1,13 @@
-// Python module mgsr.native._mirrored.
+// Python module mgsr.native._environment_map.
 #include "bindings/arrays.h"
-#include "kernels/mirrored/mirrored.h"
-#include "math/mirrored.h"
+#include "kernels/environment_map/environment_map.h"
+#include "math/environment_map.h"
 
 namespace mgsr {
 namespace {
 
-IsaChoice<MirroredTable>& choice() {
-  static IsaChoice<MirroredTable> current(MGSR_TABLES(mirrored_table));
+IsaChoice<EnvironmentMapTable>& choice() {
+  static IsaChoice<EnvironmentMapTable> current(MGSR_TABLES(environment_map_table));
   return current;
 }
 
@@ -25,11 +25,11 @@ bool same_size(const A& a, const B& b) {
 }
 
 // intrinsics: fx, fy, cx, cy. cam_from_world: rotation, row-major.
-MirroredParams params(const Maps<const float>& maps, const Rgb<const float>& normals, const Pixels& pixels,
+EnvironmentMapParams params(const Maps<const float>& maps, const Rgb<const float>& normals, const Pixels& pixels,
                       const std::vector<float>& cam_from_world, const Intrinsics& intrinsics) {
   expect(maps.shape(1) == maps.shape(2) && maps.shape(1) > 0, "maps: expected square maps of one texel at least");
   expect(cam_from_world.size() == 9, "cam_from_world: expected the 9 numbers of a rotation");
-  MirroredParams p;
+  EnvironmentMapParams p;
   const int64_t all = int64_t(normals.shape(0)) * int64_t(normals.shape(1));
   p.count = pixels.is_valid() ? int64_t(pixels.shape(0)) : all, p.pixels = pointer_or_null(pixels);
   bool inside = true;
@@ -44,7 +44,7 @@ MirroredParams params(const Maps<const float>& maps, const Rgb<const float>& nor
 
 void forward(const Maps<const float>& maps, const Rgb<const float>& normals, const Pixels& pixels,
              const std::vector<float>& cam_from_world, const Intrinsics& intrinsics, const Rgb<float>& light) {
-  MirroredParams p = params(maps, normals, pixels, cam_from_world, intrinsics);
+  EnvironmentMapParams p = params(maps, normals, pixels, cam_from_world, intrinsics);
   expect(same_size(normals, light), "light: expected the normals' size");
   p.light = light.data();
   nb::gil_scoped_release release;
@@ -54,7 +54,7 @@ void forward(const Maps<const float>& maps, const Rgb<const float>& normals, con
 void backward(const Maps<const float>& maps, const Rgb<const float>& normals, const Pixels& pixels,
               const std::vector<float>& cam_from_world, const Intrinsics& intrinsics, const Rgb<const float>& v_light,
               const Maps<float>& v_maps, const Rgb<float>& v_normals) {
-  MirroredParams p = params(maps, normals, pixels, cam_from_world, intrinsics);
+  EnvironmentMapParams p = params(maps, normals, pixels, cam_from_world, intrinsics);
   expect(same_size(normals, v_light), "v_light: expected the normals' size");
   expect(!v_normals.is_valid() || same_size(normals, v_normals), "v_normals: expected the normals' size");
   expect(!v_maps.is_valid() || (v_maps.shape(1) == maps.shape(1) && v_maps.shape(2) == maps.shape(2)),
@@ -74,9 +74,9 @@ void places_double(const ConstNumbers& rotation, const ConstNumbers& ray, const 
   expect(rotation.shape(0) == 9 && ray.shape(0) == 2 && normal.shape(0) == 3 && v_places.shape(0) == 4 &&
              places.shape(0) == 4 && v_normal.shape(0) == 3,
          "expected 9, 2, 3, 4, 4 and 3 numbers");
-  const MirroredSight<double> sight = mirror_sight(rotation.data(), ray.data(), normal.data());
+  const EnvironmentMapSight<double> sight = reflect_sight(rotation.data(), ray.data(), normal.data());
   for (int k = 0; k < 2; ++k) places.data()[k] = sight.still.place[k], places.data()[2 + k] = sight.held.place[k];
-  mirror_sight_vjp(rotation.data(), sight, v_places.data(), v_places.data() + 2, v_normal.data());
+  reflect_sight_vjp(rotation.data(), sight, v_places.data(), v_places.data() + 2, v_normal.data());
 }
 
 // (texel, slope) of a place.
@@ -99,7 +99,7 @@ double bilinear_double(const ConstNumbers& corners, double x, double y, const Nu
 }  // namespace
 }  // namespace mgsr
 
-NB_MODULE(_mirrored, m) {
+NB_MODULE(_environment_map, m) {
   using namespace mgsr;
   bind_choices(m, choice());
   m.def("forward", &forward, nb::arg("maps"), nb::arg("normals"), nb::arg("pixels").none(), nb::arg("cam_from_world"),

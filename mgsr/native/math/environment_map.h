@@ -1,4 +1,4 @@
-// The light that a surface mirrors: where it throws the line of sight to, and what two maps of directions show there.
+// The environment map that a surface reflects: where it throws the line of sight to, and what two maps of directions show there.
 //
 // A map is the octahedron |x| + |y| + |z| = 1 seen from +z, its far half folded out over the corners of the square
 // -1..1. One map stands still in the scene; the other is held by the camera, its middle the way back to the camera.
@@ -45,9 +45,9 @@ MGSR_HD void octahedral_vjp(const OctahedralPlace<T>& o, const T v_place[2], T v
   v_d[2] -= along * o.sign[2] * o.inverse;
 }
 
-// A mirrored line of sight: its places on both maps, and what their derivative needs.
+// A reflected line of sight: its places on both maps, and what their derivative needs.
 template <class T>
-struct MirroredSight {
+struct EnvironmentMapSight {
   T ray[2];             // the sight (x, y, 1), camera axes
   T n[3];               // the normal, camera axes
   T across, square;     // n . ray; |n|^2, at least kShortestNormal
@@ -57,8 +57,8 @@ struct MirroredSight {
 // R: cam_from_world, row-major. normal: world, of any length. The sight is thrown to |n|^2 ray - 2 (n . ray) n, whose
 // length doesn't matter.
 template <class T>
-MGSR_HD MirroredSight<T> mirror_sight(const T R[9], const T ray[2], const T normal[3]) {
-  MirroredSight<T> m;
+MGSR_HD EnvironmentMapSight<T> reflect_sight(const T R[9], const T ray[2], const T normal[3]) {
+  EnvironmentMapSight<T> m;
   for (int i = 0; i < 2; ++i) m.ray[i] = ray[i];
   for (int i = 0; i < 3; ++i) m.n[i] = R[3 * i] * normal[0] + R[3 * i + 1] * normal[1] + R[3 * i + 2] * normal[2];
   m.across = m.n[0] * ray[0] + m.n[1] * ray[1] + m.n[2];
@@ -75,7 +75,7 @@ MGSR_HD MirroredSight<T> mirror_sight(const T R[9], const T ray[2], const T norm
 
 // v_normal = the derivative, from those by the places on the maps.
 template <class T>
-MGSR_HD void mirror_sight_vjp(const T R[9], const MirroredSight<T>& m, const T v_still[2], const T v_held[2], T v_normal[3]) {
+MGSR_HD void reflect_sight_vjp(const T R[9], const EnvironmentMapSight<T>& m, const T v_still[2], const T v_held[2], T v_normal[3]) {
   T v_world[3] = {T(0), T(0), T(0)}, v[3] = {T(0), T(0), T(0)}, v_n[3];
   octahedral_vjp(m.still, v_still, v_world);
   octahedral_vjp(m.held, v_held, v);

@@ -1,4 +1,4 @@
-"""Pictures of the environment maps that the surface mirrors: the scene's all around, and what is at the camera."""
+"""Pictures of the environment maps that the surface reflects: the scene's all around, and what is at the camera."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from torch.nn.functional import grid_sample
 
-from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.renderers.mirrored import octahedral
+from mgsr.gaussians.environment_map import EnvironmentMap
+from mgsr.renderers.environment_map import octahedral
 from mgsr.report.pictures import Picture
 
 HEIGHT = 180  # pixels
@@ -15,13 +15,13 @@ BRIGHTEST = 99.8  # percent of texels that are no brighter than white in the pic
 DARK = 0.1  # of the other map's brightness, under which a map is not worth a picture
 
 
-def mirrored_pictures(light: MirroredLight, up: np.ndarray) -> list[Picture]:
+def environment_map_pictures(environment_map: EnvironmentMap, up: np.ndarray) -> list[Picture]:
     """Draw the environment maps, brightened alike until lamps are white.
 
     The one that stands still in the scene is unrolled all around, `up` [3] at the top; of the other, the half towards
     the camera is shown, whose place is the middle. One that is dark beside the other is left out.
     """
-    still, held = light.maps().detach()
+    still, held = environment_map.maps().detach()
     around = _looked_up(still, _around(np.asarray(up, np.float64)))
     disk, inside = _half()
     camera = _looked_up(held, disk) * inside[..., None]

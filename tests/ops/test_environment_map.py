@@ -1,4 +1,4 @@
-"""The mirrored light in every variant, against torch's own operations in float64."""
+"""The environment map in every variant, against torch's own operations in float64."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import torch
 
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
-from mgsr.native import _mirrored
-from mgsr.ops.mirrored import look_up_mirrored
+from mgsr.native import _environment_map
+from mgsr.ops.environment_map import look_up_environment_map
 from tests.ops.test_depth_normals import turned_camera
 from tests.ops.variants import ISAS, variant
-from tests.oracles import mirrored as oracle
+from tests.oracles import environment_map as oracle
 
 Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  # maps, normals, gradients of the light
 
@@ -42,7 +42,7 @@ def expected_of(scene: Scene, camera: Camera, pixels: torch.Tensor | None = None
     """Return the light and gradients of the oracle, in float64."""
     K, pose = torch.from_numpy(camera.K), torch.from_numpy(camera.cam_from_world)
     doubles = [t.double() for t in scene]
-    return gradients(lambda m, n: oracle.look_up_mirrored(m, n, K, pose, pixels), *doubles)
+    return gradients(lambda m, n: oracle.look_up_environment_map(m, n, K, pose, pixels), *doubles)
 
 
 def assert_close(came, expected) -> None:
@@ -62,8 +62,8 @@ def assert_close(came, expected) -> None:
 def test_matches_the_oracle(isa: str, size: tuple[int, int], side: int, chosen: bool) -> None:
     parts, camera = scene(*size, side), turned_camera(*size)
     pixels = some_pixels(*size) if chosen else None
-    with variant(_mirrored, isa):
-        came = gradients(lambda m, n: look_up_mirrored(m, n, camera, pixels), *parts)
+    with variant(_environment_map, isa):
+        came = gradients(lambda m, n: look_up_environment_map(m, n, camera, pixels), *parts)
     assert_close(came, expected_of(parts, camera, pixels))
 
 
@@ -73,8 +73,8 @@ def test_a_large_map(isa: str) -> None:
     maps, normals, v_light = scene(70, 90, 200)
     smooth = torch.sin(torch.linspace(0, 6, 200))[:, None, None] + torch.linspace(0, 3, 200)[:, None]
     maps = torch.stack([smooth.expand(200, 200, 3), smooth.flip(0).expand(200, 200, 3)]).contiguous()
-    with variant(_mirrored, isa):
-        came = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(70, 90)), maps, normals, v_light)
+    with variant(_environment_map, isa):
+        came = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(70, 90)), maps, normals, v_light)
     expected = expected_of((maps, normals, v_light), turned_camera(70, 90))
     for name, a, b in zip(("light", "maps", "normals"), came, expected, strict=True):
         # 3e-7 of the direction are 6e-5 texels of 200: so much of a texel's gradient goes to its neighbour.
@@ -93,8 +93,8 @@ def test_normals_across_and_along_the_sight(isa: str) -> None:
     edge_on = torch.linalg.cross(straight, torch.tensor([0.3, -0.5, 0.8], dtype=torch.float64).expand_as(straight))
     maps, _, v_light = scene(6, 40, 16)
     for normals in (straight, -straight, edge_on, edge_on + 1e-3 * straight):
-        with variant(_mirrored, isa):
-            came = gradients(lambda m, n: look_up_mirrored(m, n, camera), maps, normals.float(), v_light)
+        with variant(_environment_map, isa):
+            came = gradients(lambda m, n: look_up_environment_map(m, n, camera), maps, normals.float(), v_light)
         assert_close(came, expected_of((maps, normals.float(), v_light), camera))
 
 
@@ -102,8 +102,8 @@ def test_normals_across_and_along_the_sight(isa: str) -> None:
 def test_normals_without_length_are_finite_and_get_no_gradient(isa: str) -> None:
     maps, normals, v_light = scene(9, 12, 8)
     normals[::2] = 0
-    with variant(_mirrored, isa):
-        came = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(9, 12)), maps, normals, v_light)
+    with variant(_environment_map, isa):
+        came = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(9, 12)), maps, normals, v_light)
     assert_close(came, expected_of((maps, normals, v_light), turned_camera(9, 12)))
     assert not came[2][::2].any()
 
@@ -113,19 +113,19 @@ def test_normals_without_length_are_finite_and_get_no_gradient(isa: str) -> None
 def test_very_short_and_long_normals(isa: str, length: float) -> None:
     maps, normals, v_light = scene(9, 12, 8)
     normals = length * torch.nn.functional.normalize(normals, dim=-1)
-    with variant(_mirrored, isa):
-        came = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(9, 12)), maps, normals, v_light)
+    with variant(_environment_map, isa):
+        came = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(9, 12)), maps, normals, v_light)
     assert_close(came, expected_of((maps, normals, v_light), turned_camera(9, 12)))
 
 
 @pytest.mark.parametrize("isa", ISAS)
 def test_a_bad_normal_harms_no_other_pixel(isa: str) -> None:
     maps, normals, v_light = scene(5, 9, 8)
-    with variant(_mirrored, isa):
-        before = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(5, 9)), maps, normals, v_light)
+    with variant(_environment_map, isa):
+        before = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(5, 9)), maps, normals, v_light)
         for bad in (torch.nan, torch.inf, 1e30):
             normals[2, 3, 1] = bad
-            after = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(5, 9)), maps, normals, v_light)
+            after = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(5, 9)), maps, normals, v_light)
             others = torch.ones(5, 9, dtype=torch.bool)
             others[2, 3] = False
             assert torch.equal(before[0][others], after[0][others]) and torch.isfinite(after[0]).all()
@@ -137,24 +137,24 @@ def test_same_bytes_for_any_thread_count() -> None:
     for pixels in (None, some_pixels(150, 170)):
         results = []
         for threads in (1, 2, 5):
-            with variant(_mirrored, threads=threads):
-                results.append(gradients(lambda m, n, p=pixels: look_up_mirrored(m, n, camera, p), *parts))
+            with variant(_environment_map, threads=threads):
+                results.append(gradients(lambda m, n, p=pixels: look_up_environment_map(m, n, camera, p), *parts))
         for other in results[1:]:
             assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
 def test_no_pixels_no_light() -> None:
     parts, nothing = scene(5, 9, 8), torch.zeros(0, dtype=torch.int64)
-    came = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(5, 9), nothing), *parts)
+    came = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(5, 9), nothing), *parts)
     assert not any(t.any() for t in came)
 
 
 @pytest.mark.parametrize("wants", ["maps", "normals"])
 def test_one_gradient_alone(wants: str) -> None:
     maps, normals, v_light = scene(20, 30, 8)
-    both = gradients(lambda m, n: look_up_mirrored(m, n, turned_camera(20, 30)), maps, normals, v_light)
+    both = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(20, 30)), maps, normals, v_light)
     leaf = (maps if wants == "maps" else normals).requires_grad_()
-    look_up_mirrored(maps, normals, turned_camera(20, 30)).backward(v_light)
+    look_up_environment_map(maps, normals, turned_camera(20, 30)).backward(v_light)
     assert torch.equal(leaf.grad, both[1 if wants == "maps" else 2])
 
 
@@ -162,13 +162,13 @@ def test_bad_arguments_are_named() -> None:
     maps, normals, _ = scene(5, 9, 8)
     camera = turned_camera(5, 9)
     with pytest.raises(TensorError, match="maps"):
-        look_up_mirrored(maps[:, :4], normals, camera)
+        look_up_environment_map(maps[:, :4], normals, camera)
     with pytest.raises(TensorError, match="maps: expected a texel"):
-        look_up_mirrored(maps[:, :0, :0], normals, camera)
+        look_up_environment_map(maps[:, :0, :0], normals, camera)
     with pytest.raises(TensorError, match="normals"):
-        look_up_mirrored(maps, normals[:4], camera)
+        look_up_environment_map(maps, normals[:4], camera)
     for pixels in (torch.zeros(3), torch.zeros(3, 1, dtype=torch.int64)):
         with pytest.raises(TensorError, match="pixels"):
-            look_up_mirrored(maps, normals, camera, pixels)
+            look_up_environment_map(maps, normals, camera, pixels)
     with pytest.raises(ValueError, match="pixels"):
-        look_up_mirrored(maps, normals, camera, torch.tensor([0, 45]))
+        look_up_environment_map(maps, normals, camera, torch.tensor([0, 45]))

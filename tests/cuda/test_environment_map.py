@@ -1,14 +1,14 @@
-"""The mirrored light's CUDA kernels against torch's own operations in float64."""
+"""The environment map's CUDA kernels against torch's own operations in float64."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
-from mgsr.ops.mirrored import look_up_mirrored
+from mgsr.ops.environment_map import look_up_environment_map
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
 from tests.ops.test_depth_normals import turned_camera
-from tests.ops.test_mirrored import Scene, assert_close, expected_of, gradients, scene, some_pixels
+from tests.ops.test_environment_map import Scene, assert_close, expected_of, gradients, scene, some_pixels
 
 
 def run(machine: Machine, parts: Scene, size: tuple[int, int], pixels: torch.Tensor | None = None):
@@ -16,7 +16,8 @@ def run(machine: Machine, parts: Scene, size: tuple[int, int], pixels: torch.Ten
     there = None if pixels is None else pixels.to(machine.device)
     with machine.running():
         came = gradients(
-            lambda m, n: look_up_mirrored(m, n, turned_camera(*size), there), *(t.to(machine.device) for t in parts)
+            lambda m, n: look_up_environment_map(m, n, turned_camera(*size), there),
+            *(t.to(machine.device) for t in parts),
         )
     return [t.cpu() for t in came]
 
@@ -53,7 +54,7 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
     maps, normals, v_light = (t.to(machine.device) for t in parts)
     leaf = (maps if wants == "maps" else normals).requires_grad_()
     with machine.running():
-        look_up_mirrored(maps, normals, turned_camera(20, 30)).backward(v_light)
+        look_up_environment_map(maps, normals, turned_camera(20, 30)).backward(v_light)
     assert torch.equal(leaf.grad.cpu(), both[1 if wants == "maps" else 2])
 
 

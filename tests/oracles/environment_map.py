@@ -1,4 +1,4 @@
-"""The mirrored light by torch's own operations, in any precision."""
+"""The environment map by torch's own operations, in any precision."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 
-def look_up_mirrored(
+def look_up_environment_map(
     maps: Tensor, normals: Tensor, K: Tensor, cam_from_world: Tensor, pixels: Tensor | None = None
 ) -> Tensor:
     """Return the light [H,W,3] of maps [2,S,S,3] that a surface with normals [H,W,3] mirrors towards a camera.

@@ -1,7 +1,7 @@
-// The mirrored light on the CPU. Pixels are taken in blocks: a lane a pixel where the sight is mirrored, the three
+// The environment map on the CPU. Pixels are taken in blocks: a lane a pixel where the sight is reflected, the three
 // channels of a texel in one vector where the maps are read. Backward cuts the pixels into parts, whose number never
 // depends on the threads; each part adds to a map of its own, and the parts' maps are added in their order.
-#include "kernels/mirrored/mirrored.h"
+#include "kernels/environment_map/environment_map.h"
 
 #include <algorithm>
 #include <cstring>
@@ -9,7 +9,7 @@
 
 #include "kernels/common/lanes.h"
 #include "kernels/common/parallel.h"
-#include "math/mirrored.h"
+#include "math/environment_map.h"
 
 namespace mgsr {
 namespace MGSR_ISA {
@@ -52,7 +52,7 @@ struct PaddedMaps {
 };
 
 // The maps' light in that layout, the border repeated. Stays until this thread's next call.
-const float* pad(const MirroredParams& p, const PaddedMaps& layout) {
+const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
   static thread_local std::vector<float> padded;
   padded.resize(layout.floats());
   for (int which = 0; which < 2; ++which)
@@ -72,14 +72,14 @@ struct Block {
   int count;
   int64_t pixel[kBlock];
   float ray[2][kBlock], normal[3][kBlock];
-  MirroredSight<Floats> sight[kBlock / kWidth];
+  EnvironmentMapSight<Floats> sight[kBlock / kWidth];
   float texel[2][2][kBlock], v_texel[2][2][kBlock];
 };
 
 // Pixel numbers to their rays, with a division only where a row begins.
 class Rays {
  public:
-  explicit Rays(const MirroredParams& p)
+  explicit Rays(const EnvironmentMapParams& p)
       : width_(p.width), per_x_(1 / p.fx), per_y_(1 / p.fy), left_((0.5f - p.cx) / p.fx), top_((0.5f - p.cy) / p.fy) {}
 
   void of(int64_t pixel, float& x, float& y) {
@@ -100,14 +100,14 @@ class Rays {
 Floats load_lanes(const float* p) { return Floats(load(p)); }
 
 struct Rotation {
-  explicit Rotation(const MirroredParams& p) {
+  explicit Rotation(const EnvironmentMapParams& p) {
     for (int i = 0; i < 9; ++i) R[i] = Floats(p.cam_from_world[i]);
   }
   Floats R[9];
 };
 
 // Pixels first.. of the list into the block: where on the maps their light is. Lanes past the end repeat the last.
-void mirror_block(const MirroredParams& p, const Rotation& rotation, Rays& rays, int64_t first, int64_t end, Block& b) {
+void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Rays& rays, int64_t first, int64_t end, Block& b) {
   b.count = int(std::min<int64_t>(end - first, kBlock));
   const int groups = (b.count + kWidth - 1) / kWidth;
   for (int i = 0; i < groups * kWidth; ++i) {
@@ -121,7 +121,7 @@ void mirror_block(const MirroredParams& p, const Rotation& rotation, Rays& rays,
     const int i = g * kWidth;
     const Floats ray[2] = {load_lanes(b.ray[0] + i), load_lanes(b.ray[1] + i)};
     const Floats normal[3] = {load_lanes(b.normal[0] + i), load_lanes(b.normal[1] + i), load_lanes(b.normal[2] + i)};
-    const MirroredSight<Floats> sight = mirror_sight(rotation.R, ray, normal);
+    const EnvironmentMapSight<Floats> sight = reflect_sight(rotation.R, ray, normal);
     for (int k = 0; k < 2; ++k) {
       store(b.texel[0][k] + i, texel_of(sight.still.place[k], side).v);
       store(b.texel[1][k] + i, texel_of(sight.held.place[k], side).v);
@@ -150,7 +150,7 @@ struct Cell {
   float x, y;
 };
 
-void forward(const MirroredParams& p) {
+void forward(const EnvironmentMapParams& p) {
   const PaddedMaps layout(p.side);
   const float* maps = pad(p, layout);
   const Rotation rotation(p);
@@ -158,7 +158,7 @@ void forward(const MirroredParams& p) {
     Rays rays(p);
     Block b;
     for (int64_t first = begin; first < end; first += kBlock) {
-      mirror_block(p, rotation, rays, first, end, b);
+      reflect_block(p, rotation, rays, first, end, b);
       for (int i = 0; i < b.count; ++i) {
         const Cell still(layout, b, 0, i), held(layout, b, 1, i);
         const vtexel light = bilinear(still.load(maps), still.x, still.y) + bilinear(held.load(maps), held.x, held.y);
@@ -170,7 +170,7 @@ void forward(const MirroredParams& p) {
 
 // What the pixels' light says of their places on the maps, in texels, where the normals' gradient is wanted; and of the
 // maps, where theirs is: added to v_maps.
-void look_back(const MirroredParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
+void look_back(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
   const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
   for (int i = 0; i < b.count; ++i) {
     const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
@@ -186,14 +186,14 @@ void look_back(const MirroredParams& p, const PaddedMaps& layout, const float* m
   }
 }
 
-void normal_gradients(const MirroredParams& p, const Rotation& rotation, const Block& b) {
+void normal_gradients(const EnvironmentMapParams& p, const Rotation& rotation, const Block& b) {
   const Floats side(float(p.side));
   for (int i = 0; i < b.count; i += kWidth) {
     Floats v_place[2][2], v_normal[3];
     for (int which = 0; which < 2; ++which)
       for (int k = 0; k < 2; ++k)
         v_place[which][k] = load_lanes(b.v_texel[which][k] + i) * texel_slope(load_lanes(b.texel[which][k] + i), side);
-    mirror_sight_vjp(rotation.R, b.sight[i / kWidth], v_place[0], v_place[1], v_normal);
+    reflect_sight_vjp(rotation.R, b.sight[i / kWidth], v_place[0], v_place[1], v_normal);
     float columns[3][kWidth];
     for (int c = 0; c < 3; ++c) store(columns[c], v_normal[c].v);
     for (int lane = 0; lane < std::min(kWidth, b.count - i); ++lane)
@@ -203,7 +203,7 @@ void normal_gradients(const MirroredParams& p, const Rotation& rotation, const B
 
 // The parts' maps [parts, 2, stride, stride, 4] added in their order, without the texels that the layout adds: what falls
 // on those has no weight.
-void add_parts(const MirroredParams& p, const PaddedMaps& layout, const float* of_parts, int64_t parts) {
+void add_parts(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* of_parts, int64_t parts) {
   parallel_chunks(2 * p.side, 8, [&](int64_t begin, int64_t end) {
     for (int64_t line = begin; line < end; ++line) {
       const float* from = of_parts + layout.at(int(line / p.side), int(line % p.side), 0);
@@ -217,7 +217,7 @@ void add_parts(const MirroredParams& p, const PaddedMaps& layout, const float* o
   });
 }
 
-void backward(const MirroredParams& p) {
+void backward(const EnvironmentMapParams& p) {
   static thread_local std::vector<float> of_parts;
   const PaddedMaps layout(p.side);
   const float* maps = pad(p, layout);
@@ -232,7 +232,7 @@ void backward(const MirroredParams& p) {
     Rays rays(p);
     Block b;
     for (int64_t first = part * size; first < end; first += kBlock) {
-      mirror_block(p, rotation, rays, first, end, b);
+      reflect_block(p, rotation, rays, first, end, b);
       look_back(p, layout, maps, b, own);
       if (p.v_normals) normal_gradients(p, rotation, b);
     }
@@ -242,7 +242,7 @@ void backward(const MirroredParams& p) {
 
 }  // namespace
 
-extern const MirroredTable mirrored_table{forward, backward};
+extern const EnvironmentMapTable environment_map_table{forward, backward};
 
 }  // namespace MGSR_ISA
 }  // namespace mgsr

@@ -1,4 +1,4 @@
-"""Environment maps of the light that a shiny surface mirrors: parameters that all splats share."""
+"""Environment maps of the light that a shiny surface reflects: parameters that all splats share."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mgsr.ops.activations import shares
 
 
 @dataclass(frozen=True)
-class Light:
+class RenderedMap:
     """An environment map as it is rendered, all values 0..1.
 
     texels [2,S,S,3]: the light from each direction, of the scene's map and of the camera's; bounce [1,3]: the share of
@@ -25,29 +25,28 @@ class Light:
 
 
 @dataclass
-class MirroredLight:
+class EnvironmentMap:
     """Two environment maps of the light from each direction.
 
     One stands still in the scene (lamps, windows, the sky), one moves with the camera (a flash, the photographer).
 
     logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by
     row; last, of the share of the light that a second bounce leaves. Each map unfolds the directions' octahedron into a
-    square (`octahedral` in `mgsr.renderers.mirrored`): in the scene's axes, z in the middle; in the camera's, its
-    middle the way back to the camera.
-    reflector: the surface that mirrors; None where the 2D branch's does.
+    square (`octahedral` in `mgsr.renderers.environment_map`): in the scene's axes, z in the middle; in the camera's,
+    its middle the way back to the camera. reflector: the surface that reflects; None where the 2D branch does.
     """
 
     logits: Tensor
     reflector: Reflector | None = None
 
     @classmethod
-    def uniform(cls, side: int, start: float, reflector: Reflector | None = None) -> MirroredLight:
+    def uniform(cls, side: int, start: float, reflector: Reflector | None = None) -> EnvironmentMap:
         """Return maps of side x side texels, all of the same light `start`, which must lie inside (0, 1)."""
         return cls(torch.full((2 * side * side + 1, 3), start).logit(), reflector)
 
     @classmethod
-    def of(cls, maps: np.ndarray, bounce: np.ndarray, reflector: Reflector | None = None) -> MirroredLight:
-        """Return the light whose `maps` [2,3,S,S] and `bounce` [3] are given, clipped to the inside of (0, 1)."""
+    def of(cls, maps: np.ndarray, bounce: np.ndarray, reflector: Reflector | None = None) -> EnvironmentMap:
+        """Return the environment map of `maps` [2,3,S,S] and `bounce` [3], clipped to the inside of (0, 1)."""
         rows = np.concatenate([np.moveaxis(maps, 1, -1).reshape(-1, 3), np.reshape(bounce, (1, 3))])
         return cls(torch.from_numpy(np.clip(rows, 1e-6, 1 - 1e-6).astype(np.float32)).logit(), reflector)
 
@@ -59,27 +58,27 @@ class MirroredLight:
         """Return the number of texels along a side of each map."""
         return round(((len(self) - 1) / 2) ** 0.5)
 
-    def light(self) -> Light:
-        """Return the light as shares 0..1, for rendering."""
-        light = shares(self.logits)
-        return Light(light[:-1].view(2, self.side, self.side, 3), light[-1:])
+    def rendered(self) -> RenderedMap:
+        """Return the maps as shares 0..1, for rendering."""
+        texels = shares(self.logits)
+        return RenderedMap(texels[:-1].view(2, self.side, self.side, 3), texels[-1:])
 
     def maps(self) -> Tensor:
-        """Return the light of both maps [2,3,S,S]."""
-        return self.light().texels.permute(0, 3, 1, 2)
+        """Return both maps [2,3,S,S]."""
+        return self.rendered().texels.permute(0, 3, 1, 2)
 
     def bounce(self) -> Tensor:
         """Return the share [3] of the light that a second bounce leaves."""
-        return self.light().bounce[0]
+        return self.rendered().bounce[0]
 
     def parameters(self) -> dict[str, Tensor]:
         """Return every stored tensor by name."""
         return {"logits": self.logits}
 
-    def detached(self) -> MirroredLight:
+    def detached(self) -> EnvironmentMap:
         """Return a copy that carries no gradients."""
         return replace(self, logits=self.logits.detach().clone())
 
-    def to(self, device: torch.device) -> MirroredLight:
-        """Return the same light on a device (no copy where it already is)."""
+    def to(self, device: torch.device) -> EnvironmentMap:
+        """Return the same maps on a device (no copy where it already is)."""
         return replace(self, logits=self.logits.to(device))

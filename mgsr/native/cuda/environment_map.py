@@ -1,4 +1,4 @@
-"""The CUDA half of the mirrored light: the same calls as `mgsr.native._mirrored`."""
+"""The CUDA half of the environment map: the same calls as `mgsr.native._environment_map`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Intrinsics = tuple[float, float, float, float]
 
 
 class PixelParams(ctypes.Structure):
-    """The struct MirroredParams of kernels/mirrored/mirrored.cu."""
+    """The struct EnvironmentMapParams of kernels/environment_map/environment_map.cu."""
 
     _fields_ = (
         ("count", Long),
@@ -43,8 +43,8 @@ class TexelParams(ctypes.Structure):
     _fields_ = (("side", Int), *pointers("sums", "v_maps"))
 
 
-class MirroredKernels:
-    """The kernels of the mirrored light and its gradients on one launcher."""
+class EnvironmentMapKernels:
+    """The kernels of the environment map and its gradients on one launcher."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
@@ -60,7 +60,7 @@ class MirroredKernels:
     ) -> None:
         """Write light [H,W,3] at the pixels."""
         arrays = (light, None, None, None, None)
-        self._look("mirrored_forward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
+        self._look("environment_map_forward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
 
     def backward(
         self,
@@ -79,7 +79,7 @@ class MirroredKernels:
         if v_maps is not None:
             cells, places = normals.new_empty(2 * count, dtype=torch.int32), normals.new_empty(2 * count, 2)
         arrays = (None, v_light, v_normals, cells, places)
-        self._look("mirrored_backward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
+        self._look("environment_map_backward", maps, normals, pixels, cam_from_world, intrinsics, arrays)
         if v_maps is not None and cells is not None and places is not None:
             self._add_up(count, pixels, v_light, cells, places, v_maps)
 
@@ -97,7 +97,7 @@ class MirroredKernels:
         inputs = (count, pointer(pixels), normals.shape[1], maps.shape[1], pointer(maps), pointer(normals))
         camera = ((Float * 9)(*cam_from_world), *intrinsics)
         params = PixelParams(*inputs, *camera, *addresses(*arrays))
-        self._launcher.launch("mirrored", kernel, -(-count // THREADS), THREADS, params)
+        self._launcher.launch("environment_map", kernel, -(-count // THREADS), THREADS, params)
 
     def _add_up(
         self, count: int, pixels: Tensor | None, v_light: Tensor, cells: Tensor, places: Tensor, v_maps: Tensor
@@ -107,9 +107,13 @@ class MirroredKernels:
         sums = v_maps.new_empty(2, side, side, CELL_FIELDS)
         inputs = (count, pointer(pixels), pointer(v_light), pointer(places), side)
         params = CellParams(*inputs, *addresses(cells, slots, sums))
-        self._launcher.launch("mirrored", "mirrored_cells", -(-2 * side * side * WARP // THREADS), THREADS, params)
+        self._launcher.launch(
+            "environment_map", "environment_map_cells", -(-2 * side * side * WARP // THREADS), THREADS, params
+        )
         texels = TexelParams(side, pointer(sums), pointer(v_maps))
-        self._launcher.launch("mirrored", "mirrored_texels", -(-v_maps.numel() // THREADS), THREADS, texels)
+        self._launcher.launch(
+            "environment_map", "environment_map_texels", -(-v_maps.numel() // THREADS), THREADS, texels
+        )
 
 
 def _count(normals: Tensor, pixels: Tensor | None) -> int:

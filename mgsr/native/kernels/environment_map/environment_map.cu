@@ -1,19 +1,19 @@
-// The mirrored light on the GPU.
+// The environment map on the GPU.
 //
-// mirrored_forward, mirrored_backward: a thread is a pixel. Backward writes the normal's gradient, and for each map the
+// environment_map_forward, environment_map_backward: a thread is a pixel. Backward writes the normal's gradient, and for each map the
 // cell of four texels that was read and where within it; torch sorts those by cell, stable.
-// mirrored_cells: a warp adds up what the pixels of one cell say of its corners: each lane every 32nd of them, then the
-// lanes in a fixed tree. mirrored_texels: a thread adds to a texel's channel what its four cells say. No atomics, and the
+// environment_map_cells: a warp adds up what the pixels of one cell say of its corners: each lane every 32nd of them, then the
+// lanes in a fixed tree. environment_map_texels: a thread adds to a texel's channel what its four cells say. No atomics, and the
 // same bytes at every run.
 #include "kernels/common/cuda.h"
-#include "math/mirrored.h"
+#include "math/environment_map.h"
 
 namespace mgsr {
 
-constexpr int kMirroredThreads = 128;
+constexpr int kEnvironmentMapThreads = 128;
 constexpr int kCellFields = 12;  // corners, channels
 
-struct MirroredParams {
+struct EnvironmentMapParams {
   int64_t count;           // pixels that are looked at
   const int64_t* pixels;   // [count] row * width + column, each once; or null for all
   int width, side;         // of the image; texels along a map's side
@@ -30,7 +30,7 @@ struct MirroredParams {
 
 struct CellParams {
   int64_t count;          // pixels that are looked at
-  const int64_t* pixels;  // as in MirroredParams
+  const int64_t* pixels;  // as in EnvironmentMapParams
   const float* v_light;
   const float2* places;
   int side;
@@ -45,16 +45,16 @@ struct TexelParams {
   float* v_maps;      // [2, side, side, 3]
 };
 
-__device__ inline int64_t mirrored_pixel(const int64_t* pixels, int64_t i) { return pixels ? pixels[i] : i; }
+__device__ inline int64_t environment_map_pixel(const int64_t* pixels, int64_t i) { return pixels ? pixels[i] : i; }
 
-__device__ inline MirroredSight<float> mirror_pixel(const MirroredParams& p, int64_t pixel) {
+__device__ inline EnvironmentMapSight<float> reflect_pixel(const EnvironmentMapParams& p, int64_t pixel) {
   const float ray[2] = {(float(pixel % p.width) + 0.5f - p.cx) / p.fx, (float(pixel / p.width) + 0.5f - p.cy) / p.fy};
-  return mirror_sight(p.cam_from_world, ray, p.normals + 3 * pixel);
+  return reflect_sight(p.cam_from_world, ray, p.normals + 3 * pixel);
 }
 
 // The four texels around a place -1..1 on a map.
 struct Cell {
-  __device__ Cell(const MirroredParams& p, int which, const float place[2]) : side(p.side) {
+  __device__ Cell(const EnvironmentMapParams& p, int which, const float place[2]) : side(p.side) {
     for (int k = 0; k < 2; ++k) texel[k] = texel_of(place[k], float(side));
     column = int(texel[0]), line = int(texel[1]);
     x = texel[0] - float(column), y = texel[1] - float(line);
@@ -71,7 +71,7 @@ struct Cell {
 };
 
 // The gradient of a cell's place -1..1, from that of the light [3].
-__device__ inline void place_gradient(const MirroredParams& p, const Cell& cell, const float* v_light, float v_place[2]) {
+__device__ inline void place_gradient(const EnvironmentMapParams& p, const Cell& cell, const float* v_light, float v_place[2]) {
   v_place[0] = v_place[1] = 0.0f;
   for (int channel = 0; channel < 3; ++channel) {
     float by_x, by_y;
@@ -95,24 +95,24 @@ __device__ inline int64_t lower_bound(const int* sorted, int64_t count, int leas
 
 }  // namespace mgsr
 
-MGSR_KERNEL(mirrored_forward, mgsr::MirroredParams, mgsr::kMirroredThreads) {
+MGSR_KERNEL(environment_map_forward, mgsr::EnvironmentMapParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
-  const int64_t i = int64_t(blockIdx.x) * kMirroredThreads + threadIdx.x;
+  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
   if (i >= p.count) return;
-  const int64_t pixel = mirrored_pixel(p.pixels, i);
-  const MirroredSight<float> sight = mirror_pixel(p, pixel);
+  const int64_t pixel = environment_map_pixel(p.pixels, i);
+  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
   const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
   for (int channel = 0; channel < 3; ++channel)
     p.light[3 * pixel + channel] = bilinear(still.load(p.maps, channel), still.x, still.y) +
                                    bilinear(held.load(p.maps, channel), held.x, held.y);
 }
 
-MGSR_KERNEL(mirrored_backward, mgsr::MirroredParams, mgsr::kMirroredThreads) {
+MGSR_KERNEL(environment_map_backward, mgsr::EnvironmentMapParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
-  const int64_t i = int64_t(blockIdx.x) * kMirroredThreads + threadIdx.x;
+  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
   if (i >= p.count) return;
-  const int64_t pixel = mirrored_pixel(p.pixels, i);
-  const MirroredSight<float> sight = mirror_pixel(p, pixel);
+  const int64_t pixel = environment_map_pixel(p.pixels, i);
+  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
   const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
   if (p.cells) {
     p.cells[i] = still.index, p.places[i] = make_float2(still.x, still.y);
@@ -122,18 +122,18 @@ MGSR_KERNEL(mirrored_backward, mgsr::MirroredParams, mgsr::kMirroredThreads) {
   float v_still[2], v_held[2], v_normal[3];
   place_gradient(p, still, p.v_light + 3 * pixel, v_still);
   place_gradient(p, held, p.v_light + 3 * pixel, v_held);
-  mirror_sight_vjp(p.cam_from_world, sight, v_still, v_held, v_normal);
+  reflect_sight_vjp(p.cam_from_world, sight, v_still, v_held, v_normal);
   for (int k = 0; k < 3; ++k) p.v_normals[3 * pixel + k] = v_normal[k];
 }
 
-MGSR_KERNEL(mirrored_cells, mgsr::CellParams, mgsr::kMirroredThreads) {
+MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
-  const int lane = threadIdx.x % kWarp, cell = (blockIdx.x * kMirroredThreads + threadIdx.x) / kWarp;
+  const int lane = threadIdx.x % kWarp, cell = (blockIdx.x * kEnvironmentMapThreads + threadIdx.x) / kWarp;
   if (cell >= 2 * p.side * p.side) return;  // of a whole warp
   const int64_t begin = lower_bound(p.cells, 2 * p.count, cell), end = lower_bound(p.cells, 2 * p.count, cell + 1);
   float sums[kCellFields] = {};
   for (int64_t i = begin + lane; i < end; i += kWarp) {
-    const int64_t slot = p.slots[i], pixel = mirrored_pixel(p.pixels, slot < p.count ? slot : slot - p.count);
+    const int64_t slot = p.slots[i], pixel = environment_map_pixel(p.pixels, slot < p.count ? slot : slot - p.count);
     const float2 place = p.places[slot];
     for (int channel = 0; channel < 3; ++channel) {
       const Corners<float> v = bilinear_vjp(p.v_light[3 * pixel + channel], place.x, place.y);
@@ -147,9 +147,9 @@ MGSR_KERNEL(mirrored_cells, mgsr::CellParams, mgsr::kMirroredThreads) {
     if (lane == k) p.sums[int64_t(cell) * kCellFields + k] = sums[k];
 }
 
-MGSR_KERNEL(mirrored_texels, mgsr::TexelParams, mgsr::kMirroredThreads) {
+MGSR_KERNEL(environment_map_texels, mgsr::TexelParams, mgsr::kEnvironmentMapThreads) {
   using namespace mgsr;
-  const int i = blockIdx.x * kMirroredThreads + threadIdx.x, texel = i / 3, side = p.side;
+  const int i = blockIdx.x * kEnvironmentMapThreads + threadIdx.x, texel = i / 3, side = p.side;
   if (texel >= 2 * side * side) return;
   const int column = texel % side, line = texel / side % side;
   const float* at = p.sums + int64_t(texel) * kCellFields + i % 3;

@@ -1,16 +1,16 @@
-"""Pictures of the mirrored light: a lamp must appear where it is."""
+"""Pictures of the environment map: a lamp must appear where it is."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.report.mirrored import HEIGHT, mirrored_pictures
+from mgsr.gaussians.environment_map import EnvironmentMap
+from mgsr.report.environment_map import HEIGHT, environment_map_pictures
 from mgsr.report.pictures import Picture
 
 
-def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
+def lit_from(direction: np.ndarray, part: int) -> EnvironmentMap:
     """Return the light of one small lamp.
 
     Its texel is the one whose direction is nearest, searched in the plain definition of the map.
@@ -24,7 +24,7 @@ def lit_from(direction: np.ndarray, part: int) -> MirroredLight:
     towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
     maps = np.full((2, 3, side, side), 0.01)
     maps[part][:, (towards @ direction) > 0.97] = 0.9
-    return MirroredLight.of(maps, np.ones(3))
+    return EnvironmentMap.of(maps, np.ones(3))
 
 
 def the_only(pictures: list[Picture]) -> np.ndarray:
@@ -43,7 +43,7 @@ def brightest(pixels: np.ndarray) -> np.ndarray:
     ("direction", "row"), [((0, 0, 1), 0.0), ((0.6, 0.0, 0.8), 0.2), ((0, -1, 0), 0.5), ((0, 0, -1), 1.0)]
 )
 def test_a_lamp_stands_at_its_height(direction: tuple[float, float, float], row: float) -> None:
-    around = the_only(mirrored_pictures(lit_from(np.array(direction), 0), np.array([0, 0, 1.0])))
+    around = the_only(environment_map_pictures(lit_from(np.array(direction), 0), np.array([0, 0, 1.0])))
     assert around.shape == (HEIGHT, 2 * HEIGHT, 3)
     assert abs(brightest(around)[0] - row) < 0.08
 
@@ -52,13 +52,13 @@ def test_lamps_a_quarter_apart_stand_a_quarter_apart() -> None:
     places = []
     for angle in (0.3, 0.3 + np.pi / 2):
         lamp = np.array([np.cos(angle), np.sin(angle), 0.0])
-        places.append(brightest(the_only(mirrored_pictures(lit_from(lamp, 0), np.array([0, 0, 1.0]))))[1])
+        places.append(brightest(the_only(environment_map_pictures(lit_from(lamp, 0), np.array([0, 0, 1.0]))))[1])
     apart = (places[1] - places[0]) % 2  # the picture is twice as wide as high, and closes
     assert abs(min(apart, 2 - apart) - 0.5) < 0.03
 
 
 def test_a_flash_beside_the_lens_stands_beside_the_middle() -> None:
     lamp = np.array([0.3, 0.0, np.sqrt(1 - 0.09)])
-    camera = the_only(mirrored_pictures(lit_from(lamp, 1), np.array([0, 0, 1.0])))
+    camera = the_only(environment_map_pictures(lit_from(lamp, 1), np.array([0, 0, 1.0])))
     assert np.abs(brightest(camera) - [0.5, 0.5 + 0.15]).max() < 0.03
     assert camera[0, 0, 3] == 0 and camera[HEIGHT // 2, HEIGHT // 2, 3] == 255

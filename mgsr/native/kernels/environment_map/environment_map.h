@@ -1,11 +1,11 @@
-// The mirrored light's family: what its kernels read and write.
+// The environment map's family: what its kernels read and write.
 #pragma once
 
 #include <cstdint>
 
 namespace mgsr {
 
-struct MirroredParams {
+struct EnvironmentMapParams {
   int64_t count = 0;                // pixels that are looked at
   const int64_t* pixels = nullptr;  // [count] row * width + column, each once; or null for all
   int width = 0, side = 0;          // of the image; texels along a map's side
@@ -19,13 +19,13 @@ struct MirroredParams {
   float* v_normals = nullptr;       // [height * width, 3], written by backward where it looks; or null
 };
 
-struct MirroredTable {
-  void (*forward)(const MirroredParams&);
-  void (*backward)(const MirroredParams&);
+struct EnvironmentMapTable {
+  void (*forward)(const EnvironmentMapParams&);
+  void (*backward)(const EnvironmentMapParams&);
 };
 
-namespace avx512 { extern const MirroredTable mirrored_table; }
-namespace avx2 { extern const MirroredTable mirrored_table; }
-namespace baseline { extern const MirroredTable mirrored_table; }
+namespace avx512 { extern const EnvironmentMapTable environment_map_table; }
+namespace avx2 { extern const EnvironmentMapTable environment_map_table; }
+namespace baseline { extern const EnvironmentMapTable environment_map_table; }
 
 }  // namespace mgsr

@@ -1,4 +1,4 @@
-"""The shared light, against a plain float64 way of mirroring and looking up."""
+"""The environment map, against a plain float64 way of reflecting and looking up."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.reflector import Reflector
-from mgsr.renderers.mirrored import mirrored_light, octahedral
+from mgsr.renderers.environment_map import octahedral, reflected_environment
 from tests.gaussians.test_reflector import corner, corner_camera, sights
-from tests.oracles import mirrored as oracle
+from tests.oracles import environment_map as oracle
 
 SIDE = 64
 
@@ -31,7 +31,7 @@ def normals(generator: np.random.Generator) -> np.ndarray:
     return raw @ camera().cam_from_world[:3, :3] * generator.uniform(0.2, 1.0, size=(16, 24, 1))
 
 
-def mirrored_directions(normal: np.ndarray) -> np.ndarray:
+def environment_map_directions(normal: np.ndarray) -> np.ndarray:
     """Return world directions [H,W,3] that the sight is mirrored to, by Householder's reflection of the ray itself."""
     view = camera()
     rows, columns = np.mgrid[: view.height, : view.width] + 0.5
@@ -58,8 +58,8 @@ def glow(directions: np.ndarray) -> np.ndarray:
     return 0.5 + 0.2 * directions + 0.2 * directions[..., [1, 2, 0]] * directions[..., [2, 0, 1]]
 
 
-def light(scene: np.ndarray, held: np.ndarray) -> MirroredLight:
-    return MirroredLight.of(np.moveaxis(np.stack([scene, held]), -1, 1), np.ones(3))
+def light(scene: np.ndarray, held: np.ndarray) -> EnvironmentMap:
+    return EnvironmentMap.of(np.moveaxis(np.stack([scene, held]), -1, 1), np.ones(3))
 
 
 def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
@@ -74,15 +74,15 @@ def assert_close(shown: torch.Tensor, expected: np.ndarray) -> None:
 def test_still_light_is_found_where_the_sight_is_thrown() -> None:
     normal = normals(np.random.default_rng(0))
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
-    shown = mirrored_light(lit, camera(), torch.tensor(normal).float())
-    assert_close(shown, glow(mirrored_directions(normal)))
+    shown = reflected_environment(lit, camera(), torch.tensor(normal).float())
+    assert_close(shown, glow(environment_map_directions(normal)))
 
 
 def test_light_on_the_camera_moves_with_it() -> None:
     normal = normals(np.random.default_rng(1))
-    away = mirrored_directions(normal) @ camera().cam_from_world[:3, :3].T
+    away = environment_map_directions(normal) @ camera().cam_from_world[:3, :3].T
     lit = light(np.zeros((SIDE, SIDE, 3)), glow(unfolded(SIDE)))
-    shown = mirrored_light(lit, camera(), torch.tensor(normal).float())
+    shown = reflected_environment(lit, camera(), torch.tensor(normal).float())
     assert_close(shown, glow(away * [1, 1, -1]))
 
 
@@ -95,7 +95,7 @@ def test_a_surface_that_faces_the_camera_mirrors_the_maps_middle() -> None:
     rows, columns = np.mgrid[: view.height, : view.width] + 0.5
     back = -np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(view.K).T
     normal = torch.tensor(back @ view.cam_from_world[:3, :3]).float()
-    shown = mirrored_light(light(np.zeros_like(flash), flash), view, normal)
+    shown = reflected_environment(light(np.zeros_like(flash), flash), view, normal)
     assert np.abs(shown.numpy() - 0.9).max() < 1e-3
 
 
@@ -108,9 +108,9 @@ def test_gradients_are_the_plain_ways() -> None:
     def gradients(dtype: torch.dtype) -> tuple[torch.Tensor, ...]:
         held, turned = logits.to(dtype).requires_grad_(), normal.to(dtype).requires_grad_()
         if dtype == torch.float32:
-            shown = mirrored_light(MirroredLight(held), view, turned, pixels)
+            shown = reflected_environment(EnvironmentMap(held), view, turned, pixels)
         else:
-            shown = oracle.look_up_mirrored(held[:-1].sigmoid().view(2, 6, 6, 3), turned, K, pose, pixels)
+            shown = oracle.look_up_environment_map(held[:-1].sigmoid().view(2, 6, 6, 3), turned, K, pose, pixels)
         return torch.autograd.grad(shown.square().sum(), (held, turned))
 
     for ours, true in zip(gradients(torch.float32), gradients(torch.float64), strict=True):
@@ -122,16 +122,16 @@ def test_only_the_chosen_pixels_are_looked_at() -> None:
     lit = light(glow(unfolded(8)), glow(unfolded(8))[::-1])
     chosen = np.random.default_rng(6).random((16, 24)) < 0.3
     pixels = torch.from_numpy(np.flatnonzero(chosen))
-    whole, part = mirrored_light(lit, camera(), normal), mirrored_light(lit, camera(), normal, pixels)
+    whole, part = reflected_environment(lit, camera(), normal), reflected_environment(lit, camera(), normal, pixels)
     assert torch.allclose(part[chosen], whole[chosen], atol=1e-6)
     assert part[~chosen].abs().max() == 0
 
 
 def test_nothing_there_gives_finite_light_and_gradients() -> None:
     normal = torch.zeros(16, 24, 3, requires_grad=True)
-    lit = MirroredLight.uniform(8, 0.01)
+    lit = EnvironmentMap.uniform(8, 0.01)
     lit.logits.requires_grad_()
-    mirrored_light(lit, camera(), normal).sum().backward()
+    reflected_environment(lit, camera(), normal).sum().backward()
     assert normal.grad is not None and torch.isfinite(normal.grad).all() and torch.isfinite(lit.logits.grad).all()
 
 
@@ -144,7 +144,7 @@ def test_octahedral_is_the_inverse_of_unfolding(side: int) -> None:
 
 def test_maps_come_back_from_their_own_values() -> None:
     maps = np.random.default_rng(4).uniform(0.01, 0.99, (2, 3, 5, 5))
-    light = MirroredLight.of(maps, np.array([0.1, 0.5, 0.9]))
+    light = EnvironmentMap.of(maps, np.array([0.1, 0.5, 0.9]))
     assert np.abs(light.maps().numpy() - maps).max() < 1e-5
     assert np.abs(light.bounce().numpy() - [0.1, 0.5, 0.9]).max() < 1e-5
 
@@ -155,7 +155,7 @@ def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_its
     lit.logits[-1] = torch.tensor([0.2, 0.5, 0.8]).logit()
     lit.logits.requires_grad_()
     view = corner_camera()
-    shown = mirrored_light(lit, view)
+    shown = reflected_environment(lit, view)
     seen = lit.reflector.seen_by(view, torch.device("cpu"))
     twice = np.zeros(view.height * view.width, bool)
     twice[seen.bounced.numpy()] = True

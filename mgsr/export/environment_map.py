@@ -1,13 +1,13 @@
-"""`mirrored_light.npz`: the light that the surface mirrors, which all splats share.
+"""`mirrored_light.npz`: the environment maps that the surface reflects, which all splats share.
 
 `scene` and `camera`, [S,S,3] float32, colours 0..1 as in the images: maps of the light from each direction, still in
 the scene (the user's axes), and fixed to the camera (OpenCV axes with z turned, so that the middle is the way back to
 the camera). Each unfolds the directions' octahedron |x|+|y|+|z| = 1 into a square: a direction with z >= 0 lies at
 column (x+1)/2 and row (y+1)/2 of the side, others folded out over the corners. A render of the 3D branch is
 
-    transmitted + weight x (reflected + scene[where the surface mirrors to] + camera[where it mirrors to]).
+    transmitted + weight x (reflected + scene[where the surface reflects to] + camera[where it reflects to]).
 
-The surface that mirrors is the mesh of `vertices` [V,3] and `faces` [F,3], in the user's frame. Where the mirrored
+The surface that reflects is the mesh of `vertices` [V,3] and `faces` [F,3], in the user's frame. Where the reflected
 ray meets the mesh again, it is thrown on from there, and both maps' light counts `bounce` [3] times. Without a mesh,
 the surface is the 2D branch's: its normals, blended in each pixel. Where the origin of the user's frame lies far away,
 there is also `origin` [3] (see `far_origin.py`): the vertices' places in the frame are `vertices` plus `origin`.
@@ -30,11 +30,11 @@ _PARTS = ("scene", "camera")
 
 
 @dataclass(frozen=True)
-class StoredLight:
-    """The mirrored light of a scene.
+class StoredEnvironmentMap:
+    """The environment maps of a scene.
 
     maps [2,3,S,S] (the scene's, then the camera's) and bounce [3], 0..1. surface: vertices [V,3] in the user's frame
-    and faces [F,3] of the mesh that mirrors, None where the 2D branch does.
+    and faces [F,3] of the mesh that reflects, None where the 2D branch does.
     """
 
     maps: np.ndarray
@@ -42,41 +42,41 @@ class StoredLight:
     surface: Triangles | None = None
 
 
-def write_mirrored_light(path: Path, light: StoredLight, origin: np.ndarray | None = None) -> None:
-    """Write the light. origin [3]: the origin of the file's vertices, None for the frame's own."""
-    images = np.moveaxis(np.asarray(light.maps, np.float32), 1, -1)
+def write_environment_map(path: Path, stored: StoredEnvironmentMap, origin: np.ndarray | None = None) -> None:
+    """Write the maps. origin [3]: the origin of the file's vertices, None for the frame's own."""
+    images = np.moveaxis(np.asarray(stored.maps, np.float32), 1, -1)
     arrays: dict[str, Any] = dict(zip(_PARTS, images, strict=True))
-    arrays["bounce"] = np.asarray(light.bounce, np.float32)
-    if light.surface is not None:
+    arrays["bounce"] = np.asarray(stored.bounce, np.float32)
+    if stored.surface is not None:
         about = no_origin() if origin is None else origin
-        arrays["vertices"] = (light.surface[0] - about).astype(np.float32)
-        arrays["faces"] = light.surface[1].astype(np.int32)
+        arrays["vertices"] = (stored.surface[0] - about).astype(np.float32)
+        arrays["faces"] = stored.surface[1].astype(np.int32)
         if about.any():
             arrays["origin"] = about
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
 
 
-def load_mirrored_light(path: Path) -> StoredLight:
-    """Read a light. Raises SceneError for a file that is none."""
+def load_environment_map(path: Path) -> StoredEnvironmentMap:
+    """Read the maps. Raises SceneError for a file that is none."""
     try:
         content = read_arrays(path)
         images = [content[part].astype(np.float32) for part in _PARTS]
         bounce = content.get("bounce", np.ones(3)).astype(np.float32)
         surface = _surface(content)
     except (ValueError, KeyError) as error:
-        raise SceneError(f"{path}: not a mirrored light ({in_short(error)}); train again, or remove it") from error
+        raise SceneError(f"{path}: not an environment map ({in_short(error)}); train again, or remove it") from error
     side = images[0].shape[0] if images[0].ndim else 0
     if bounce.shape != (3,) or any(image.shape != (side, side, 3) or not side for image in images):
         shapes = ", ".join(str(array.shape) for array in (*images, bounce))
         raise SceneError(f"{path}: expected two maps [S,S,3] and a bounce [3], got {shapes}; train again or remove it")
     if not all(np.isfinite(array).all() for array in (*images, bounce)):
         raise SceneError(f"{path}: expected maps and a bounce of finite numbers; train again or remove it")
-    return StoredLight(np.moveaxis(np.stack(images), -1, 1), bounce, surface)
+    return StoredEnvironmentMap(np.moveaxis(np.stack(images), -1, 1), bounce, surface)
 
 
 def _surface(content: dict[str, np.ndarray]) -> Triangles | None:
-    """Return the mesh that mirrors. Raises ValueError where it is damaged, KeyError where half of it is missing."""
+    """Return the mesh that reflects. Raises ValueError where it is damaged, KeyError where half of it is missing."""
     if "vertices" not in content and "faces" not in content:
         return None
     vertices, faces = content["vertices"].astype(float), content["faces"].astype(np.int64)

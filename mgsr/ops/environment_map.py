@@ -9,13 +9,13 @@ import torch
 from mgsr.checks import check_tensors
 from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
-from mgsr.native import _mirrored
+from mgsr.native import _environment_map
+from mgsr.native.cuda.environment_map import EnvironmentMapKernels
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.native.cuda.mirrored import MirroredKernels
 from mgsr.ops.arrays import once_differentiable, plain
 
 
-def look_up_mirrored(
+def look_up_environment_map(
     maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None = None
 ) -> torch.Tensor:
     """Return the light [H, W, 3] that each pixel's surface mirrors towards the camera: the sum of both maps.
@@ -40,7 +40,7 @@ def look_up_mirrored(
     if pixels is not None and (pixels.ndim != 1 or pixels.dtype != torch.int64 or pixels.device != normals.device):
         came = f"{pixels.dtype} {list(pixels.shape)} on {pixels.device}"
         raise TensorError(f"pixels: expected int64 [P] on {normals.device}, got {came}")
-    return _Mirrored.apply(maps, normals, camera, pixels)
+    return _EnvironmentMapLookup.apply(maps, normals, camera, pixels)
 
 
 def _geometry(camera: Camera) -> tuple[list[float], tuple[float, float, float, float]]:
@@ -49,14 +49,14 @@ def _geometry(camera: Camera) -> tuple[list[float], tuple[float, float, float, f
     return camera.cam_from_world[:3, :3].ravel().tolist(), intrinsics
 
 
-class _Mirrored(torch.autograd.Function):
+class _EnvironmentMapLookup(torch.autograd.Function):
     @staticmethod
     def forward(
         ctx: Any, maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None
     ) -> torch.Tensor:
         maps, normals, pixels = plain(maps), plain(normals), None if pixels is None else plain(pixels)
         launcher = launcher_for(normals)
-        ctx.kernels = _mirrored if launcher is None else MirroredKernels(launcher)
+        ctx.kernels = _environment_map if launcher is None else EnvironmentMapKernels(launcher)
         light = _like(normals, pixels)
         ctx.kernels.forward(maps, normals, pixels, *_geometry(camera), light)
         ctx.save_for_backward(maps, normals, pixels)

@@ -56,7 +56,7 @@ def gaussian_terms(
         covered = target.covered(outputs.alpha) if covered is None else covered
     if config.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
-        inside = None if target.unknown is None else target.known(torch.ones_like(outputs.alpha))
+        inside = None if target.invalid is None else target.valid_weights(torch.ones_like(outputs.alpha))
         inside = inside if target.alpha is None else covered
         tv = edge_aware_tv_term(outputs.transmitted, target.color, mask=inside)
         terms["gaussians.transmitted_tv"] = settings.transmitted_tv_weight * tv
@@ -125,7 +125,7 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
-    if clip and target.unknown is not None:  # what is put in at unknown pixels must be clipped too
+    if clip and target.invalid is not None:  # what is put in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
     known_sum = target.off_edge_sum if where is target.off_edge else None

@@ -36,8 +36,8 @@ class ViewImages:
 
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
     frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
-    a light split; even [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
-    known.
+    a light split; unlit [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
+    valid.
     """
 
     name: str
@@ -49,7 +49,7 @@ class ViewImages:
     transmitted: np.ndarray | None = None
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
-    even: np.ndarray | None = None
+    unlit: np.ndarray | None = None
 
 
 def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
@@ -58,26 +58,26 @@ def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
     for view in views:
-        yield render_camera(model, view.camera, config.train.surfels.depth, view.lit, view.name)
+        yield render_camera(model, view.camera, config.train.surfels.depth, view.irradiance, view.name)
 
 
 @torch.no_grad()
 def render_camera(
-    model: TrainedModel, camera: Camera, depth: SurfaceDepth, lit: np.ndarray | None = None, name: str = ""
+    model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None = None, name: str = ""
 ) -> ViewImages:
     """Render what the branches show to any camera of their frame.
 
-    depth: which one of the 2D branch is the surface; lit [H,W] uint8: what a flash makes of the view (see `View`).
+    depth: which one of the 2D branch is the surface; shading [H,W] uint8: what a flash makes of the view (see `View`).
     """
-    light = None if lit is None else torch.from_numpy(lit).to(model.device) / 255
-    flat, full = _see(model, camera, depth=True, lit=light)
+    light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
+    flat, full = _see(model, camera, depth=True, shading=light)
     images = _surface(flat, full, camera, depth)
     if full is None:
         assert flat is not None
-        even = None if flat.even is None else _numpy(flat.even)
-        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, even=even)
+        unlit = None if flat.unlit is None else _numpy(flat.unlit)
+        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, unlit=unlit)
     transmitted = None if full.reflected is None else full.transmitted
-    lights = (transmitted, full.reflected, full.weight, full.even)
+    lights = (transmitted, full.reflected, full.weight, full.unlit)
     shown = (_numpy(full.color), _numpy(full.alpha), *images)
     return ViewImages(name, camera, *shown, *(None if each is None else _numpy(each) for each in lights))
 
@@ -89,11 +89,11 @@ def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[Sur
     does not show, no loss has seen from there: such pixels are left out.
     """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
-    known = [view.known for view in scene.train] + [None] * (len(cameras) - len(scene.train))
+    valid = [view.valid_mask for view in scene.train] + [None] * (len(cameras) - len(scene.train))
     with torch.no_grad():
         return [
             _surface_view(model, camera, config, _resized(shown, camera))
-            for camera, shown in zip(cameras, known, strict=True)
+            for camera, shown in zip(cameras, valid, strict=True)
         ]
 
 
@@ -149,13 +149,13 @@ def _opacity(model: TrainedModel, camera: Camera) -> np.ndarray:
     return _numpy(render_surfels(model.surfels, camera).alpha)
 
 
-def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:
-    """Resample known pixels [H,W] bool to a camera of another image size; None stays None."""
-    if known is None:
+def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
+    """Resample valid pixels [H,W] bool to a camera of another image size; None stays None."""
+    if valid is None:
         return None
-    rows = (np.arange(camera.height) + 0.5) * known.shape[0] / camera.height
-    columns = (np.arange(camera.width) + 0.5) * known.shape[1] / camera.width
-    return np.asarray(known[np.ix_(rows.astype(np.intp), columns.astype(np.intp))])
+    rows = (np.arange(camera.height) + 0.5) * valid.shape[0] / camera.height
+    columns = (np.arange(camera.width) + 0.5) * valid.shape[1] / camera.width
+    return np.asarray(valid[np.ix_(rows.astype(np.intp), columns.astype(np.intp))])
 
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
@@ -167,9 +167,9 @@ def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.
 
 
 def _see(
-    model: TrainedModel, camera: Camera, depth: bool, lit: Tensor | None = None
+    model: TrainedModel, camera: Camera, depth: bool, shading: Tensor | None = None
 ) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
-    return render_both(model, camera, depth=depth, lit=lit)
+    return render_both(model, camera, depth=depth, shading=shading)
 
 
 def _surface(

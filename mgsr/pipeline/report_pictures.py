@@ -78,11 +78,11 @@ def _up(scene: Scene) -> np.ndarray:
 def _shown(view: View) -> np.ndarray:
     """Return the photograph, transparent where it shows nothing."""
     pixels = photograph(view)
-    if view.known is None:
+    if view.valid_mask is None:
         return pixels
     if view.alpha is None:
-        pixels = np.dstack([pixels, np.full(view.known.shape, 255, np.uint8)])
-    return np.where(view.known[..., None], pixels, np.uint8(0))
+        pixels = np.dstack([pixels, np.full(view.valid_mask.shape, 255, np.uint8)])
+    return np.where(view.valid_mask[..., None], pixels, np.uint8(0))
 
 
 def _view_pictures(
@@ -107,5 +107,5 @@ def _view_pictures(
         depth_picture(images.depth, images.alpha),
         shaded,
         psnr,
-        None if images.even is None else light(images.even),
+        None if images.unlit is None else light(images.unlit),
     )

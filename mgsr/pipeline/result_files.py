@@ -248,12 +248,12 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 def straight_view(view: ViewImages, unit: float) -> RenderedView:
     """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
-    transmitted, even = (
-        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
+    transmitted, unlit = (
+        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.unlit)
     )
     color = straight_color(view.color, view.alpha)
     light = (transmitted, view.reflected, view.weight)
-    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, even)
+    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, unlit)
 
 
 def read_report(out: Path) -> ReportData:

@@ -61,7 +61,7 @@ class ResultPaths:
         return self.folder / GAUSSIANS
 
     @property
-    def light(self) -> Path:
+    def environment_map(self) -> Path:
         """mirrored_light.npz, where a shiny surface reflects an environment map."""
         return self.folder / ENVIRONMENT_MAP
 

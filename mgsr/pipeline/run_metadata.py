@@ -116,7 +116,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
 def shown_share(scene: Scene) -> float:
     """Return the share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
     pixels = sum(view.camera.width * view.camera.height for view in scene.train)
-    unknown = sum(int((~view.known).sum()) for view in scene.train if view.known is not None)
+    unknown = sum(int((~view.valid_mask).sum()) for view in scene.train if view.valid_mask is not None)
     return 1 - unknown / max(pixels, 1)
 
 
@@ -124,7 +124,7 @@ def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
     begun = {"source": str(start.source), "count": len(start.positions)}
     facts = scene_facts(scene, unit)  # as the written files have it
     flash = start.lighting
-    if flash is not None and scene.train[0].lit is not None:
+    if flash is not None and scene.train[0].irradiance is not None:
         across = scene.user_from_scene.scale * unit
         facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
     return facts | {"starting_points": begun}

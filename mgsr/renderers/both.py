@@ -17,16 +17,18 @@ def render_both(
     camera: Camera,
     background: Tensor | None = None,
     depth: bool = True,
-    lit: Tensor | None = None,
+    shading: Tensor | None = None,
 ) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
     """Render each branch of a model from one camera; None for one that is not there.
 
-    depth: of the 3D branch; off saves its time; lit: as for `render_gaussians`.
+    depth: of the 3D branch; off saves its time; shading: as for `render_gaussians`.
     """
-    flat = None if model.surfels is None else render_surfels(model.surfels, camera, background, lit=lit)
+    flat = None if model.surfels is None else render_surfels(model.surfels, camera, background, shading=shading)
     if model.gaussians is None:
         return flat, None
     environment, light = None, model.environment_map
     if light is not None and (flat is not None or light.reflector is not None):
         environment = reflected_environment(light, camera, None if flat is None else flat.normal)
-    return flat, render_gaussians(model.gaussians, camera, background, depth=depth, environment=environment, lit=lit)
+    return flat, render_gaussians(
+        model.gaussians, camera, background, depth=depth, environment=environment, shading=shading
+    )

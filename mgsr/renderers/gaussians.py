@@ -16,7 +16,7 @@ from mgsr.ops.activations import activated, activated_vjp
 from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.gaussians import GaussianOptions, GaussianPass
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
-from mgsr.ops.lights import lit_up, lit_up_vjp, with_reflection, with_reflection_vjp
+from mgsr.ops.lights import apply_shading, apply_shading_vjp, with_reflection, with_reflection_vjp
 from mgsr.renderers.outputs import GaussianOutputs, camera_center
 
 KINDS = (Activation.EXP, Activation.SIGMOID, Activation.SIGMOID, Activation.SIGMOID)
@@ -30,15 +30,15 @@ def render_gaussians(
     refl_degree: int | None = None,
     depth: bool = True,
     environment: Tensor | None = None,
-    lit: Tensor | None = None,
+    shading: Tensor | None = None,
 ) -> GaussianOutputs:
     """Render the Gaussians from any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and the
     reflected colours, by default all that is stored; depth: off saves its time; environment [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.renderers.environment_map`); lit [H,W]: what a flash makes of the
+    added to the reflected colour (see `mgsr.renderers.environment_map`); shading [H,W]: what a flash makes of the
     transmitted colour (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's
-    tensors, and to what is reflected, where these ask for them; from `reflected` and `even` none flow.
+    tensors, and to what is reflected, where these ask for them; from `reflected` and `unlit` none flow.
 
     Raises TensorError for a model whose tensors don't fit together.
     """
@@ -59,16 +59,16 @@ def render_gaussians(
         model.means.new_zeros(3) if background is None else plain(background),
         camera_center(camera),
         (degree, refl_degree),
-        None if lit is None else plain(lit),
+        None if shading is None else plain(shading),
     )
     images = _RenderGaussians.apply(rendering, environment, *stored, *stored_split)
-    color, transmitted, alpha, depths, own, weight, reflected, even = images
+    color, transmitted, alpha, depths, own, weight, reflected, unlit = images
     if reflected is None:
         transmitted, weight = color, None
     elif own is None:
         weight = alpha
     return GaussianOutputs(
-        color, transmitted, reflected, weight, depths, alpha, rendering.raster.stats, own, environment, even
+        color, transmitted, reflected, weight, depths, alpha, rendering.raster.stats, own, environment, unlit
     )
 
 
@@ -81,7 +81,7 @@ class _Rendering:
     background: Tensor
     center: Tensor
     degrees: tuple[int, int]
-    lit: Tensor | None
+    shading: Tensor | None
 
 
 class _RenderGaussians(torch.autograd.Function):
@@ -104,9 +104,9 @@ class _RenderGaussians(torch.autograd.Function):
             split = (used[2], harmonics(r.launcher, refl_sh, means, r.center, r.degrees[1]), used[3])
         splats = (means, quats, *used[:2], rgb, *split, r.background)
         images = r.raster.forward(splats)
-        even, alpha, depth, own, weight = images
-        assert even is not None and alpha is not None
-        transmitted = even if r.lit is None else lit_up(r.launcher, even, alpha, r.background, r.lit)
+        unlit, alpha, depth, own, weight = images
+        assert unlit is not None and alpha is not None
+        transmitted = unlit if r.shading is None else apply_shading(r.launcher, unlit, alpha, r.background, r.shading)
         color, reflected = transmitted, None
         if own is not None or environment is not None:
             light = None if environment is None else plain(environment)
@@ -116,10 +116,10 @@ class _RenderGaussians(torch.autograd.Function):
         ctx.save_for_backward(sh, refl_sh, reflected, *splats, *images)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(
-            *(each for each in (reflected, None if r.lit is None else even) if each is not None)
+            *(each for each in (reflected, None if r.shading is None else unlit) if each is not None)
         )
         apart = None if reflected is None else transmitted
-        return color, apart, alpha, depth, own, weight, reflected, None if r.lit is None else even
+        return color, apart, alpha, depth, own, weight, reflected, None if r.shading is None else unlit
 
     @staticmethod
     @once_differentiable
@@ -138,8 +138,8 @@ class _RenderGaussians(torch.autograd.Function):
             v_transmitted, v_by, v_own, v_environment = with_reflection_vjp(r.launcher, v_color, reflected, by, before)
             v_alpha, v_weight = (v_by, None) if images[4] is None else (v_alpha, v_by)
             v_own = None if images[3] is None else v_own
-        if r.lit is not None and v_transmitted is not None:
-            v_transmitted, v_alpha = lit_up_vjp(r.launcher, v_transmitted, r.background, r.lit, v_alpha)
+        if r.shading is not None and v_transmitted is not None:
+            v_transmitted, v_alpha = apply_shading_vjp(r.launcher, v_transmitted, r.background, r.shading, v_alpha)
         v_images = (v_transmitted, v_alpha, v_depth, v_own, v_weight)
         v_stored = _to_stored(r, sh, refl_sh, splats, r.raster.backward(splats, images, v_images))
         return None, v_environment if ctx.needs_input_grad[1] else None, *v_stored

@@ -92,9 +92,9 @@ def _view_row(view: TestViewPictures, side: int, extra: str = "") -> str:
         ("render", view.render),
         ("transmitted light", view.transmitted),
         ("weight × reflected light", view.reflected),
-        ("even light, no flash", view.even),
+        ("even light, no flash", view.unlit),
         ("normals", view.normal),
-        ("depth", view.depth if view.mesh is None or view.even is not None else None),
+        ("depth", view.depth if view.mesh is None or view.unlit is not None else None),
         ("mesh", view.mesh),
     )
     tiles = [_tile(f"{view.name}: {name}", name, pixels, side) for name, pixels in named if pixels is not None]

@@ -78,6 +78,6 @@ def read_schedule(path: Path) -> dict[str, Any] | None:
 
 
 def _view_bytes(view: View) -> bytes:
-    sums = [zlib.crc32(image.tobytes()) for image in (view.image, view.alpha, view.known) if image is not None]
+    sums = [zlib.crc32(image.tobytes()) for image in (view.image, view.alpha, view.valid_mask) if image is not None]
     pose = np.concatenate([view.camera.K.ravel(), view.camera.cam_from_world.ravel()]).astype(np.float64)
     return f"{view.name} {view.image.shape} {sums}".encode() + pose.tobytes()

@@ -143,11 +143,11 @@ def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
 
 
 def _usable(view: View) -> np.ndarray:
-    """Return the pixels [H,W] bool that are known, of the object alone, and not clipped."""
+    """Return the pixels [H,W] bool that are valid, of the object alone, and not clipped."""
     usable = (view.image < CLIPPED).all(axis=-1)
     if view.alpha is not None:
         usable &= view.alpha >= CLIPPED
-    return np.asarray(usable if view.known is None else usable & view.known)
+    return np.asarray(usable if view.valid_mask is None else usable & view.valid_mask)
 
 
 def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:

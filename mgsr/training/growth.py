@@ -62,9 +62,9 @@ class ErrorGrowth:
         light = model.environment_map
         drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
         behind = color_tensor(self.behind, self.branch.device)
-        _, shown = render_both(drawn, view.camera, behind, lit=view.light())
+        _, shown = render_both(drawn, view.camera, behind, shading=view.shading())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)
-        base = shown.transmitted if shown.even is None else shown.even
-        return RenderedView(view.camera, wanted - color, base, shown.depth, target.known(shown.alpha))
+        base = shown.transmitted if shown.unlit is None else shown.unlit
+        return RenderedView(view.camera, wanted - color, base, shown.depth, target.valid_weights(shown.alpha))

@@ -20,7 +20,7 @@ def preview_pictures(plan: Plan) -> dict[str, np.ndarray]:
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
     color = color_tensor(plan.backdrop.color, plan.train_state.branches[0].device)
-    flat, full = render_both(plan.train_state.model, view.camera, color, depth=False, lit=view.light())
+    flat, full = render_both(plan.train_state.model, view.camera, color, depth=False, shading=view.shading())
     images: dict[str, Tensor] = {}
     if flat is not None:
         images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}

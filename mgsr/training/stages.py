@@ -280,7 +280,7 @@ def _see_surfels(
     branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
     distortion = config.surfels.distortion_weight > 0
-    return render_surfels(branch.model, view.camera, behind, degree, distortion, view.light())
+    return render_surfels(branch.model, view.camera, behind, degree, distortion, view.shading())
 
 
 def _see_gaussians(
@@ -292,5 +292,5 @@ def _see_gaussians(
     depth: bool,
     environment: Tensor | None,
 ) -> GaussianOutputs:
-    light = (environment, view.light())
+    light = (environment, view.shading())
     return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

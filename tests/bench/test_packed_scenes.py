@@ -59,8 +59,8 @@ def test_everything_comes_back(tmp_path: Path) -> None:
             view,
             image=random.integers(0, 256, view.image.shape, np.uint8),
             alpha=None,
-            lit=random.integers(0, 256, view.image.shape[:2], np.uint8),
-            known=None if i else random.random(view.image.shape[:2]) < 0.5,
+            irradiance=random.integers(0, 256, view.image.shape[:2], np.uint8),
+            valid_mask=None if i else random.random(view.image.shape[:2]) < 0.5,
         )
         for i, view in enumerate(ball_scene(size=20, train=3).train)
     ]
@@ -110,7 +110,9 @@ def test_views_at_even_distances() -> None:
 def test_a_scene_trains_as_it_was_read(name: str, views: int | None, tmp_path: Path, shared_data: Path) -> None:
     """Check that a packed scene trains as the scene that was read; bunny_flash with its flash's light on each view."""
     content = read(shared_data / "scenes" / name, CONFIG, views)
-    assert (content.scene.train[0].lit is not None) is (name == "bunny_flash") is ("flash.npz" in content.findings)
+    assert (
+        (content.scene.train[0].irradiance is not None) is (name == "bunny_flash") is ("flash.npz" in content.findings)
+    )
     pack(content, tmp_path / "scene.npz")
     other = unpack(tmp_path / "scene.npz")
     assert other.findings == content.findings

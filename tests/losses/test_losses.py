@@ -129,28 +129,28 @@ def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
 @pytest.mark.parametrize("kind", AlphaLoss)
 @pytest.mark.parametrize("masked", [True, False])
 def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
-    """Check that losses and gradients are the same whatever stands at unknown pixels.
+    """Check that losses and gradients are the same whatever stands at invalid pixels.
 
     Colour and alpha get no gradient there; far from them, beyond any window, the gradients are those of a photograph
     that shows all.
     """
     config = replace(make_config().train, alpha_loss=kind)
     config = replace(config, gaussians=replace(config.gaussians, transmitted_tv_weight=0.0))
-    unknown = torch.arange(SIZE) * SIZE + 1  # the second column
+    invalid = torch.arange(SIZE) * SIZE + 1  # the second column
     results = []
     for seed in (6, 7):
         photograph = target(masked)
-        color = photograph.color.flatten(0, 1).index_copy(0, unknown, random(SIZE, 3, seed=seed).detach())
-        photograph = replace(photograph, color=color.view(SIZE, SIZE, 3), unknown=unknown)
+        color = photograph.color.flatten(0, 1).index_copy(0, invalid, random(SIZE, 3, seed=seed).detach())
+        photograph = replace(photograph, color=color.view(SIZE, SIZE, 3), invalid=invalid)
         results.append(_gradients(photograph, config))
     assert results[0][0] == results[1][0]
     for one, other in zip(results[0][1], results[1][1], strict=True):
         assert torch.equal(one, other)
-        assert not one.flatten(0, 1)[unknown].any()
+        assert not one.flatten(0, 1)[invalid].any()
     _, whole = _gradients(target(masked), config)
     for one, other in zip(results[0][1], whole, strict=True):
         torch.testing.assert_close(one[:, 12:], other[:, 12:])
-        assert other.flatten(0, 1)[unknown].any()
+        assert other.flatten(0, 1)[invalid].any()
 
 
 def _gradients(photograph: Target, config: TrainConfig) -> tuple[list[float], list[torch.Tensor]]:

@@ -62,10 +62,12 @@ def with_garbage(scene: Scene, seed: int) -> Scene:
     random = np.random.default_rng(seed)
 
     def noisy(view: View) -> View:
-        assert view.known is not None
+        assert view.valid_mask is not None
         noise = random.integers(0, 256, view.image.shape).astype(np.uint8)
-        image = np.where(view.known[..., None], view.image, noise)
-        alpha = None if view.alpha is None else np.where(view.known, view.alpha, noise[..., 0] // 128 * np.uint8(255))
+        image = np.where(view.valid_mask[..., None], view.image, noise)
+        alpha = (
+            None if view.alpha is None else np.where(view.valid_mask, view.alpha, noise[..., 0] // 128 * np.uint8(255))
+        )
         return replace(view, image=image, alpha=alpha)
 
     return replace(scene, train=[noisy(view) for view in scene.train], test=[noisy(view) for view in scene.test])
@@ -75,9 +77,9 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     """Yield the results of a scene, stage by stage."""
     config = make_config("draft", overrides=SHORT)
     yield "frame", _frame(scene)
-    yield "reduced views", [(view.image[view.known], view.known) for view in map(_halved, scene.train)]
+    yield "reduced views", [(view.image[view.valid_mask], view.valid_mask) for view in map(_halved, scene.train)]
     for each in scene_silhouettes(scene):
-        yield "silhouette", (each.distance, each.known)
+        yield "silhouette", (each.distance, each.valid_mask)
     yield "facts", sorted(map(str, scene_facts(scene).items()))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
@@ -128,7 +130,7 @@ def same(one: object, other: object) -> bool:
 @pytest.mark.parametrize("masked", [True, False])
 def test_what_stands_at_unknown_pixels_changes_nothing(masked: bool, tmp_path: Path) -> None:
     scene = load_scene(write_fisheye(tmp_path / "scene", masked=masked), DataConfig())
-    shares = [view.known.mean() for view in scene.train if view.known is not None]
+    shares = [view.valid_mask.mean() for view in scene.train if view.valid_mask is not None]
     assert len(shares) == len(scene.train) and max(shares) < 0.95
     first, second = (everything(with_garbage(scene, seed), tmp_path / str(seed)) for seed in (1, 2))
     for (stage, one), (_, other) in zip(first, second, strict=True):
@@ -142,9 +144,9 @@ def test_the_hull_is_whole_where_images_cut_the_object_off(tmp_path: Path) -> No
     """
     scene = load_scene(write_fisheye(tmp_path / "scene"), DataConfig())
     assert scene.user_from_scene.scale == pytest.approx(0.8, rel=0.15)
-    cut = [((view.alpha > 127) & view.known & binary_dilation(~view.known)).sum() for view in scene.train]
+    cut = [((view.alpha > 127) & view.valid_mask & binary_dilation(~view.valid_mask)).sum() for view in scene.train]
     assert (np.array(cut) > 10).sum() >= 3
-    bare = [replace(view, alpha=np.where(view.known, view.alpha, np.uint8(0))) for view in scene.train]
+    bare = [replace(view, alpha=np.where(view.valid_mask, view.alpha, np.uint8(0))) for view in scene.train]
     hull = carve(scene_silhouettes(replace(scene, train=bare)), np.zeros(3), 1.05, 64)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -98,7 +98,9 @@ def test_gaussians(machine: Machine, lights: tuple[str, ...], flash: bool) -> No
     def render(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
         model = GaussianModel(**leaves, low_pass=LOW_PASS)
         on_machine = None if lit is None else lit.float().to(machine.device)
-        out = render_gaussians(model, VIEW, BEHIND.to(machine.device), 2, 1, environment=environment, lit=on_machine)
+        out = render_gaussians(
+            model, VIEW, BEHIND.to(machine.device), 2, 1, environment=environment, shading=on_machine
+        )
         shown = {"color": out.color, "alpha": out.alpha, "depth": out.depth}
         if lights:
             shown |= {"transmitted": out.transmitted, "weight": out.weight}
@@ -132,7 +134,7 @@ def test_surfels(machine: Machine, flash: bool) -> None:
 
     def render(leaves: dict[str, Tensor]) -> dict[str, Tensor]:
         on_machine = None if lit is None else lit.float().to(machine.device)
-        out = render_surfels(SurfelModel(**leaves), VIEW, BEHIND.to(machine.device), 2, lit=on_machine)
+        out = render_surfels(SurfelModel(**leaves), VIEW, BEHIND.to(machine.device), 2, shading=on_machine)
         return {"color": out.color, "alpha": out.alpha, "depth": out.depth, "normal": out.normal}
 
     def oracle(leaves: dict[str, Tensor]) -> dict[str, Tensor]:

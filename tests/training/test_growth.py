@@ -63,7 +63,7 @@ def test_nothing_is_added_where_all_is_within_the_tolerance() -> None:
 
 def test_nothing_is_added_for_what_photographs_do_not_show() -> None:
     scene = ball_scene(48, train=16)
-    hidden = [replace(view, known=np.zeros((48, 48), bool)) for view in scene.train]
+    hidden = [replace(view, valid_mask=np.zeros((48, 48), bool)) for view in scene.train]
     made = make_plan(replace(scene, train=hidden), ball_points(300, RADIUS), config())
     stage, branch = made.stages[1], made.train_state.gaussians
     stage.adapt(branch)

@@ -81,12 +81,12 @@ def test_small_views_average_light_and_alpha() -> None:
 
 def test_the_flashs_light_goes_with_its_view() -> None:
     lit = np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8)
-    view = replace(ball_scene(48).train[0], lit=lit)
+    view = replace(ball_scene(48).train[0], shading=lit)
     (whole,), (small,) = prepare_views([view], masked=True), prepare_views([view], masked=True, reduce=2)
-    assert np.allclose(whole.light().numpy(), lit / 255, atol=1e-6)
+    assert np.allclose(whole.shading().numpy(), lit / 255, atol=1e-6)
     mean = lit.reshape(24, 2, 24, 2).mean(axis=(1, 3)) / 255
-    assert np.allclose(small.light().numpy(), mean, atol=0.51 / 255)
-    assert prepare_views([replace(view, lit=None)], masked=True)[0].light() is None
+    assert np.allclose(small.shading().numpy(), mean, atol=0.51 / 255)
+    assert prepare_views([replace(view, irradiance=None)], masked=True)[0].light() is None
 
 
 def test_small_views_of_odd_sides() -> None:

@@ -29,7 +29,7 @@ class ReflectionVjpParams(ctypes.Structure):
 class LightUpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
-        *pointers("even", "alpha", "background", "lit"),
+        *pointers("unlit", "alpha", "background", "shading"),
         ("offset", Float),
         *pointers("image"),
     )
@@ -38,9 +38,9 @@ class LightUpParams(ctypes.Structure):
 class LightUpVjpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
-        *pointers("v_image", "background", "lit"),
+        *pointers("v_image", "background", "shading"),
         ("offset", Float),
-        *pointers("add_alpha", "v_even", "v_alpha"),
+        *pointers("add_alpha", "v_unlit", "v_alpha"),
     )
 
 
@@ -76,26 +76,26 @@ class LightKernels:
         self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
 
     def light_up(
-        self, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor, offset: float, image: Tensor
+        self, unlit: Tensor, alpha: Tensor, background: Tensor, shading: Tensor, offset: float, image: Tensor
     ) -> None:
-        """Write the lit image [H,W,3]."""
-        arrays = addresses(even, alpha, background, lit)
-        self._run("lights_light_up", lit, LightUpParams(lit.numel(), *arrays, offset, pointer(image)))
+        """Write the shaded image [H,W,3]."""
+        arrays = addresses(unlit, alpha, background, shading)
+        self._run("lights_light_up", shading, LightUpParams(shading.numel(), *arrays, offset, pointer(image)))
 
     def light_up_vjp(
         self,
         v_image: Tensor,
         background: Tensor,
-        lit: Tensor,
+        shading: Tensor,
         offset: float,
         add_alpha: Tensor | None,
-        v_even: Tensor,
+        v_unlit: Tensor,
         v_alpha: Tensor,
     ) -> None:
-        """Write v_even [H,W,3], and v_alpha [H,W] with add_alpha added."""
-        arrays = addresses(v_image, background, lit)
-        written = addresses(add_alpha, v_even, v_alpha)
-        self._run("lights_light_up_vjp", lit, LightUpVjpParams(lit.numel(), *arrays, offset, *written))
+        """Write v_unlit [H,W,3], and v_alpha [H,W] with add_alpha added."""
+        arrays = addresses(v_image, background, shading)
+        written = addresses(add_alpha, v_unlit, v_alpha)
+        self._run("lights_light_up_vjp", shading, LightUpVjpParams(shading.numel(), *arrays, offset, *written))
 
     def _run(self, kernel: str, plane: Tensor, params: ctypes.Structure) -> None:
         self._launcher.launch("lights", kernel, -(-plane.numel() // THREADS), THREADS, params)

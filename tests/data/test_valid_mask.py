@@ -8,11 +8,11 @@ import pytest
 from mgsr.config import DataConfig
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
-from mgsr.data.known import filled, known_inside, known_mean, largest_rectangle, whole_part
 from mgsr.data.loading import reduced_view
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import signed_distance, silhouettes
+from mgsr.data.valid_mask import filled, largest_rectangle, valid_inside, valid_mean, whole_part
 from mgsr.export.scenes import write_scene
 from mgsr.geometry.outlines import find_outline
 from tests.data.fisheye import FOCAL, SIDE, ball_color, write_fisheye
@@ -66,14 +66,14 @@ def test_means_are_those_of_the_known_pixels():
     small = reduced_view(given, 0.5)
     cut = View("a", Camera(CAMERA.K, np.eye(4), 44, 36), given.image[WINDOW], given.alpha[WINDOW])
     expected = reduced_view(cut, 0.5)
-    np.testing.assert_array_equal(small.known, window()[::2, ::2])
+    np.testing.assert_array_equal(small.valid_mask, window()[::2, ::2])
     np.testing.assert_allclose(small.image[2:20, 3:25], expected.image, atol=1)
     np.testing.assert_allclose(small.alpha[2:20, 3:25], expected.alpha, atol=1)
-    assert not small.image[~small.known].any() and not small.alpha[~small.known].any()
+    assert not small.image[~small.valid_mask].any() and not small.alpha[~small.valid_mask].any()
 
 
 def test_pixels_that_are_mostly_unknown_are_unknown():
-    _, known = known_mean(np.zeros((48, 60, 3), np.float32), window(), lambda pixels: reduce_area(pixels, 20, 16))
+    _, known = valid_mean(np.zeros((48, 60, 3), np.float32), window(), lambda pixels: reduce_area(pixels, 20, 16))
     inner = np.zeros((16, 20), bool)
     inner[2:13, 2:16] = True  # the rows 3 to 5 and the columns 48 to 50 are known in part
     np.testing.assert_array_equal(known, inner)
@@ -90,7 +90,7 @@ def test_filling_takes_the_nearest_known_pixel():
 def test_what_lies_deep_inside():
     expected = np.zeros((48, 60), bool)
     expected[6:38, 8:48] = True
-    np.testing.assert_array_equal(known_inside(window(), 2), expected)
+    np.testing.assert_array_equal(valid_inside(window(), 2), expected)
 
 
 def test_the_largest_rectangle_of_a_disc():
@@ -105,7 +105,7 @@ def test_the_largest_rectangle_of_a_disc():
 def test_the_whole_part_keeps_its_rays():
     part = whole_part(view())
     np.testing.assert_array_equal(part.alpha, (disc() * 255).astype(np.uint8)[WINDOW])
-    assert part.known is None and part.image.shape == (36, 44, 3)
+    assert part.valid_mask is None and part.image.shape == (36, 44, 3)
     np.testing.assert_allclose(part.camera.K[:2, 2], CAMERA.K[:2, 2] - [6, 4])
 
 
@@ -120,17 +120,17 @@ def test_a_fisheye_shows_all_that_it_saw(tmp_path):
         places = rays[..., :2] * (angle / np.maximum(np.tan(angle), 1e-9))[..., None] * FOCAL + SIDE / 2
         sure = (np.abs(places) > 0.01).all(-1) & (np.abs(places - SIDE) > 0.01).all(-1)
         shown = ((places > 0) & (places < SIDE)).all(-1) & (angle < np.radians(60))
-        np.testing.assert_array_equal(view.known[sure], shown[sure])
+        np.testing.assert_array_equal(view.valid_mask[sure], shown[sure])
         directions = rays @ camera.cam_from_world[:3, :3]
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         along = -(directions @ camera.center)
         left = 0.8**2 - (camera.center @ camera.center - along**2)
         points = camera.center + directions * (along - np.sqrt(np.maximum(left, 0)))[..., None]
-        solid = view.known & (left > 0.15) & (view.alpha == 255)
+        solid = view.valid_mask & (left > 0.15) & (view.alpha == 255)
         assert solid.sum() > 200
         assert np.abs(view.image[solid] / 255 - ball_color(points[solid])).mean() < 0.02
-        assert (view.alpha[view.known & (left < -0.3)] == 0).all()
-    assert len({id(view.known) for view in scene.train}) == 1  # one camera's photographs share it
+        assert (view.alpha[view.valid_mask & (left < -0.3)] == 0).all()
+    assert len({id(view.valid_mask) for view in scene.train}) == 1  # one camera's photographs share it
 
 
 def test_written_scenes_have_no_unknown_pixels(tmp_path):
@@ -138,7 +138,7 @@ def test_written_scenes_have_no_unknown_pixels(tmp_path):
     (tmp_path / "out").mkdir()
     write_scene(tmp_path / "out", scene)
     read = load_scene(tmp_path / "out", DataConfig(test_every=100))
-    assert read.train[0].known is None and read.masked
+    assert read.train[0].valid_mask is None and read.masked
     by_name = {view.name.removeprefix("train_"): view for view in read.train}
     for given in scene.train:
         part, got = whole_part(given), by_name[given.name]

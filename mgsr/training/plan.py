@@ -257,8 +257,8 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
     def progress(part: Trainable, iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
-        begun = (part.steps - iteration) / max(1, planned + stage.iterations)
-        return begun + (1 - begun) * iteration / max(1, stage.iterations)
+        share = (part.steps - iteration) / max(1, planned + stage.iterations)
+        return share + (1 - share) * iteration / max(1, stage.iterations)
 
     name = "mutual"
     if train_state.surfels is not None and train_state.gaussians is not None:

@@ -49,13 +49,13 @@ class Machine:
 
     def work(self, step: str, reference: float) -> float:
         """Do a step, and return the seconds that it took."""
-        begun, left = self.now, reference * self.odd.get(step, 1.0)
+        started_at, left = self.now, reference * self.odd.get(step, 1.0)
         piece = max(left / 20, 0.05)
         while left > 1e-9:
             done = min(piece, left)
             self.now += done * self.speed(self.now) * self.random.lognormal(0.0, 0.15)
             left -= done
-        return self.now - begun
+        return self.now - started_at
 
 
 @dataclass

@@ -96,20 +96,26 @@ class MeshConfig:
     consistency: float | None = 3.0  # footprints in front of another view's surface that are forgiven; none is off
     hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
-    outline_smoothing: float | None = 1.0  # pixels over which a correction of the outlines spreads; none is off
+    silhouette_smoothing: float | None = (
+        1.0  # pixels over which a correction of the silhouette contours spreads; none is off
+    )
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    shading_ratio: float | None = 0.85  # a flash on the camera, or an environment map, counts as known where they
+    max_light_residual: float | None = 0.85  # a flash on the camera, or an environment map, counts as known where they
     # leave at most this share of what one brightness a point leaves; the mesh then heeds them; none is off, for
     # parallax too
-    parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
+    photometric_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
     # shading is looked at and masks hold the outlines; none is off
-    disagreement: float | None = 0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
+    photometric_residual: float | None = (
+        0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
+    )
     # a surface that is 0.7 pixels off explains, at which it is left open; none, or close_holes, keeps all
-    wave_angle: float | None = 4.0  # degrees; normals that differ by less within a few pixels are taken for waves, by
+    regression_angle: float | None = (
+        4.0  # degrees; normals that differ by less within a few pixels are taken for waves, by
+    )
     # much more for a crease, unless a flash has told them; none and 0 are off
-    smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
+    bilateral_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
     # noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
@@ -207,8 +213,8 @@ class AlphaLoss(StrEnum):
 
 @dataclass(frozen=True)
 class RatesConfig:
-    """Learning rates, a step of Adam each. The position's fades exponentially over the whole run; the others stay for
-    a while, in which colours and shapes find their place, and fade then, which settles them.
+    """Learning rates, a step of Adam each. The position's decays exponentially over the whole run; the others stay for
+    a while, in which colours and shapes find their place, and decay then, which settles them.
 
     The published rates are for 30,000 iterations; these are for some thousands."""
 
@@ -220,8 +226,8 @@ class RatesConfig:
     weight: float = 5e-2  # the reflection weight's logit
     scale: float = 1e-2  # log-scale; published 5e-3
     rotation: float = 4e-3  # published 1e-3
-    fade_from: float = 0.5  # fraction of the run after which the other rates begin to fade
-    final: float = 0.1  # factor that they have reached at the end; published 1
+    decay_from: float = 0.5  # fraction of the run after which the other rates begin to decay
+    final_factor: float = 0.1  # factor that they have reached at the end; published 1
     beta1: float = 0.9
     beta2: float = 0.999
     eps: float = 1e-15
@@ -340,8 +346,8 @@ class EnvironmentMapConfig:
     side: int = 64  # texels along a map's side
     start: float = 0.007  # the maps' light, 0..1
     rate: float = 0.03  # learning rate of the light's logits
-    fade_from: float = 0.5  # fraction of the run after which the rate begins to fade
-    final: float = 0.1  # factor that it has reached at the end
+    decay_from: float = 0.5  # fraction of the run after which the rate begins to decay
+    final_factor: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
     iterations: int = 300  # of the 3D branch and the maps after the surface was made, which then reflects instead of
     # the 2D branch; masked scenes only; 0 is never
@@ -467,7 +473,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
-        "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
+        "mesh.max_light_residual": "none",  # the start is bent to the shading already, and little training follows
     },
     "standard": {},  # two to three minutes
     "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
@@ -525,6 +531,14 @@ RENAMED: dict[str, str] = {
     "held_back_gain": "validation_gain",
     "mirror": "environment_map",
     "weight_hold": "weight_prior",
+    "shading_ratio": "max_light_residual",
+    "parallax_reach": "photometric_reach",
+    "disagreement": "photometric_residual",
+    "wave_angle": "regression_angle",
+    "smoothing_angle": "bilateral_angle",
+    "outline_smoothing": "silhouette_smoothing",
+    "fade_from": "decay_from",
+    "final": "final_factor",
 }
 
 

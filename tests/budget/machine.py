@@ -108,7 +108,7 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     surface = machine.work("mesh", costs.surface_cost(facts, mesh))
     rounds = 15 if facts.flash else 4  # that `mgsr.mesh.refinement` asks for
     done = 0
-    while mesh.shading_ratio is not None and done < rounds and budget.go_on():
+    while mesh.max_light_residual is not None and done < rounds and budget.go_on():
         surface += machine.work("mesh", costs.refinement_cost(facts, mesh) / rounds)
         done += 1
     judging = machine.work("evaluate", costs.judging_cost(facts))

@@ -18,7 +18,7 @@ from tests.training.ball import ball_points, ball_scene
 
 
 def test_rates_fade_from_start_to_end() -> None:
-    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, fade_from=0.5, final=0.1)
+    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, decay_from=0.5, final=0.1)
     assert rates_at(0.0, config, 2.0)["means"] == pytest.approx(2 * config.position)
     assert rates_at(1.0, config, 2.0)["means"] == pytest.approx(2 * config.position_end)
     assert rates_at(0.5, config, 1.0)["means"] == pytest.approx(1.6e-5)

@@ -75,17 +75,17 @@ class Plan:
 class _Photographs:
     """A stage's views, and reduced copies of them where they are large enough.
 
-    The last `held_back` of both are kept from training. behind: the colour on which renderings of them are judged.
+    The last `held_out` of both are kept from training. behind: the colour on which renderings of them are judged.
     """
 
     views: list[TrainingView]
     small: list[TrainingView] | None
     behind: Color
-    held_back: int = 0
+    held_out: int = 0
 
     @property
     def trained_on(self) -> int:
-        return len(self.views) - self.held_back
+        return len(self.views) - self.held_out
 
     def sparing(self, count: int) -> _Photographs:
         """Return the same with `count` views, at even distances, kept from the stage."""
@@ -175,8 +175,8 @@ def _gaussian_warmup(
 ) -> Stage:
     assert train_state.gaussians is not None
     views = len(photographs.views)
-    held_back = _validation_views(config, views)
-    photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
+    held_out = _validation_views(config, views)
+    photographs = photographs.sparing(max(held_out, _spared(config, views) if tried else 0))
     surface = None
     if train_state.environment_map is not None and train_state.surfels is not None:
         surface = ReflectingSurface(train_state.environment_map, train_state.surfels)
@@ -184,7 +184,7 @@ def _gaussian_warmup(
     stage = _warmup("warmup_gaussians", train_state, train_state.gaussians, compute, photographs, last, config)
     if tried:
         measure = _measure(train_state, "gaussians", photographs)
-        seen_after = views - held_back
+        seen_after = views - held_out
         stage.selection = ReflectionSelection(
             config.train, train_state.gaussians, train_state.environment_map, measure, seen_after
         )
@@ -310,8 +310,8 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
 
 def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:
     """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
-    held_back = photographs.views[photographs.trained_on :]
-    return lambda: mean_psnr(train_state.picture(branch), held_back, photographs.behind)
+    held_out = photographs.views[photographs.trained_on :]
+    return lambda: mean_psnr(train_state.picture(branch), held_out, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:
@@ -321,8 +321,8 @@ def _silhouettes_count(config: Config) -> bool:
 
 def _validation_views(config: Config, views: int) -> int:
     """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
-    held_back = config.train.warmup.stop_rule is StopRule.VALIDATION
-    return min(config.train.warmup.validation_views, views // 2) if held_back else 0
+    held_out = config.train.warmup.stop_rule is StopRule.VALIDATION
+    return min(config.train.warmup.validation_views, views // 2) if held_out else 0
 
 
 def _spared(config: Config, views: int) -> int:

@@ -149,14 +149,14 @@ def test_no_test_stops_early() -> None:
     assert feed(EpochMeans(50, 2, 0.01), [0.5] * 100) == 52
 
 
-def test_held_back_waits_for_its_patience() -> None:
+def test_validation_waits_for_its_patience() -> None:
     psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
     test = Validation(0, WarmupConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
     stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
     assert stops == [50]
 
 
-@pytest.mark.parametrize("rule", ["epoch", "held_back", "paper"])
+@pytest.mark.parametrize("rule", ["epoch", "validation", "paper"])
 def test_state_goes_through_a_checkpoint(rule: str) -> None:
     config = WarmupConfig(stop_rule=StopRule(rule), validation_every=1, epoch_span=1)
     first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))

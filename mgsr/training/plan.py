@@ -201,11 +201,8 @@ def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
     def prune() -> int:
         if not share or any(view.mask is None for view in views):
             return 0
-        kept = (
-            (~least_contributing(contributions(branch.model, [view.camera for view in views]), share))
-            .nonzero()
-            .squeeze(1)
-        )
+        each = contributions(branch.model, [view.camera for view in views])
+        kept = (~least_contributing(each, share)).nonzero().squeeze(1)
         dropped = len(branch.model) - len(kept)
         branch.keep(kept)
         return dropped

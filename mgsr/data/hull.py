@@ -45,10 +45,13 @@ class Hull:
         return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
 
 
-def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128) -> Hull:
+def carve(
+    outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128, dissent: int = 0
+) -> Hull:
     """Return the hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
 
-    resolution: voxels per side, a multiple of 16; 64 and 128 start from 32.
+    resolution: voxels per side, a multiple of 16; 64 and 128 start from 32. dissent: how many views may have any place
+    outside their masks, though it is the object's.
     """
     size = resolution
     while size % 2 == 0 and size > 32:
@@ -58,7 +61,7 @@ def carve(outlines: Sequence[Silhouette], center: np.ndarray, half: float, resol
     field = np.empty((size,) * 3, dtype=np.float32)
     while True:
         voxel = 2 * half / size
-        values, judged = signed_field(outlines, corner + (active + 0.5) * voxel)
+        values, judged = signed_field(outlines, corner + (active + 0.5) * voxel, dissent)
         field[tuple(active.T)] = np.where(judged, values, -voxel)
         if size == resolution:
             return Hull(field, corner + voxel / 2, voxel)
@@ -81,17 +84,22 @@ def hull_surface(hull: Hull) -> tuple[np.ndarray, np.ndarray]:
     return (vertices - 1) * hull.voxel + hull.origin, faces
 
 
-def signed_field(outlines: Sequence[Silhouette], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def signed_field(outlines: Sequence[Silhouette], points: np.ndarray, dissent: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return each point's smallest signed distance [P] float32, in world units, over the views that constrain it.
 
-    Also returns whether enough views constrain the point, [P] bool; where they don't, it counts as outside.
+    dissent: the number of smaller distances that are passed over. Also returns whether enough views constrain the
+    point, [P] bool; where they don't, it counts as outside.
     """
-    lowest = np.full(len(points), np.inf, dtype=np.float32)
+    lowest = np.full((dissent + 1, len(points)), np.inf, dtype=np.float32)  # sorted, the least first
     told = np.zeros(len(points), dtype=np.int32)
     for tells, distance in map_ahead(lambda outline: view_field(outline, points), outlines, None):
         told += tells
-        np.minimum(lowest, distance, out=lowest, where=tells)
-    return lowest, told >= max(2, MIN_SEEN * len(outlines))
+        below = np.where(tells, distance, np.inf).astype(np.float32)
+        for row in lowest:
+            larger = np.maximum(row, below)
+            np.minimum(row, below, out=row)
+            below = larger
+    return lowest[dissent], told >= max(2 + dissent, MIN_SEEN * len(outlines))
 
 
 def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

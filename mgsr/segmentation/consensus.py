@@ -3,51 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from mgsr.data.camera import Camera
-from mgsr.data.hull import Hull, hull_surface, view_field
+from mgsr.data.camera import Camera, pixel_size
+from mgsr.data.hull import Hull, carve, hull_surface
 from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
+from mgsr.segmentation.support_plane import SupportPlane
 
-RESOLUTION = 96  # voxels along the longest side of the box
-MARGIN = 0.1  # of the box on each side, as a share of its longest side
-CHUNK = 65_536  # voxels that are judged at a time
-DISSENT = 0.02  # share of the views that may have a place outside their masks, though it is the object's
+RESOLUTION = 128  # voxels along a side
+HALF = 0.6  # of a box's longest side, half the side of the cube that is carved
+DISSENT = 0.1  # share of the views that may have a place outside their masks, though it is the object's
+SUNK = 1.0  # pixels under the support plane that the object may reach
 
 
-def completed_masks(masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray) -> list[np.ndarray]:
-    """Add to each mask what nearly all the other views show as the object.
+def tolerant_hull(
+    masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray, plane: SupportPlane | None
+) -> Hull:
+    """Return the visual hull of masks of which a share DISSENT, and one at least, may leave out any place.
 
-    masks [H,W] bool, one for each camera; box [2,3]: corners of a box around the object, in the cameras' frame. A
-    visual hull takes away what a single mask leaves out; this one lets a few masks be wrong. Returns [H,W] bool.
+    masks [H,W] 0..1, one for each camera; box [2,3]: corners of a box around the object, in the cameras' frame; plane:
+    what the object stands on, which cuts the hull off.
     """
-    hull = _tolerant_hull(masks, cameras, box)
-    if not (hull.field > 0).any():
-        return list(masks)
+    outlines = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
+    dissent = max(1, int(DISSENT * len(outlines)))
+    hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, dissent)
+    if plane is None:
+        return hull
+    # Heights are linear, so those of the axes add up.
+    axes = hull.origin + np.arange(RESOLUTION)[:, None] * hull.voxel
+    along = [axes[:, i] * plane.normal[i] for i in range(3)]
+    heights = along[0][:, None, None] + along[1][None, :, None] + along[2][None, None, :] + plane.offset
+    above = heights + SUNK * pixel_size(cameras, np.zeros(3))
+    return replace(hull, field=np.minimum(hull.field, above).astype(np.float32))
+
+
+def hull_silhouettes(hull: Hull, cameras: Sequence[Camera]) -> list[np.ndarray]:
+    """Return the signed distances [H,W], pixels, to the hull's silhouette in each camera, positive inside.
+
+    Raises SceneError if the hull is empty.
+    """
     caster = RayCaster(*hull_surface(hull))
-    return [mask | (caster.cast(camera).depth > 0) for mask, camera in zip(masks, cameras, strict=True)]
 
+    def silhouette(camera: Camera) -> np.ndarray:
+        return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))
 
-def _tolerant_hull(masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray) -> Hull:
-    """Return the hull of which a share DISSENT of the masks, and one at least, may leave out any place."""
-    pairs = zip(masks, cameras, strict=True)
-    outlines = [Silhouette(camera, signed_distance(mask.astype(np.float32))) for mask, camera in pairs]
-    side = float((box[1] - box[0]).max())
-    voxel = side * (1 + 2 * MARGIN) / RESOLUTION
-    origin = box.mean(axis=0) - (RESOLUTION - 1) / 2 * voxel
-    places = np.stack(np.meshgrid(*[np.arange(RESOLUTION)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    wrong = max(1, int(DISSENT * len(outlines)))
-
-    def judged(first: int) -> np.ndarray:
-        points = places[first : first + CHUNK] * voxel + origin
-        fields = [view_field(outline, points) for outline in outlines]
-        inside = np.stack([np.where(tells, distance, np.inf) for tells, distance in fields])
-        told = np.sum([tells for tells, _ in fields], axis=0)
-        field = np.partition(inside, wrong, axis=0)[wrong]
-        return np.where((told > 2 * wrong) & np.isfinite(field), field, -voxel).astype(np.float32)
-
-    parts = map_ahead(judged, range(0, len(places), CHUNK), None)
-    return Hull(np.concatenate(list(parts)).reshape((RESOLUTION,) * 3), origin, voxel)
+    return list(map_ahead(silhouette, cameras, None))

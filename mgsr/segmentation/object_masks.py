@@ -1,9 +1,10 @@
 """Masks of the object in photographs that come without any: no clicks, no network weights.
 
 A 2D branch is trained briefly on small photographs of the whole scene. Its surfels that stand on the plane under the
-scene's middle, in one piece, are the object to begin with. Their share of each pixel is a mask that all views agree
-on. GrabCut moves the masks' contours to where the photographs' colours change, and the surfels take their labels from
-the refined masks in turn. After some rounds both agree, or the capture shows no single object.
+scene's middle, in one piece, are the object to begin with. Each photograph is then compared with the background that
+the other photographs show at the same places, and with the object's surfels; a random walker makes a soft mask of both.
+The hull of these masks, which a few may contradict, says which surfels are the object's and where each mask is wrong.
+After some rounds masks and hull agree, or the capture shows no single object.
 """
 
 from __future__ import annotations
@@ -12,16 +13,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from mgsr.config import make_config
 from mgsr.data.camera import Camera, pixel_size
+from mgsr.data.hull import Hull
 from mgsr.data.scene import Scene, View
+from mgsr.errors import Cancelled
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.parallel import map_ahead
-from mgsr.segmentation.consensus import completed_masks
-from mgsr.segmentation.grab_cut import refined_mask
-from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_labels
+from mgsr.renderers.surfels import render_surfels
+from mgsr.segmentation.background import BackgroundSources, prepared_image
+from mgsr.segmentation.consensus import hull_silhouettes, tolerant_hull
+from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
+from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.starting_points import StartingPoints
 from mgsr.training.proxy_model import small_view
@@ -29,22 +36,25 @@ from mgsr.training.run import Training
 
 SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
 ITERATIONS = 400
+ROUNDS = 3  # of masks and hull
 SOLID = 0.2  # opacity of the surfels that count
 NEAR = 1.5  # radius around the scene's centre, in balls, in which the object stands
 MIDDLE = 0.7  # radius, in balls, within which pieces count as lying in the middle
 # Distances in pixels of the small photographs, on the object.
 FLAT = 3.0  # of points from the plane that holds them
 STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on it
-RISING = 7.0  # from where the geometry counts more than the colours
-LYING = 3.0  # up to where a surfel is the plane's
+RAISED = 3.0  # over the plane, from where a surfel in the hull is the object's
+BELOW = 3.0  # under the plane, from where a surfel is a reflection and not the background
+AROUND = 1.5  # around the hull, up to where a surfel is the object's
 LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
-BANDS = (0.06, 0.04, 0.03)  # of GrabCut, in each round
-BY_COLOR, BY_SHAPE = 0.5, 0.1  # least labels of the object's surfels: of those that colours add, and of those that rise
-GROUND = 0.5  # the plane's share of a pixel from which it is surely not the object
+BLOCKED = 2  # around a mask, in which a photograph does not show the background for certain
+SURE = 0.5  # share of its pixels with a known background in which an object's surfel is surely not that
+TOLD = 0.03  # least share of a surfel's pixels that have a known background
 LEAST_SPLATS = 50
 RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
-LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of what the surfels render
-DISAGREEING = 0.6  # of one view, below which what the surfels render is its mask
+LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of the hull's silhouettes
+BESIDE = 1.5  # pixels outside the hull's silhouette where masks end
+FILLED = 2.0  # pixels inside the hull's silhouette from where masks have no holes
 FULL = 0.7  # share of the image that is no single object's any more
 CUT = 0.1  # share of a mask's extent that lies on the image's border, from where the object counts as cut off
 
@@ -88,64 +98,145 @@ def find_object(
     0..1. Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """
     views = [small_view(view, SIDE) for view in scene.train]
-    cameras = [view.camera for view in views]
-    model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.5 * done))
-    first = _first_labels(model, cameras, box, np.random.default_rng(seed))
+    model = _trained(replace(scene, train=views, test=[]), start, seed, should_stop, lambda done: progress(0.4 * done))
+    first = _first_labels(model, [view.camera for view in views], box, np.random.default_rng(seed))
     if isinstance(first, NoObject):
         return first
-    labels = first.standing
-    ground = rendered_labels(model, first.lying, cameras)
-    for number, band in enumerate(BANDS):
-        masks = _cut(views, rendered_labels(model, labels, cameras), ground, band)
-        labels = first.relabelled(*lifted_labels(model, masks, cameras))
-        if labels.sum() < LEAST_SPLATS:
+    search = _Search(model, first, views)
+    for number in range(ROUNDS):
+        search.refine()
+        if should_stop():
+            raise Cancelled
+        if search.labels.sum() < LEAST_SPLATS:
             return NoObject("what stands in the middle has no contour in the photographs")
-        progress(0.5 + 0.4 * (number + 1) / len(BANDS))
-    rendered = [image > 0.5 for image in rendered_labels(model, labels, cameras)]
-    agreement = np.array([_overlap(mask, shown) for mask, shown in zip(masks, rendered, strict=True)])
-    if (doubt := _doubt(masks, agreement)) is not None:
+        progress(0.4 + 0.45 * (number + 1) / ROUNDS)
+    agreement = np.array(
+        [_overlap(mask, inside > 0) for mask, inside in zip(search.masks, search.silhouettes or (), strict=True)]
+    )
+    if (doubt := _doubt(search.masks, agreement)) is not None:
         return doubt
-    box = first.box(labels)
-    train, test = _last_masks(model, labels, first.lying, box, scene)
+    masks = search.last_masks([*scene.train, *scene.test])
     progress(1.0)
-    return FoundObject(train, test, agreement, box, first.plane)
+    return FoundObject(masks[: len(views)], masks[len(views) :], agreement, search.box(), first.plane)
 
 
 @dataclass(frozen=True)
 class _FirstLabels:
     """What geometry tells of the object.
 
-    centers [N,3] of the surfels; standing [N] bool: the object's; rising [N] bool: those of them so high over the plane
-    that geometry counts more than colours; lying [N] bool: the plane's; allowed [N] bool: those that may belong to the
-    object; reach: the distance by which surfels of one piece are apart at most; plane: what the object stands on, if
+    standing [N] bool: the surfels that stand on the plane in the middle; box [2,3]: the corners of the box around them
+    and their feet; heights [N] of all surfels over the plane, in the scene's unit; plane: what the object stands on, if
     anything.
     """
 
-    centers: np.ndarray
     standing: np.ndarray
-    rising: np.ndarray
-    lying: np.ndarray
-    allowed: np.ndarray
-    reach: float
+    box: np.ndarray
+    heights: np.ndarray
     plane: SupportPlane | None
 
-    def relabelled(self, lifted: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Return the object's surfels [N] bool, by the masks' labels (see `lifted_labels`): the largest piece."""
-        kept = self.allowed & (weight > 0) & (lifted > np.where(self.rising, BY_SHAPE, BY_COLOR))
-        labels = np.zeros(len(kept), bool)
-        if kept.any():
-            labels[np.flatnonzero(kept)[pieces(self.centers[kept], self.reach) == 0]] = True
-        return labels
 
-    def box(self, labels: np.ndarray) -> np.ndarray:
-        """Return the corners [2,3] of the box around surfels [N] bool, and around the feet of those near the plane."""
-        positions = self.centers[labels]
-        if self.plane is not None:
-            heights = self.plane.heights(positions)
-            low = heights < 2 * heights.min()
-            feet = positions[low] - heights[low, None] * self.plane.normal
-            positions = np.concatenate([positions, feet])
-        return np.stack([positions.min(axis=0), positions.max(axis=0)])
+class _Search:
+    """The rounds in which masks and hull learn from each other.
+
+    labels [N] bool: the object's surfels; masks [H,W] bool of the small photographs; silhouettes: signed distances
+    [H,W] to the hull's, None before the first round.
+    """
+
+    def __init__(self, model: SurfelModel, first: _FirstLabels, views: Sequence[View]) -> None:
+        self._model, self._first = model.detached(), first
+        self._cameras = [view.camera for view in views]
+        self._images = [prepared_image(view) for view in views]
+        self._pixel = pixel_size(self._cameras, np.zeros(3))
+        self._hull: Hull | None = None
+        self.labels = first.standing
+        self.silhouettes: list[np.ndarray] | None = None
+        self.masks = [ndimage.binary_fill_holes(self._covered(camera)) for camera in self._cameras]
+
+    def refine(self) -> None:
+        """Make masks from the present labels, a hull from the masks, and labels from the hull."""
+        sources = self._sources()
+        found = self._mattes(self._images, self._cameras, self.masks, self.silhouettes, sources)
+        self.masks = [each.share > 0.5 for each in found]
+        first = self._first
+        self._hull = tolerant_hull([each.share for each in found], self._cameras, first.box, first.plane)
+        if not (self._hull.field > 0).any():
+            self.labels = np.zeros_like(self.labels)
+            return
+        self.silhouettes = hull_silhouettes(self._hull, self._cameras)
+        inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -AROUND * self._pixel
+        self.labels = inside & (first.heights > RAISED * self._pixel) & self._sure(found)
+
+    def last_masks(self, views: Sequence[View]) -> list[np.ndarray]:
+        """Return the masks [H,W] uint8 of views, made once more in larger photographs."""
+        import cv2  # late: training needs no OpenCV
+
+        assert self._hull is not None
+        sources, fine = self._sources(), [small_view(view, FINE_SIDE) for view in views]
+        cameras = [view.camera for view in fine]
+        silhouettes = hull_silhouettes(self._hull, cameras)
+        images, covered = [prepared_image(view) for view in fine], [inside > 0 for inside in silhouettes]
+        found = self._mattes(images, cameras, covered, silhouettes, sources)
+        shares = [
+            np.where(inside > FILLED, 1, np.where(inside > -BESIDE, each.share, 0)).astype(np.float32)
+            for each, inside in zip(found, silhouettes, strict=True)
+        ]
+        sizes = [(view.camera.width, view.camera.height) for view in views]
+        larger = [
+            cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) for share, size in zip(shares, sizes, strict=True)
+        ]
+        return [(255 * share).round().astype(np.uint8) for share in larger]
+
+    def box(self) -> np.ndarray:
+        """Return the corners [2,3] of the box around the hull."""
+        assert self._hull is not None
+        places = np.argwhere(self._hull.field > 0) * self._hull.voxel + self._hull.origin
+        return np.stack([places.min(axis=0), places.max(axis=0)])
+
+    def _covered(self, camera: Camera) -> np.ndarray:
+        with torch.no_grad():
+            return render_surfels(some_surfels(self._model, self.labels), camera, torch.zeros(3), 0).alpha.numpy() > 0.5
+
+    def _sources(self) -> BackgroundSources:
+        """Return what tells of the background: whatever lies outside the masks and the hull's silhouettes."""
+        import cv2  # late: training needs no OpenCV
+
+        around = np.ones((2 * BLOCKED + 1,) * 2, np.uint8)
+        wide = self.masks
+        if self.silhouettes is not None:
+            wide = [mask | (inside > -1) for mask, inside in zip(self.masks, self.silhouettes, strict=True)]
+        blocked = [ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0) for mask in wide]
+        lifted, _ = lifted_labels(self._model, blocked, self._cameras)
+        behind = ~self.labels & (lifted < 0.5) & (self._first.heights > -BELOW * self._pixel)
+        clear = [(~mask).astype(np.float32) for mask in blocked]
+        surfels = some_surfels(self._model, behind)
+        return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane)
+
+    def _mattes(
+        self,
+        images: Sequence[np.ndarray],
+        cameras: Sequence[Camera],
+        masks: Sequence[np.ndarray],
+        silhouettes: Sequence[np.ndarray] | None,
+        sources: BackgroundSources,
+    ) -> list[Matte]:
+        surfels = some_surfels(self._model, self.labels)
+
+        def one(index: int) -> Matte:
+            image, camera, mask = images[index], cameras[index], masks[index]
+            if silhouettes is None:
+                return matte(image, camera, first_region(mask), surfels, sources)
+            inside = silhouettes[index]
+            return matte(image, camera, hull_region(mask, inside), surfels, sources, inside)
+
+        return list(map_ahead(one, range(len(images)), None))
+
+    def _sure(self, found: Sequence[Matte]) -> np.ndarray:
+        """Return which surfels [N] bool photographs show where they surely do not show the background."""
+        sure, told = (
+            lifted_labels(self._model, masks, self._cameras)[0]
+            for masks in ([each.sure for each in found], [each.told for each in found])
+        )
+        return np.asarray((sure > SURE * told) & (told > TOLD))
 
 
 def _first_labels(
@@ -178,9 +269,17 @@ def _first_labels(
     standing[found[piece == largest]] = True
     if standing.sum() < LEAST_SPLATS:
         return NoObject("nothing stands in the middle of what the cameras look at")
-    rising, lying = standing & (heights > RISING * pixel), heights < LYING * pixel
-    allowed = (heights > STANDING * pixel) & (inside if box is not None else True)
-    return _FirstLabels(centers, standing, rising, lying, allowed, reach, plane)
+    around_it = _box_with_feet(centers[standing], plane) if box is None else box
+    return _FirstLabels(standing, around_it, heights, plane)
+
+
+def _box_with_feet(positions: np.ndarray, plane: SupportPlane | None) -> np.ndarray:
+    """Return the corners [2,3] of the box around positions [P,3], and around the feet of those near the plane."""
+    if plane is not None:
+        heights = plane.heights(positions)
+        low = heights < 2 * heights.min()
+        positions = np.concatenate([positions, positions[low] - heights[low, None] * plane.normal])
+    return np.stack([positions.min(axis=0), positions.max(axis=0)])
 
 
 def _trained(
@@ -197,39 +296,6 @@ def _trained(
     found = training.run().model.surfels
     assert found is not None
     return found
-
-
-def _cut(
-    views: Sequence[View], shares: Sequence[np.ndarray], ground: Sequence[np.ndarray], band: float
-) -> list[np.ndarray]:
-    """Return the views' refined masks [H,W] bool, from the object's and the plane's share of each pixel."""
-
-    def cut(index: int) -> np.ndarray:
-        return refined_mask(views[index].image, shares[index] > 0.5, band, ground[index] > GROUND)
-
-    return list(map_ahead(cut, range(len(views)), None))
-
-
-def _last_masks(
-    model: SurfelModel, labels: np.ndarray, lying: np.ndarray, box: np.ndarray, scene: Scene
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return the object's masks [H,W] uint8 in the training and test views, cut once more, in larger photographs."""
-    import cv2  # late: training needs no OpenCV
-
-    views = [*scene.train, *scene.test]
-    fine = [small_view(view, FINE_SIDE) for view in views]
-    cameras = [view.camera for view in fine]
-    shares, ground = (rendered_labels(model, part, cameras) for part in (labels, lying))
-    cut = _cut(fine, shares, ground, BANDS[-1])
-    kept = [
-        mask if _overlap(mask, share > 0.5) > DISAGREEING else share > 0.5
-        for mask, share in zip(cut, shares, strict=True)
-    ]
-    masks = [
-        cv2.resize(255 * mask.astype(np.uint8), (view.camera.width, view.camera.height), interpolation=cv2.INTER_LINEAR)
-        for view, mask in zip(views, completed_masks(kept, cameras, box), strict=True)
-    ]
-    return masks[: len(scene.train)], masks[len(scene.train) :]
 
 
 def _overlap(one: np.ndarray, other: np.ndarray) -> float:

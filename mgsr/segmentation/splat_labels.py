@@ -1,4 +1,4 @@
-"""Labels of surfels: which belong to the object, from masks of the photographs, and the masks that labels render to."""
+"""Labels of surfels: which pieces they form, and which belong to the object by masks of the photographs."""
 
 from __future__ import annotations
 
@@ -30,12 +30,10 @@ def pieces(points: np.ndarray, reach: float) -> np.ndarray:
     return np.asarray(np.argsort(order)[found])
 
 
-def rendered_labels(model: SurfelModel, labels: np.ndarray, cameras: Sequence[Camera]) -> list[np.ndarray]:
-    """Render labels [N], 0..1, of the surfels into the cameras: images [H,W] float32, the object's share of a pixel."""
-    stored = torch.from_numpy(((labels - 0.5) / SH_CONSTANT).astype(np.float32))
-    shown, black = _labelled(model, stored[:, None, None].expand(-1, 1, 3)), torch.zeros(3)
-    with torch.no_grad():
-        return [render_surfels(shown, camera, black, 0).color[..., 0].numpy() for camera in cameras]
+def some_surfels(model: SurfelModel, chosen: np.ndarray) -> SurfelModel:
+    """Return the surfels that are chosen, [N] bool, as a model of their own."""
+    rows = torch.from_numpy(np.flatnonzero(chosen))
+    return SurfelModel(**{name: tensor[rows] for name, tensor in model.parameters().items()})
 
 
 def lifted_labels(
@@ -43,7 +41,7 @@ def lifted_labels(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return each surfel's mean mask [N], 0..1, weighted by its share of the pixels, and the sum of the weights [N].
 
-    masks [H,W] in 0..1, one for each camera. The labels are the closed-form optimum of Shen and others 2024
+    masks [H,W] bool or 0..1, one for each camera. The labels are the closed-form optimum of Shen and others 2024
     (FlashSplat). Rendering is linear in the colours, so the weights are its derivatives.
     """
     inside, whole = torch.zeros(len(model)), torch.zeros(len(model))

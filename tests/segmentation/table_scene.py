@@ -20,8 +20,8 @@ def table_scene(
 ) -> tuple[Scene, list[np.ndarray]]:
     """Return the scene, without masks, and the object's true masks [H,W] bool in its views.
 
-    copies: 2 puts two objects on the table, the middle between them; standing: whether there is an object and a table
-    at all, else only the wall is there; shift: moves the cameras' aim sideways, so that images cut the object off.
+    copies: 2 puts two objects on the table, the middle between them, 0 none; standing: whether there is an object and a
+    table at all, else only the wall is there; shift: moves the cameras' aim sideways, so that images cut the object off.
     """
     cameras = [_camera(i, views, size, shift) for i in range(views)]
     drawn = [_drawn(camera, copies, standing) for camera in cameras]
@@ -59,7 +59,7 @@ def _drawn(camera: Camera, copies: int, standing: bool) -> tuple[np.ndarray, np.
         table = np.where(np.linalg.norm(places[..., :2], axis=-1) < 1.8, table, np.inf)
         colors = np.where((table < nearest)[..., None], _spots(places, 5, (0.7, 0.5, 0.3), (0.5, 0.33, 0.18)), colors)
         nearest = np.minimum(nearest, table)
-        for shift in (np.zeros(3),) if copies == 1 else (-APART, APART):
+        for shift in {0: (), 1: (np.zeros(3),), 2: (-APART, APART)}[copies]:
             hit = np.minimum(_ball(origin - shift, rays), _pillar(origin - shift, rays))
             places = origin + np.where(np.isfinite(hit), hit, 0)[..., None] * rays
             colors = np.where((hit < nearest)[..., None], _spots(places, 6, (0.95, 0.95, 0.9), (0.1, 0.3, 0.6)), colors)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from mgsr.data.camera import Camera
+from mgsr.gaussians.start import SH_CONSTANT
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.segmentation.consensus import completed_masks
-from mgsr.segmentation.grab_cut import refined_mask, without_small_holes
-from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_labels
-from mgsr.segmentation.support_plane import find_support_plane, upward
-from tests.segmentation.table_scene import table_scene
+from mgsr.renderers.surfels import render_surfels
+from mgsr.segmentation.background import BackgroundSources, pixel_rays, prepared_image
+from mgsr.segmentation.consensus import hull_silhouettes, tolerant_hull
+from mgsr.segmentation.random_walker import CONTRAST, SMOOTHNESS, random_walker
+from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
+from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
+from tests.segmentation.table_scene import TABLE, table_scene
 
 
 def surfels(count: int, seed: int = 0) -> SurfelModel:
@@ -39,8 +44,7 @@ def test_lifted_labels_are_means_of_the_masks_weighted_by_the_surfels_shares() -
     masks = [np.random.default_rng(i).random((camera.height, camera.width)) for i, camera in enumerate(seen)]
     labels, weights = lifted_labels(model, masks, seen)
     for index in range(len(model)):
-        alone = (np.arange(len(model)) == index).astype(float)
-        shares = rendered_labels(model, alone, seen)
+        shares = [shares_of(model, index, camera) for camera in seen]
         whole = sum(float(share.sum()) for share in shares)
         inside = sum(float((share * mask).sum()) for share, mask in zip(shares, masks, strict=True))
         assert weights[index] == pytest.approx(whole, rel=1e-3, abs=1e-3)
@@ -48,12 +52,20 @@ def test_lifted_labels_are_means_of_the_masks_weighted_by_the_surfels_shares() -
             assert labels[index] == pytest.approx(inside / whole, abs=2e-3)
 
 
-def test_labels_of_one_everywhere_render_to_the_opacity() -> None:
-    from mgsr.renderers.surfels import render_surfels
+def shares_of(model: SurfelModel, index: int, camera: Camera) -> np.ndarray:
+    """Render one surfel's share of each pixel, [H,W], behind and before the others."""
+    color = torch.zeros(len(model), 1, 3)
+    color[index], others = 0.5 / SH_CONSTANT, torch.arange(len(model)) != index
+    color[others] = -0.5 / SH_CONSTANT
+    return render_surfels(replace(model, sh=color), camera, torch.zeros(3), 0).color[..., 0].numpy()
 
-    model, camera = surfels(40), cameras()[0]
-    (share,) = rendered_labels(model, np.ones(40), [camera])
-    np.testing.assert_allclose(share, render_surfels(model, camera).alpha.numpy(), atol=1e-5)
+
+def test_some_surfels_are_a_model_of_their_own() -> None:
+    model, chosen = surfels(6), np.array([0, 1, 0, 0, 1, 1], bool)
+    part = some_surfels(model, chosen)
+    assert len(part) == 3
+    torch.testing.assert_close(part.means, model.means[[1, 4, 5]])
+    torch.testing.assert_close(part.sh, model.sh[[1, 4, 5]])
 
 
 def test_pieces_are_numbered_by_their_size() -> None:
@@ -76,36 +88,62 @@ def test_a_plane_is_found_under_a_crowd_of_points() -> None:
     assert find_support_plane(points[:2], cameras(), 0.02, np.random.default_rng(1)) is None
 
 
-def test_a_contour_moves_to_where_the_colours_change() -> None:
-    rows, columns = np.mgrid[:80, :80]
-    truth = (rows - 40) ** 2 + (columns - 38) ** 2 < 24**2
-    noise = np.random.default_rng(0).normal(0, 6, (80, 80, 3))
-    image = (np.where(truth[..., None], [200, 90, 60], [70, 110, 130]) + noise).clip(0, 255).astype(np.uint8)
-    rough = (rows - 41) ** 2 + (columns - 40) ** 2 < 25**2
-    refined = refined_mask(image, rough, 0.12)
-    assert (refined ^ truth).sum() < 0.02 * truth.sum() < (rough ^ truth).sum()
-    speck = np.zeros((80, 80), bool)
-    speck[5, 5] = True
-    assert (refined_mask(image, speck, 0.1) == speck).all()
-    assert not refined_mask(image, np.zeros((80, 80), bool), 0.1).any()
+def test_shares_solve_the_random_walkers_equations() -> None:
+    """Check the minimum against a dense solution of the same weighted graph, edge by edge."""
+    random = np.random.default_rng(0)
+    image, region = random.random((7, 9, 3)).astype(np.float32), np.zeros((7, 9), bool)
+    region[1:6, 2:8] = True
+    as_background, as_object = random.random((2, 7, 9)) * 3
+    matrix, right = np.zeros((63, 63)), np.zeros(63)
+    for row, column in np.ndindex(7, 9):
+        here = 9 * row + column
+        if not region[row, column]:
+            matrix[here, here] = 1
+            continue
+        matrix[here, here] += as_background[row, column] + as_object[row, column]
+        right[here] = as_background[row, column]
+        for down, across in np.ndindex(3, 3):
+            r, c = row + down - 1, column + across - 1
+            if (r, c) != (row, column):
+                difference = float(((image[row, column] - image[r, c]) ** 2).sum())
+                weight = SMOOTHNESS * np.exp(-difference / (2 * CONTRAST**2)) / np.hypot(r - row, c - column)
+                matrix[here, here] += weight
+                matrix[here, 9 * r + c] -= weight
+    expected = np.linalg.solve(matrix, right).reshape(7, 9)
+    shares = random_walker(image, as_background, as_object, region)
+    np.testing.assert_allclose(shares, expected, atol=5e-3)
+    assert not random_walker(image, as_background, as_object, np.zeros((7, 9), bool)).any()
 
 
-def test_small_holes_are_filled_and_openings_stay() -> None:
-    rows, columns = np.mgrid[:80, :80]
-    ring = (rows - 40) ** 2 + (columns - 40) ** 2
-    mask = (ring < 30**2) & (ring > 12**2)
-    spotted = mask.copy()
-    spotted[60:63, 40:43] = False
-    np.testing.assert_array_equal(without_small_holes(spotted), mask)
+def test_the_background_behind_the_object_is_what_other_photographs_show() -> None:
+    """Check it against the same table without the object, as a ray tracer shows it."""
+    (scene, truth), (empty, _) = table_scene(size=96), table_scene(size=96, copies=0)
+    seen = [view.camera for view in scene.train]
+    masks = truth[: len(seen)]
+    clear = [(~mask).astype(np.float32) for mask in masks]
+    plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
+    sources = BackgroundSources(seen, [prepared_image(view) for view in scene.train], clear, surfels(0), plane)
+    for index in (0, 1, 2):
+        rays, center = pixel_rays(seen[index]), seen[index].center
+        places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
+        asked = masks[index] & (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.7)
+        found = sources.expected(seen[index], (slice(None), slice(None)), asked)
+        assert not (found.known & ~asked).any() and found.known[asked].mean() > 0.6
+        wrong = np.abs(found.color - prepared_image(empty.train[index])).max(axis=-1)[found.known]
+        assert np.median(wrong) < 0.03 and (wrong < 0.1).mean() > 0.9
 
 
-def test_what_one_mask_leaves_out_is_completed_by_the_others() -> None:
+def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     scene, truth = table_scene(size=96)
     seen = [view.camera for view in scene.train + scene.test]
     box = np.array([[-0.45, -0.45, -0.8], [0.45, 0.45, 0.65]])
-    masks = [mask.copy() for mask in truth]
-    masks[2][48:, :] = False
-    completed = completed_masks(masks, seen, box)
-    assert (completed[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
-    for mask, true in zip(completed, truth, strict=True):
-        assert (mask & ~true).sum() < 0.06 * true.sum()
+    masks = [mask.astype(np.float32) for mask in truth]
+    masks[2][48:, :] = 0
+    plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
+    hull = tolerant_hull(masks, seen, box, plane)
+    silhouettes = [inside > 0 for inside in hull_silhouettes(hull, seen)]
+    assert (silhouettes[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
+    for mask, true in zip(silhouettes, truth, strict=True):
+        assert (mask & ~true).sum() < 0.12 * true.sum()
+    places = np.argwhere(hull.field > 0) * hull.voxel + hull.origin
+    assert places[:, 2].min() > TABLE - 0.05

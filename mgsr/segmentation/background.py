@@ -1,0 +1,137 @@
+"""The background that a photograph would show without the object, as the other photographs show it.
+
+Image-based rendering: a pixel's ray ends on the support plane or on the background's surfels, and the colours that the
+nearest other cameras see at that place are compared. On the plane this holds contact shadows too, which lie still.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from mgsr.data.camera import Camera
+from mgsr.data.scene import View
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.renderers.surfels import render_surfels
+from mgsr.segmentation.support_plane import SupportPlane
+
+NEAREST = 24  # other cameras that are asked, those in the most similar direction first
+SAMPLES = 9  # of the colours that they see, which count
+LEAST_SAMPLES = 2  # fewer tell nothing
+COVERED = 0.3  # opacity from where surfels show a surface
+PLANE_RADIUS = 4.0  # around the scene's centre, in balls, in which the support plane is the background
+PLANE_FIRST = 1.05  # times the plane's distance, up to where surfels behind it count as the plane's
+COLUMNS = 1024  # of the maps by which colours are looked up
+FAR = 20.0  # distance, in balls, of what has no surface
+
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class ExpectedBackground:
+    """The background's colours in a window of a photograph.
+
+    color [h,w,3] sRGB 0..1; spread [h,w]: the median difference of the samples from it; known [h,w] bool: whether
+    enough other photographs show it.
+    """
+
+    color: np.ndarray
+    spread: np.ndarray
+    known: np.ndarray
+
+
+@dataclass(frozen=True)
+class BackgroundSources:
+    """What tells of the background.
+
+    cameras and images [H,W,3] float32 sRGB 0..1 of photographs; clear [H,W] float32 0..1: where each shows background
+    and no object; surfels: those of the background; plane: what the object stands on, if anything.
+    """
+
+    cameras: Sequence[Camera]
+    images: Sequence[np.ndarray]
+    clear: Sequence[np.ndarray]
+    surfels: SurfelModel
+    plane: SupportPlane | None
+
+    def expected(self, camera: Camera, window: Window, asked: np.ndarray) -> ExpectedBackground:
+        """Return the background of a camera's photograph in a window, without asking that photograph itself.
+
+        asked [h,w] bool: the window's pixels of which it is asked; of the others nothing is known.
+        """
+        places = self._places(camera, window)[asked]
+        colors = np.full((SAMPLES, len(places), 3), np.inf, np.float32)
+        count, left = np.zeros(len(places), int), np.arange(len(places))
+        for index in self._order(camera):
+            color, clear = self._seen(index, places[left])
+            shown = left[clear]
+            colors[count[shown], shown] = color[clear]
+            count[shown] += 1
+            left = left[count[left] < SAMPLES]
+            if len(left) == 0:
+                break
+        middle = np.maximum((count - 1) // 2, 0)[None]
+        median = np.take_along_axis(np.sort(colors, axis=0), middle[..., None], 0)[0]
+        known = count >= LEAST_SAMPLES
+        median[~known] = 0
+        apart = np.where(np.isfinite(colors), np.abs(colors - median), np.inf).max(axis=-1)
+        spread = np.take_along_axis(np.sort(apart, axis=0), middle, 0)[0]
+        found = ExpectedBackground(
+            np.zeros((*asked.shape, 3), np.float32), np.ones(asked.shape, np.float32), np.zeros(asked.shape, bool)
+        )
+        found.color[asked], found.spread[asked], found.known[asked] = median, np.where(known, spread, 1), known
+        return found
+
+    def _order(self, camera: Camera) -> np.ndarray:
+        """Return the other cameras' indices, those in the most similar direction from the scene's centre first."""
+        centers = np.stack([camera.center, *(other.center for other in self.cameras)])
+        ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
+        itself = np.array([other is camera for other in self.cameras])
+        order = np.argsort(-(ways[1:] @ ways[0]), kind="stable")
+        return order[~itself[order]][:NEAREST]
+
+    def _places(self, camera: Camera, window: Window) -> np.ndarray:
+        """Return where the rays of a window's pixels meet the background, [h,w,3] in the scene's frame."""
+        with torch.no_grad():
+            shown = render_surfels(self.surfels, camera, torch.zeros(3), 0)
+        depth, alpha = shown.median_depth.numpy()[window], shown.alpha.numpy()[window]
+        depth = np.where((depth > 0) & (alpha > COVERED), depth, np.inf)
+        rays = pixel_rays(camera)[window]
+        if self.plane is not None:
+            slope = rays @ self.plane.normal
+            with np.errstate(divide="ignore"):
+                plane = -self.plane.heights(camera.center[None])[0] / slope
+            plane = np.where((plane > 0) & np.isfinite(plane), plane, np.inf)
+            hit = camera.center + rays * np.where(np.isfinite(plane), plane, 0)[..., None]
+            near = np.isfinite(plane) & (np.linalg.norm(hit, axis=-1) < PLANE_RADIUS)
+            depth = np.where(near & (plane < PLANE_FIRST * depth), plane, depth)
+        return np.asarray(camera.center + rays * np.where(np.isfinite(depth), depth, FAR)[..., None])
+
+    def _seen(self, index: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a photograph's colours [P,3] at places [P,3], and where it shows background there, [P] bool."""
+        import cv2  # late: training needs no OpenCV
+
+        pixels, depth = self.cameras[index].project(places)
+        pixels = np.where(depth[:, None] > 0, pixels - 0.5, -9)  # behind the camera is outside the image
+        # OpenCV takes maps of at most 32,767 rows or columns.
+        maps = np.full((-(-len(places) // COLUMNS) * COLUMNS, 2), -9, np.float32)
+        maps[: len(places)] = pixels
+        across, down = (maps[:, i].reshape(-1, COLUMNS) for i in (0, 1))
+        color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)
+        clear = cv2.remap(self.clear[index], across, down, cv2.INTER_LINEAR).ravel()
+        return color[: len(places)], np.asarray(clear[: len(places)] > 0.99)
+
+
+def pixel_rays(camera: Camera) -> np.ndarray:
+    """Return the direction [H,W,3] of each pixel's ray in the world frame, as long as a camera z of 1."""
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    local = np.stack([(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
+    return np.asarray(np.concatenate([local, np.ones_like(local[..., :1])], axis=-1) @ camera.cam_from_world[:3, :3])
+
+
+def prepared_image(view: View) -> np.ndarray:
+    """Return a view's photograph as BackgroundSources takes it, [H,W,3] float32 sRGB 0..1."""
+    return view.image.astype(np.float32) / 255

@@ -1,0 +1,131 @@
+"""Soft masks of the object in photographs, from the colours that object and background are expected to have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.ndimage import gaussian_filter
+
+from mgsr.data.camera import Camera
+from mgsr.gaussians.surfels import SurfelModel
+from mgsr.renderers.surfels import render_surfels
+from mgsr.segmentation.background import BackgroundSources, Window
+from mgsr.segmentation.random_walker import random_walker
+
+# Colours are sRGB, 0..1. A cost is a squared difference over twice a variance.
+NOISE = 0.02  # deviation of a photograph from its background
+SPREAD = 1.5  # times the spread of the other photographs' colours, which adds to it
+GUESSED = 0.06  # deviation where nobody shows the background and its surroundings stand in
+RENDERED = 0.04  # deviation of a photograph from the object's surfels
+MOST = 9.0  # of a cost
+STRONG = 4.0  # cost from where a pixel is surely not the background
+# Of the object's hull, in pixels and as costs.
+DEEP, INSIDE = 3.0, 6.0  # what lies deeper in the hull's silhouette costs this as background
+BESIDE, OUTSIDE = 1.5, 3.0  # what lies farther outside costs this as object
+SEARCHED = 6.0  # pixels around the hull's silhouette in which the object may lie
+FIRST_SEARCHED = 0.12  # and around the first mask, as a share of the square root of its area
+MARGIN = 4  # pixels around the searched region that show its background
+
+SCALES = (1, 2, 4, 8, 16)  # pixels over which colours are extended, in turn
+LEAST = 0.1  # weight from where an extended colour counts
+
+
+@dataclass(frozen=True)
+class Matte:
+    """The object in a photograph.
+
+    share [H,W] float32: of each pixel, 0..1; sure [H,W] bool: where the photograph is clearly not the background;
+    told [H,W] bool: where the background is known, so that it could be.
+    """
+
+    share: np.ndarray
+    sure: np.ndarray
+    told: np.ndarray
+
+
+def first_region(mask: np.ndarray) -> np.ndarray:
+    """Return where the object may lie, [H,W] bool, by its first mask [H,W] bool."""
+    import cv2  # late: training needs no OpenCV
+
+    reach = max(2, round(FIRST_SEARCHED * float(mask.sum()) ** 0.5))
+    disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), disk) > 0)
+
+
+def hull_region(mask: np.ndarray, silhouette: np.ndarray) -> np.ndarray:
+    """Return where the object may lie, [H,W] bool, by its last mask [H,W] bool and its hull's signed distances."""
+    return np.asarray((silhouette > -SEARCHED) | (mask & (silhouette > -2 * SEARCHED)))
+
+
+def matte(
+    image: np.ndarray,
+    camera: Camera,
+    region: np.ndarray,
+    surfels: SurfelModel,
+    sources: BackgroundSources,
+    silhouette: np.ndarray | None = None,
+) -> Matte:
+    """Segment a photograph inside a region [H,W] bool.
+
+    image [H,W,3] float32 sRGB 0..1; surfels: the object's; silhouette [H,W]: signed distances, pixels, to that of the
+    object's hull, once it is known.
+    """
+    found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
+    if not region.any():
+        return found
+    window = _window(region)
+    inside = region[window]
+    background = sources.expected(camera, window, inside)
+    known, part = background.known, image[window]
+    behind, _ = _extended(background.color, known.astype(np.float32))
+    variance = np.where(known, NOISE**2 + (SPREAD * background.spread) ** 2, GUESSED**2)
+    as_background = _cost(part - behind, variance)
+    color, covered = _object_colors(surfels, camera, window)
+    as_object = np.where(covered, _cost(part - color, RENDERED**2), MOST)
+    # Where both are alike, neither tells anything, and the image's edges decide.
+    towards = as_background - as_object
+    for_object, for_background = np.maximum(towards, 0), np.maximum(-towards, 0)
+    if silhouette is not None:
+        for_object += INSIDE * ((silhouette[window] > DEEP) & known)
+        for_background += OUTSIDE * (silhouette[window] < -BESIDE)
+    found.share[window] = random_walker(part, for_object, for_background, inside)
+    found.sure[window], found.told[window] = known & (as_background > STRONG), known
+    return found
+
+
+def _cost(difference: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
+    return np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST)
+
+
+def _window(region: np.ndarray) -> Window:
+    rows, columns = np.nonzero(region)
+    spans = ((rows.min(), rows.max()), (columns.min(), columns.max()))
+    first, second = (slice(max(0, low - MARGIN), high + MARGIN + 1) for low, high in spans)
+    return first, second
+
+
+def _object_colors(surfels: SurfelModel, camera: Camera, window: Window) -> tuple[np.ndarray, np.ndarray]:
+    """Return the object's colours [h,w,3], extended beyond its surfels, and how far they reach, [h,w] bool."""
+    with torch.no_grad():
+        shown = render_surfels(surfels, camera, torch.zeros(3))
+    alpha = shown.alpha.numpy()[window]
+    solid = alpha > 0.5
+    color = np.where(solid[..., None], shown.color.numpy()[window] / np.maximum(alpha, 0.5)[..., None], 0)
+    return _extended(color, solid.astype(np.float32))
+
+
+def _extended(color: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Extend colours [h,w,3] from where weights [h,w] are 1 to where they are 0, by blurring over growing scales.
+
+    Returns the colours, and where any reach, [h,w] bool.
+    """
+    found, reached = color * weight[..., None], weight > 0
+    for scale in SCALES:
+        near = gaussian_filter(weight, scale)
+        blurred = gaussian_filter(color * weight[..., None], (scale, scale, 0))
+        fresh = (near > LEAST) & ~reached
+        found[fresh] = blurred[fresh] / near[fresh][:, None]
+        reached = reached | fresh
+    return found, reached

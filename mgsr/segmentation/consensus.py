@@ -16,21 +16,20 @@ from mgsr.segmentation.support_plane import SupportPlane
 
 RESOLUTION = 128  # voxels along a side
 HALF = 0.6  # of a box's longest side, half the side of the cube that is carved
-DISSENT = 0.1  # share of the views that may have a place outside their masks, though it is the object's
 SUNK = 1.0  # pixels under the support plane that the object may reach
 
 
 def tolerant_hull(
-    masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray, plane: SupportPlane | None
+    masks: Sequence[np.ndarray], cameras: Sequence[Camera], box: np.ndarray, plane: SupportPlane | None, dissent: float
 ) -> Hull:
-    """Return the visual hull of masks of which a share DISSENT, and one at least, may leave out any place.
+    """Return the visual hull of masks of which a share `dissent`, and one at least, may leave out any place.
 
     masks [H,W] 0..1, one for each camera; box [2,3]: corners of a box around the object, in the cameras' frame; plane:
     what the object stands on, which cuts the hull off.
     """
     outlines = [Silhouette(camera, signed_distance(mask)) for mask, camera in zip(masks, cameras, strict=True)]
-    dissent = max(1, int(DISSENT * len(outlines)))
-    hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, dissent)
+    wrong = max(1, int(dissent * len(outlines)))
+    hull = carve(outlines, box.mean(axis=0), HALF * float((box[1] - box[0]).max()), RESOLUTION, wrong)
     if plane is None:
         return hull
     # Heights are linear, so those of the axes add up.

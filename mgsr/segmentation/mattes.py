@@ -23,7 +23,7 @@ MOST = 9.0  # of a cost
 STRONG = 4.0  # cost from where a pixel is surely not the background
 # Of the object's hull, in pixels and as costs.
 DEEP, INSIDE = 3.0, 6.0  # what lies deeper in the hull's silhouette costs this as background
-BESIDE, OUTSIDE = 1.5, 3.0  # what lies farther outside costs this as object
+BESIDE, OUTSIDE = 3.0, 3.0  # what lies farther outside costs this as object
 SEARCHED = 6.0  # pixels around the hull's silhouette in which the object may lie
 FIRST_SEARCHED = 0.12  # and around the first mask, as a share of the square root of its area
 MARGIN = 4  # pixels around the searched region that show its background

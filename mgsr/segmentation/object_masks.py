@@ -36,7 +36,7 @@ from mgsr.training.run import Training
 
 SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
 ITERATIONS = 400
-ROUNDS = 3  # of masks and hull
+DISSENT = (0.1, 0.08, 0.06)  # share of the views that may have a place of the hull outside their masks, by round
 SOLID = 0.2  # opacity of the surfels that count
 NEAR = 1.5  # radius around the scene's centre, in balls, in which the object stands
 MIDDLE = 0.7  # radius, in balls, within which pieces count as lying in the middle
@@ -53,7 +53,7 @@ TOLD = 0.03  # least share of a surfel's pixels that have a known background
 LEAST_SPLATS = 50
 RIVAL = 0.4  # size of a second piece, against the object's, that makes two objects
 LEAST_AGREEMENT = 0.75  # mean intersection over union of the masks and of the hull's silhouettes
-BESIDE = 1.5  # pixels outside the hull's silhouette where masks end
+BESIDE = 3.0  # pixels outside the hull's silhouette where masks end
 FILLED = 2.0  # pixels inside the hull's silhouette from where masks have no holes
 FULL = 0.7  # share of the image that is no single object's any more
 CUT = 0.1  # share of a mask's extent that lies on the image's border, from where the object counts as cut off
@@ -103,13 +103,13 @@ def find_object(
     if isinstance(first, NoObject):
         return first
     search = _Search(model, first, views)
-    for number in range(ROUNDS):
-        search.refine()
+    for number, dissent in enumerate(DISSENT):
+        search.refine(dissent)
         if should_stop():
             raise Cancelled
         if search.labels.sum() < LEAST_SPLATS:
             return NoObject("what stands in the middle has no contour in the photographs")
-        progress(0.4 + 0.45 * (number + 1) / ROUNDS)
+        progress(0.4 + 0.45 * (number + 1) / len(DISSENT))
     agreement = np.array(
         [_overlap(mask, inside > 0) for mask, inside in zip(search.masks, search.silhouettes or (), strict=True)]
     )
@@ -152,13 +152,16 @@ class _Search:
         self.silhouettes: list[np.ndarray] | None = None
         self.masks = [ndimage.binary_fill_holes(self._covered(camera)) for camera in self._cameras]
 
-    def refine(self) -> None:
-        """Make masks from the present labels, a hull from the masks, and labels from the hull."""
+    def refine(self, dissent: float) -> None:
+        """Make masks from the present labels, a hull from the masks, and labels from the hull.
+
+        dissent: the share of the views that may have a place of the hull outside their masks.
+        """
         sources = self._sources()
         found = self._mattes(self._images, self._cameras, self.masks, self.silhouettes, sources)
         self.masks = [each.share > 0.5 for each in found]
         first = self._first
-        self._hull = tolerant_hull([each.share for each in found], self._cameras, first.box, first.plane)
+        self._hull = tolerant_hull([each.share for each in found], self._cameras, first.box, first.plane, dissent)
         if not (self._hull.field > 0).any():
             self.labels = np.zeros_like(self.labels)
             return

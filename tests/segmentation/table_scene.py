@@ -21,7 +21,7 @@ def table_scene(
     """Return the scene, without masks, and the object's true masks [H,W] bool in its views.
 
     copies: 2 puts two objects on the table, the middle between them, 0 none; standing: whether there is an object and a
-    table at all, else only the wall is there; shift: moves the cameras' aim sideways, so that images cut the object off.
+    table at all, else only the wall is there; shift: moves the cameras' aim sideways, so that images cut it off.
     """
     cameras = [_camera(i, views, size, shift) for i in range(views)]
     drawn = [_drawn(camera, copies, standing) for camera in cameras]

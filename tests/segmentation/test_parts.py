@@ -140,7 +140,7 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     masks = [mask.astype(np.float32) for mask in truth]
     masks[2][48:, :] = 0
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
-    hull = tolerant_hull(masks, seen, box, plane)
+    hull = tolerant_hull(masks, seen, box, plane, 0.1)
     silhouettes = [inside > 0 for inside in hull_silhouettes(hull, seen)]
     assert (silhouettes[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
     for mask, true in zip(silhouettes, truth, strict=True):

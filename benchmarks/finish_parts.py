@@ -45,11 +45,13 @@ class Parts:
 
 WITHOUT: dict[str, Callable[[Parts], Parts]] = {
     "the start where it is likelier": lambda parts: replace(parts, start=None),
-    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, outline_smoothing=None)),
+    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, contour_smoothing=None)),
     "shading and parallax": lambda parts: replace(parts, config=replace(parts.config, shading_ratio=None)),
-    "parallax": lambda parts: replace(parts, config=replace(parts.config, parallax_reach=None)),
-    "opening where photographs differ": lambda parts: replace(parts, config=replace(parts.config, disagreement=None)),
-    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, wave_angle=None)),
+    "parallax": lambda parts: replace(parts, config=replace(parts.config, photometric_reach=None)),
+    "opening where photographs differ": lambda parts: replace(
+        parts, config=replace(parts.config, max_photometric_residual=None)
+    ),
+    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, low_frequency_angle=None)),
     "smoothing of facets": lambda parts: replace(parts, config=replace(parts.config, smoothing_angle=None)),
 }
 
@@ -91,7 +93,7 @@ def measured(path: Path, run: Path) -> list[PartRow]:
 
     rows = []
     with ExitStack() as stack:
-        for name in ("_by_poisson", "start_is_likelier"):
+        for name in ("_by_poisson", "photographs_prefer_start"):
             stack.enter_context(patch.object(extract, name, found_once(getattr(extract, name))))
         extracted(whole)
         for without, parts in {ALL: whole, **{name: change(whole) for name, change in WITHOUT.items()}}.items():

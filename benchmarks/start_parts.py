@@ -28,7 +28,7 @@ from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.raycast import RayCaster
 from mgsr.pipeline.evaluation import find_truth
-from mgsr.shading.refine import Light, Refined
+from mgsr.shading.shape_from_shading import Light, ShadingResult
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
@@ -43,8 +43,8 @@ def _replaced(**parts: Any) -> list[AbstractContextManager[Any]]:
     return [patch.object(masked_surface, name, part) for name, part in parts.items()]
 
 
-def _unbent(vertices: np.ndarray, *rest: Any, **more: Any) -> Refined:
-    return Refined(vertices, Light.UNKNOWN)
+def _unbent(vertices: np.ndarray, *rest: Any, **more: Any) -> ShadingResult:
+    return ShadingResult(vertices, Light.UNKNOWN)
 
 
 def _unmoved(vertices: np.ndarray, *rest: Any, **more: Any) -> np.ndarray:
@@ -60,8 +60,8 @@ PARTS: dict[str, Part] = {
     "stereo at half the size": lambda: _replaced(weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]),
     "total variation": lambda: [patch.object(fusion, "VARIATION", 1e-6)],
     "the hull where it is likelier": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
-    "shading": lambda: _replaced(refine_by_shading=_unbent),
-    "parallax": lambda: _replaced(refine_by_parallax=_unmoved),
+    "shading": lambda: _replaced(shape_from_shading=_unbent),
+    "parallax": lambda: _replaced(refine_photometrically=_unmoved),
 }
 
 

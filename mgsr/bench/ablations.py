@@ -88,13 +88,13 @@ PAPER_CHOICES = (
         "paper-parallax",
         "no parallax in the mesh (ours where there are outlines)",
         "mgsr",
-        ("parallax_reach=none",),
+        ("photometric_reach=none",),
     ),
     AblationRow(
         "paper-holes",
         "nothing is taken out of the mesh (ours what photographs under a flash differ about)",
         "mgsr",
-        ("disagreement=none",),
+        ("max_photometric_residual=none",),
     ),
     AblationRow(
         "paper-shading",
@@ -106,7 +106,7 @@ PAPER_CHOICES = (
         "paper-smoothing",
         "waves and noise stay in the mesh (ours takes them, but not creases)",
         "mgsr",
-        ("wave_angle=none", "smoothing_angle=none"),
+        ("low_frequency_angle=none", "smoothing_angle=none"),
     ),
 )
 

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.sparse.linalg import LinearOperator, cg
 
 
-def umbrella(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
+def uniform_laplacian(faces: np.ndarray, vertex_count: int) -> sparse.csr_matrix:
     """Return the uniform Laplacian [V,V] of a mesh with faces [F,3].
 
     A row takes the mean of a vertex's neighbours less the vertex itself. The row of a vertex without neighbours is 0.
@@ -44,7 +44,7 @@ def mean_normals(normals: np.ndarray, laplacian: sparse.csr_matrix, rounds: int)
     return normals
 
 
-def spread(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
+def diffuse(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
     """Smooth values [V,...] over the surface by diffusion, like a Gaussian with a deviation of `reach` edges."""
     for _ in range(round(4 * reach**2)):  # a step spreads by half an edge along each of the two axes
         values = values + 0.5 * (laplacian @ values)
@@ -53,30 +53,30 @@ def spread(values: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np
 
 def smooth_displacements(
     laplacian: sparse.csr_matrix,
-    wanted: np.ndarray,
+    target: np.ndarray,
     weights: np.ndarray,
     reach: float,
-    carry: sparse.csr_matrix | None = None,
+    prolongation: sparse.csr_matrix | None = None,
 ) -> np.ndarray:
     """Return the displacements x [V] that minimise sum weights (x - wanted)^2 + reach^4 |laplacian x|^2.
 
-    wanted, weights [V]: the target displacement of each vertex, and its weight, which must be positive.
-    reach: the number of edges over which a displacement of weight 1 spreads.
-    carry [P,V]: if given, wanted and weights belong to P points, whose displacements are carry @ x (`interpolation`).
+    target, weights [V]: the target displacement of each vertex, and its weight, which must be positive. reach: the
+    number of edges over which a displacement of weight 1 spreads. prolongation [P,V]: if given, wanted and weights
+    belong to P points, whose displacements are prolongation @ x (`prolongation_matrix`).
     """
-    carry = sparse.identity(len(wanted), format="csr") if carry is None else carry
-    matrix = carry.T @ sparse.diags(weights) @ carry + reach**4 * (laplacian.T @ laplacian)
-    return _solve(matrix.tocsr(), carry.T @ (weights * wanted))
+    prolongation = sparse.identity(len(target), format="csr") if prolongation is None else prolongation
+    matrix = prolongation.T @ sparse.diags(weights) @ prolongation + reach**4 * (laplacian.T @ laplacian)
+    return _solve(matrix.tocsr(), prolongation.T @ (weights * target))
 
 
-def bend_to_normals(
+def integrate_normals(
     vertices: np.ndarray,
     edges: np.ndarray,
     normals: np.ndarray,
-    wanted: np.ndarray,
-    sure: np.ndarray,
+    target: np.ndarray,
+    confidence: np.ndarray,
     strength: float,
-    hold: np.ndarray,
+    prior_weight: np.ndarray,
     offsets: np.ndarray,
 ) -> np.ndarray:
     """Return the displacements [V] along the vertex normals that turn the edges [E,2] towards the target normals.
@@ -86,21 +86,21 @@ def bend_to_normals(
     normals are to turn. An edge need not lie across its mean normal, as where a flat face meets a round one; to demand
     that would bend a surface whose normals are right.
 
-    vertices [V,3]; normals, wanted [V,3]: the present and the target unit normals.
-    sure [V] in 0..1: the confidence in each target normal; an edge takes the lower one of its two ends.
-    offsets, hold [V]: the displacements that the positions ask for, and their weights, which must be positive.
+    vertices [V,3]; normals, target [V,3]: the present and the target unit normals.
+    confidence [V] in 0..1: the confidence in each target normal; an edge takes the lower one of its two ends.
+    offsets, prior_weight [V]: the displacements that the positions ask for, and their weights, which must be positive.
     """
-    trust = sure[edges].min(axis=1)
+    trust = confidence[edges].min(axis=1)
     first, second = edges[trust > 0].T
-    across, had = (_unit(each[first] + each[second]) for each in (wanted, normals))
+    across, had = (_unit(each[first] + each[second]) for each in (target, normals))
     row = np.arange(len(first))
     shares = np.concatenate([-(normals[first] * across).sum(1), (normals[second] * across).sum(1)])
     places = (np.concatenate([row, row]), np.concatenate([first, second]))
     slopes = sparse.coo_matrix((shares, places), (len(first), len(vertices))).tocsr()
     turn = ((vertices[second] - vertices[first]) * (across - had)).sum(1)
     weighed = slopes.T @ sparse.diags(strength * trust[trust > 0])
-    matrix = (sparse.diags(hold) + weighed @ slopes).tocsr()
-    return _solve(matrix, hold * offsets - weighed @ turn)
+    matrix = (sparse.diags(prior_weight) + weighed @ slopes).tocsr()
+    return _solve(matrix, prior_weight * offsets - weighed @ turn)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

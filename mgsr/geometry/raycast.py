@@ -144,7 +144,7 @@ def _shares(uv: np.ndarray) -> np.ndarray:
     return shares
 
 
-def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
+def prolongation_matrix(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
     """Return the matrix [P,V] that interpolates values of a mesh's vertices at the points [P,3] beside it.
 
     Each point takes the barycentric mean at the nearest point of the mesh, vertices [V,3] and faces [F,3].

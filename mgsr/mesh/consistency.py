@@ -107,9 +107,9 @@ def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toleranc
     seen = sample(_weighted_surface(view, rules), pixels[near])
     gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths[near]
     weights = seen[:, 0] * np.clip(1 - (gaps / limit[near]) ** 2, 0, 1) ** 2
-    sure = weights > 0
+    confirmed = weights > 0
     offsets = gaps * slants[near]
-    return _Look(contradicted, index[near][sure], weights[sure], offsets[sure], seen[sure, 2:])
+    return _Look(contradicted, index[near][confirmed], weights[confirmed], offsets[confirmed], seen[confirmed, 2:])
 
 
 def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:

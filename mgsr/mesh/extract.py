@@ -12,24 +12,24 @@ from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.errors import MeshError
+from mgsr.geometry.bilateral_filter import bilateral_normal_filter
+from mgsr.geometry.contours import find_contour, fit_contours
 from mgsr.geometry.decimate import decimate
-from mgsr.geometry.fairing import smooth_noise
-from mgsr.geometry.outlines import find_outline, fit_outlines
+from mgsr.geometry.low_frequency import smooth_low_frequency
 from mgsr.geometry.triangles import Triangles, drop_degenerate, drop_small_pieces, vertex_normals
-from mgsr.geometry.waves import smooth_waves
 from mgsr.mesh import cleanup
-from mgsr.mesh.bending import bend_to_views
 from mgsr.mesh.colors import TOLERANCE, vertex_colors
 from mgsr.mesh.consistency import Hull, compare_views
-from mgsr.mesh.likelier import is_torn, start_is_likelier
 from mgsr.mesh.pixels import PixelRules, back_project, median_footprint
 from mgsr.mesh.points import gather_points
 from mgsr.mesh.poisson import cell_size, poisson_surface, trim_unsupported
-from mgsr.mesh.refinement import hold_against_photographs
+from mgsr.mesh.refinement import refine_mesh
 from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface_choice import is_torn, photographs_prefer_start
 from mgsr.mesh.tsdf import tsdf_surface
+from mgsr.mesh.view_fit import fit_to_views
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.refine import Light
+from mgsr.shading.shape_from_shading import Light
 
 
 def extract_mesh(
@@ -63,9 +63,9 @@ def extract_mesh(
     if start is None or not photographs or not len(faces):
         chosen = None
     elif is_torn((vertices, faces), start):
-        chosen = bend_to_views(*start, views, _rules(config), _tolerance(config), threads), start[1]
+        chosen = fit_to_views(*start, views, _rules(config), _tolerance(config), threads), start[1]
     else:
-        chosen = start if start_is_likelier(start, (vertices, faces), photographs) else None
+        chosen = start if photographs_prefer_start(start, (vertices, faces), photographs) else None
     surface = (vertices, faces) if chosen is None else chosen
     mesh = _finish(*surface, views, config, size, hull, silhouettes, photographs, threads, go_on)
     return replace(mesh, start_kept=chosen is not None)
@@ -140,25 +140,25 @@ def _finish(
     faces = cleanup.turn_outwards(faces, sides)
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
-    outlines = [find_outline(silhouette) for silhouette in silhouettes]
-    if outlines and config.outline_smoothing is not None:
-        vertices = fit_outlines(vertices, faces, outlines, config.outline_smoothing)
-    held = hold_against_photographs(vertices, faces, photographs, outlines, config, threads, go_on)
+    contours = [find_contour(silhouette) for silhouette in silhouettes]
+    if contours and config.contour_smoothing is not None:
+        vertices = fit_contours(vertices, faces, contours, config.contour_smoothing)
+    held = refine_mesh(vertices, faces, photographs, contours, config, threads, go_on)
     vertices, faces = held.vertices, held.faces
-    if held.opened:
+    if held.removed_area:
         vertices, faces = drop_small_pieces(vertices, faces, config.min_piece)
-    if config.wave_angle and photographs and held.light is not Light.FLASH:
+    if config.low_frequency_angle and photographs and held.light is not Light.FLASH:
         pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
-        vertices = smooth_waves(vertices, faces, pixel, config.wave_angle)
+        vertices = smooth_low_frequency(vertices, faces, pixel, config.low_frequency_angle)
     if config.smoothing_angle:
-        vertices = smooth_noise(vertices, faces, config.smoothing_angle)
+        vertices = bilateral_normal_filter(vertices, faces, config.smoothing_angle)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:
         vertices, faces = decimate(vertices, faces, config.max_faces)
     normals = vertex_normals(vertices, faces)
     colors = vertex_colors(vertices, normals, views, config.min_alpha, _tolerance(config), threads)
-    return Mesh(vertices, faces, normals, colors, held.light, held.parallax, held.opened)
+    return Mesh(vertices, faces, normals, colors, held.light, held.parallax, held.removed_area)
 
 
 def _require_faces(faces: np.ndarray, reason: str, config: MeshConfig) -> None:

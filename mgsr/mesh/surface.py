@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mgsr.shading.refine import Light
+from mgsr.shading.shape_from_shading import Light
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Mesh:
 
     vertices [V,3] float64; faces [F,3] int64, counter-clockwise from outside; normals [V,3] float32, unit and outward;
     colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's shading refined the
-    mesh. parallax: whether photometric refinement moved it; opened: the share of its area that was removed, as the
-    photographs contradict it; textured: the same surface with a texture, where one was asked for; start_kept: whether
-    it is the surface that training began on, as the photographs speak for it.
+    mesh. photometric_refinement: whether photometric refinement moved it; removed_area: the share of its area that was
+    removed, as the photographs contradict it; textured: the same surface with a texture, where one was asked for;
+    start_kept: whether it is the surface that training began on, as the photographs speak for it.
     """
 
     vertices: np.ndarray
@@ -40,7 +40,7 @@ class Mesh:
     normals: np.ndarray
     colors: np.ndarray
     light: Light = Light.UNKNOWN
-    parallax: bool = False
-    opened: float = 0.0
+    photometric_refinement: bool = False
+    removed_area: float = 0.0
     textured: TexturedMesh | None = None
     start_kept: bool = False

@@ -29,7 +29,7 @@ from mgsr.pipeline.run_log import RunLog
 from mgsr.pipeline.steps import never
 from mgsr.report.data import ReportData
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.refine import Light
+from mgsr.shading.shape_from_shading import Light
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         unit = float(report.other["settings"]["output"]["scale"])
         frame = report.other["input"]["user_from_scene"]
         normalisation = Similarity(frame["scale"] / unit, np.array(frame["offset"], np.float64) / unit)
-        known = {name: report.other[name] for name in ("parallax", "opened", "start_kept")}
+        known = {name: report.other[name] for name in ("photometric_refinement", "removed_area", "start_kept")}
         light = Light(report.other["light"])
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error

@@ -67,8 +67,8 @@ def run_report(
         other={
             "input": _input(scene, start, config.output.scale),
             "light": str(mesh.light),
-            "parallax": mesh.parallax,
-            "opened": mesh.opened,
+            "photometric_refinement": mesh.photometric_refinement,
+            "removed_area": mesh.removed_area,
             "start_kept": mesh.start_kept,
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {

@@ -33,15 +33,15 @@ class Lighting:
     """A surface, vertices [V,3] and outward faces [F,3], and the lamp that lights it.
 
     right, down: where the lamp is in the camera's frame, from the lens. lamp: the light that it sends to a surface that
-    faces it at a distance of 1; besides [V]: the light that each vertex gets otherwise. Both are shares of the
-    brightest light in the photographs. like [V]: the vertex as which each is lit: itself where photographs confirm the
-    surface; elsewhere it may be folded, and is lit as the nearest that they confirm.
+    faces it at a distance of 1; ambient [V]: the light that each vertex gets otherwise. Both are shares of the
+    brightest light in the photographs. proxy_vertex [V]: the vertex as which each is lit: itself where photographs
+    confirm the surface; elsewhere it may be folded, and is lit as the nearest that they confirm.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
-    besides: np.ndarray
-    like: np.ndarray
+    ambient: np.ndarray
+    proxy_vertex: np.ndarray
     right: float
     down: float
     lamp: float
@@ -66,10 +66,10 @@ class Lighting:
         normals [P,3]: unit. In the lamp's shadow the irradiance is 0.
         """
         face, shares = self._caster.nearest(points)
-        besides = (self.besides[self.like[self.faces[face]]] * shares).sum(axis=1)
+        ambient = (self.ambient[self.proxy_vertex[self.faces[face]]] * shares).sum(axis=1)
         place = self._lamp(camera)
         reached = self._caster.reached(place, points + self._gap * normals, self._gap)
-        return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + besides))
+        return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + ambient))
 
     def moved(self, to: Similarity) -> Lighting:
         """Return the same lighting in the frame that `to` leads to."""
@@ -91,11 +91,11 @@ class Lighting:
         return RayCaster(self.vertices, self.faces)
 
     @cached_property
-    def _carried(self) -> np.ndarray:
+    def _attributes(self) -> np.ndarray:
         """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
         normals = vertex_normals(self.vertices, self.faces)
-        carried = np.concatenate([self.vertices, normals, self.besides[:, None]], axis=1)
-        return carried[self.like].astype(np.float32)
+        attributes = np.concatenate([self.vertices, normals, self.ambient[:, None]], axis=1)
+        return attributes[self.proxy_vertex].astype(np.float32)
 
     @cached_property
     def _gap(self) -> float:
@@ -129,13 +129,13 @@ class Lighting:
         """
         hits = self._caster.cast_pixels(camera, pixels)
         met = hits.mask
-        there = np.einsum("pki,pk->pi", self._carried[self.faces[hits.face[met]]], hits.barycentric[met])
-        points, normals, besides = there[:, :3], there[:, 3:6], there[:, 6]
+        there = np.einsum("pki,pk->pi", self._attributes[self.faces[hits.face[met]]], hits.barycentric[met])
+        points, normals, ambient = there[:, :3], there[:, 3:6], there[:, 6]
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         place = self._lamp(camera).astype(np.float32)
         reached = self._caster.reached(place, points + self._gap * normals, self._gap)
         light = np.zeros(met.shape)
-        light[met] = self.lamp * reached * lamp_light(place - points, normals) + besides
+        light[met] = self.lamp * reached * lamp_light(place - points, normals) + ambient
         return light.sum(axis=(1, 3)), met.sum(axis=(1, 3))
 
 

@@ -17,14 +17,14 @@ from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
-from mgsr.geometry.outlines import Outline, find_outline
+from mgsr.geometry.contours import SilhouetteContour, find_contour
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles
 from mgsr.parallel import map_ahead
+from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.parallax import refine_by_parallax
-from mgsr.shading.refine import MIRRORS, Light, Pass, Refined, refine_by_shading
-from mgsr.shading.unexplained import Unexplained, leave_unexplained
+from mgsr.shading.photometric_refinement import refine_photometrically
+from mgsr.shading.shape_from_shading import MIRRORS, Light, ShadingPass, ShadingResult, shape_from_shading
 from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap, match_views, weigh, weigh_gaps
 from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
@@ -36,14 +36,14 @@ CLEARLY = 0.9
 # rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
 # small shape once parallax has put the large one right.
 FAR_PASSES = {
-    Light.FLASH: (Pass(edge=2.0, rounds=6, reach=160.0), Pass(edge=1.5, rounds=3, reach=60.0)),
-    Light.SURROUNDINGS: (
-        *[Pass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
-        Pass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
-        Pass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
+    Light.FLASH: (ShadingPass(edge=2.0, rounds=6, reach=160.0), ShadingPass(edge=1.5, rounds=3, reach=60.0)),
+    Light.ENVIRONMENT: (
+        *[ShadingPass(edge=4.0, rounds=2, reach=240.0, fairing=17.0)] * 3,
+        ShadingPass(edge=3.0, rounds=2, reach=240.0, fairing=17.0),
+        ShadingPass(edge=2.0, rounds=2, reach=120.0, fairing=17.0),
     ),
 }
-NEAR_PASSES = {Light.SURROUNDINGS: (Pass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
+NEAR_PASSES = {Light.ENVIRONMENT: (ShadingPass(edge=1.5, rounds=2, reach=60.0, fairing=17.0),)}
 
 # Octaves of deviation by which stereo's surface may leave more unexplained than the hull before it no longer counts.
 DISBELIEVED = 0.3
@@ -74,7 +74,7 @@ class MaskedSurface:
 
 def find_surface(
     views: Sequence[View],
-    outlines: Sequence[Silhouette],
+    silhouettes: Sequence[Silhouette],
     hull: Hull,
     seed: int,
     progress: Callable[[float], None] = lambda done: None,
@@ -85,13 +85,13 @@ def find_surface(
     """
     vertices, faces = _likelier_surface(views, hull, seed, progress)
     progress(FUSED)
-    rims = [find_outline(outline) for outline in outlines]
-    refined = _bent(vertices, faces, views, rims, FAR_PASSES, _between(progress, FUSED, FAR_SHADED))
+    contours = [find_contour(silhouette) for silhouette in silhouettes]
+    refined = _refined(vertices, faces, views, contours, FAR_PASSES, _between(progress, FUSED, FAR_SHADED))
     if refined.light in NEAR_PASSES:
         tell = _between(progress, NEAR_BEGUN, NEAR_SHADED)
-        refined = _bent(refined.vertices, faces, views, rims, NEAR_PASSES, tell)
+        refined = _refined(refined.vertices, faces, views, contours, NEAR_PASSES, tell)
     progress(1.0)
-    lighting = None if refined.shading is None else refined.shading.lighting(refined.vertices, faces)
+    lighting = None if refined.light_model is None else refined.light_model.lighting(refined.vertices, faces)
     return MaskedSurface(refined.vertices, faces, refined.light, lighting)
 
 
@@ -107,7 +107,7 @@ def _likelier_surface(views: Sequence[View], hull: Hull, seed: int, progress: Ca
     inner = fuse_roughly(seen.cameras, seen.maps, seen.weights, hull, seen.pixel)
     if not len(inner[1]):
         return outer
-    on_outer, on_inner = leave_unexplained((outer, inner), views)
+    on_outer, on_inner = environment_residuals((outer, inner), views)
     if on_outer.ratio <= MIRRORS and on_outer.ratio <= CLEARLY * on_inner.ratio:
         return outer
     believed = map_ahead(lambda camera: _believed(camera, on_outer, on_inner), seen.cameras, None)
@@ -141,28 +141,28 @@ def _matched(
     return _Matched(photographs.cameras + halves.cameras, fine + coarse, weights, pixel)
 
 
-def _believed(camera: Camera, outer: Unexplained, inner: Unexplained) -> np.ndarray:
+def _believed(camera: Camera, outer: EnvironmentResidual, inner: EnvironmentResidual) -> np.ndarray:
     """Return how much each pixel of stereo counts, [H,W] 0..1.
 
     It counts less the more the inner surface leaves unexplained there, in octaves of the deviation over what the outer
     one leaves; where either tells nothing, 1.
     """
-    left, before = inner.seen_by(camera), outer.seen_by(camera)
-    known = (left > 0) & (before > 0)
-    octaves = np.log2(np.where(known, left, 1) / np.where(known, before, 1)) / 2
+    residual, before = inner.seen_by(camera), outer.seen_by(camera)
+    known = (residual > 0) & (before > 0)
+    octaves = np.log2(np.where(known, residual, 1) / np.where(known, before, 1)) / 2
     return np.asarray(np.clip(1 - octaves / DISBELIEVED, 0, 1) ** 2, np.float32)
 
 
-def _bent(
+def _refined(
     vertices: np.ndarray,
     faces: np.ndarray,
     views: Sequence[View],
-    rims: Sequence[Outline],
-    passes: Mapping[Light, Sequence[Pass]],
+    contours: Sequence[SilhouetteContour],
+    passes: Mapping[Light, Sequence[ShadingPass]],
     progress: Callable[[float], None],
-) -> Refined:
-    refined = refine_by_shading(vertices, faces, views, rims, MIRRORS, passes, progress=progress)
-    moved = refine_by_parallax(refined.vertices, faces, views, rims, PARALLAX_REACH, refined.shading)
+) -> ShadingResult:
+    refined = shape_from_shading(vertices, faces, views, contours, MIRRORS, passes, progress=progress)
+    moved = refine_photometrically(refined.vertices, faces, views, contours, PARALLAX_REACH, refined.light_model)
     return replace(refined, vertices=moved)
 
 

@@ -103,9 +103,9 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     scores = torch.stack([_correlations(look, looks[other], inverse) for other in beside])
     # The better half: a neighbour that does not see the place says nothing of it.
     agreement = scores.topk(max(2, len(beside) // 2), dim=0).values.mean(dim=0)
-    plane, sure = _best_plane(agreement)
+    plane, clear = _best_plane(agreement)
     depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
-    return np.where(sure.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
+    return np.where(clear.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
 
 
 def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
@@ -175,11 +175,11 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
     count = len(agreement)
     planes = torch.arange(count)[:, None, None]
     rival = torch.where((planes - at).abs() > BESIDE, agreement, -1.0).amax(dim=0)
-    sure = (at > 0) & (at < count - 1) & (best > AGREEMENT) & (best - rival > LEAD)
+    clear = (at > 0) & (at < count - 1) & (best > AGREEMENT) & (best - rival > LEAD)
     middle = at.clamp(1, count - 2)[None]
     before, here, after = (agreement.gather(0, middle + step)[0] for step in (-1, 0, 1))
     step = (after - before) / (2 * (2 * here - before - after)).clamp(min=1e-6)
-    return middle[0] + step.clamp(-0.5, 0.5), sure
+    return middle[0] + step.clamp(-0.5, 0.5), clear
 
 
 def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], least: int) -> np.ndarray:

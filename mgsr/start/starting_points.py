@@ -16,10 +16,10 @@ from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.geometry.triangles import Triangles
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.refine import Light
+from mgsr.shading.shape_from_shading import Light
+from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
-from mgsr.start.surroundings import surroundings
 from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
@@ -143,7 +143,7 @@ def _unmasked_points(
         return ball_points(scene.train, count, seed)
     points = _in_company(points)
     generator = np.random.default_rng(seed)
-    around = points.rows(np.zeros(0, np.intp)) if last.plain else surroundings(scene.train, points.positions)
+    around = points.rows(np.zeros(0, np.intp)) if last.plain else background_points(scene.train, points.positions)
     around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
     count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL

@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.hull import Hull, hull_surface
-from mgsr.geometry.displace import mean_normals, umbrella
+from mgsr.geometry.displace import mean_normals, uniform_laplacian
 from mgsr.geometry.triangles import Triangles, drop_small_pieces, face_components, keep_faces, vertex_normals
 from mgsr.native import _fusion
 from mgsr.stereo.patch_match import DepthMap
@@ -160,7 +160,9 @@ def _surface(field: Hull) -> Triangles:
         return np.empty((0, 3)), np.empty((0, 3), np.int64)
     whole = hull_surface(Hull(field.field + outside, field.origin, field.voxel))
     vertices, faces = drop_small_pieces(*_without_voids(*whole), SMALLEST)
-    normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
+    normals = mean_normals(
+        vertex_normals(vertices, faces).astype(float), uniform_laplacian(faces, len(vertices)), rounds=2
+    )
     return vertices - outside * normals, faces
 
 

@@ -14,7 +14,7 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import View
 from mgsr.data.silhouettes import signed_distance, silhouettes
 from mgsr.export.scenes import write_scene
-from mgsr.geometry.outlines import find_outline
+from mgsr.geometry.contours import find_contour
 from tests.data.fisheye import FOCAL, SIDE, ball_color, write_fisheye
 
 RNG = np.random.default_rng(3)
@@ -54,7 +54,7 @@ def test_distances_without_any_known_outline(inside):
 
 def test_outlines_end_where_the_known_part_ends():
     (silhouette,) = silhouettes([view()], 100)
-    points = find_outline(silhouette).points
+    points = find_contour(silhouette).points
     assert len(points) > 20
     assert ((points > [7, 5]) & (points < [49, 39])).all()
     np.testing.assert_allclose(np.hypot(*(points - [44, 22]).T), 12, atol=0.15)

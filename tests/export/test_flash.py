@@ -25,13 +25,19 @@ def lighting() -> Lighting:
 def arrays() -> dict[str, np.ndarray]:
     full = lighting()
     lamp = np.array([full.right, full.down, full.lamp])
-    return {"vertices": full.vertices, "faces": full.faces, "besides": full.besides, "like": full.like, "lamp": lamp}
+    return {
+        "vertices": full.vertices,
+        "faces": full.faces,
+        "besides": full.ambient,
+        "like": full.proxy_vertex,
+        "lamp": lamp,
+    }
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     write_flash(tmp_path / "flash.npz", lighting())
     found, view = load_flash(tmp_path / "flash.npz"), looking_at_origin(np.array([1.0, 2.0, 2.0]))
-    assert np.array_equal(found.faces, lighting().faces) and np.array_equal(found.like, lighting().like)
+    assert np.array_equal(found.faces, lighting().faces) and np.array_equal(found.proxy_vertex, lighting().proxy_vertex)
     assert (found.right, found.down, found.lamp) == (0.2, -0.1, 4.0)
     assert np.abs(found.seen_by(view).astype(int) - lighting().seen_by(view)).max() <= 1
 

@@ -62,5 +62,5 @@ def test_sampling_is_exact_on_planes() -> None:
     rows, columns = np.mgrid[0:5, 0:6] + 0.5
     image = np.stack([2 * columns + rows, columns - 3 * rows], axis=-1)
     pixels = np.random.default_rng(0).uniform(0.5, 4.5, (30, 2))
-    wanted = np.stack([2 * pixels[:, 0] + pixels[:, 1], pixels[:, 0] - 3 * pixels[:, 1]], axis=-1)
-    np.testing.assert_allclose(sample(image, pixels), wanted, atol=1e-5)
+    target = np.stack([2 * pixels[:, 0] + pixels[:, 1], pixels[:, 0] - 3 * pixels[:, 1]], axis=-1)
+    np.testing.assert_allclose(sample(image, pixels), target, atol=1e-5)

@@ -14,9 +14,9 @@ from mgsr.geometry.triangles import face_crosses, topology
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import Mesh
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.refine import Light
+from mgsr.shading.shape_from_shading import Light
 from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
-from tests.shading.test_refine import Shade, flash, matte, photographs, rippled
+from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled
 
 RADIUS = 0.7
 CONFIG = MeshConfig(poisson_depth=6)
@@ -75,7 +75,7 @@ def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: L
     rendered = views_of(rippled(), [view.camera for view in seen])
     config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, smoothing_angle=None)
     kept, smoothed = (
-        extract_mesh(rendered, replace(config, wave_angle=angle), photographs=seen, go_on=lambda: False)
+        extract_mesh(rendered, replace(config, low_frequency_angle=angle), photographs=seen, go_on=lambda: False)
         for angle in (None, 10.0)
     )
     assert kept.light is smoothed.light is light

@@ -30,7 +30,7 @@ TINY: dict[str, Any] = {
     "train.mutual.iterations": 2,
     "train.surfels.max_start": 600,
     "mesh.poisson_depth": 5,
-    "mesh.outline_smoothing": None,
+    "mesh.contour_smoothing": None,
     "mesh.shading_ratio": None,
 }
 TINY_OPTIONS: dict[str, Any] = {"preset": "draft", "method": "2dgs", "settings": TINY}

@@ -18,8 +18,8 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import Triangles
 from mgsr.open3d_library import load_open3d
 from mgsr.pipeline.example import find_example
-from mgsr.shading.refine import Light, Refined
-from mgsr.shading.unexplained import Unexplained, leave_unexplained
+from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
+from mgsr.shading.shape_from_shading import Light, ShadingResult
 from mgsr.start import masked_surface
 from mgsr.start.starting_points import StartSource, starting_points
 from mgsr.stereo.patch_match import DepthMap
@@ -151,8 +151,10 @@ def off_the_ball(positions: np.ndarray) -> float:
 def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the surface as stereo or the hull give it."""
     unknown = Light.UNKNOWN
-    monkeypatch.setattr(masked_surface, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, unknown))
-    monkeypatch.setattr(masked_surface, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+    monkeypatch.setattr(
+        masked_surface, "shape_from_shading", lambda vertices, *rest, **more: ShadingResult(vertices, unknown)
+    )
+    monkeypatch.setattr(masked_surface, "refine_photometrically", lambda vertices, *rest, **more: vertices)
 
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
@@ -162,13 +164,13 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the hull
     is.
     """
-    compared: list[Unexplained] = []
+    compared: list[EnvironmentResidual] = []
 
-    def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[Unexplained]:
-        compared.extend(leave_unexplained(surfaces, views))
+    def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[EnvironmentResidual]:
+        compared.extend(environment_residuals(surfaces, views))
         return compared
 
-    monkeypatch.setattr(masked_surface, "leave_unexplained", compare)
+    monkeypatch.setattr(masked_surface, "environment_residuals", compare)
     positions = starting_points(mirror, 2000, seed=0).positions
     outer, inner = (each.vertices for each in compared)
     assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"

@@ -10,17 +10,17 @@ import trimesh
 
 from mgsr.config import MeshConfig
 from mgsr.data.scene import View
-from mgsr.mesh.refinement import Held, hold_against_photographs
-from mgsr.shading.disagreement import disagreement
-from mgsr.shading.kinds import ByFlash, Shot
-from mgsr.shading.readings import linear_photographs
-from mgsr.shading.refine import Light
+from mgsr.mesh.refinement import RefinedMesh, refine_mesh
+from mgsr.shading.light_models import FlashLight, Shot
+from mgsr.shading.observations import linear_photographs
+from mgsr.shading.photometric_residual import photometric_residual
+from mgsr.shading.shape_from_shading import Light
 from tests.mesh.shapes import ball
 from tests.shading.painted import PIXEL, flash_photographs, painted
 
 POLE = np.array([0.36, 0.48, 0.8])
 HOLE = 0.35  # radians around the pole
-CONFIG = MeshConfig(parallax_reach=None)
+CONFIG = MeshConfig(photometric_reach=None)
 
 
 def patches(points: np.ndarray) -> np.ndarray:
@@ -42,16 +42,16 @@ def past_the_hole() -> list[View]:
     return flash_photographs(with_a_hole(), patches)
 
 
-def held(views: list[View], config: MeshConfig) -> Held:
+def held(views: list[View], config: MeshConfig) -> RefinedMesh:
     full = ball()
-    return hold_against_photographs(full.vertices, full.faces, views, [], config, None, lambda: True)
+    return refine_mesh(full.vertices, full.faces, views, [], config, None, lambda: True)
 
 
 def test_photographs_differ_over_a_hole_alone(past_the_hole: list[View]) -> None:
     full = ball()
     shot = Shot(linear_photographs(past_the_hole), PIXEL, None)
-    flash = ByFlash(shot, full.vertices, full.faces, *shot.read(full.vertices, full.faces))
-    differing, away = disagreement(full.vertices, full.faces, past_the_hole, flash), angles(full.vertices)
+    flash = FlashLight(shot, full.vertices, full.faces, *shot.read(full.vertices, full.faces))
+    differing, away = photometric_residual(full.vertices, full.faces, past_the_hole, flash), angles(full.vertices)
     assert (differing[away < HOLE - 0.1] > 0.01).mean() > 0.95
     assert differing[away > HOLE + 0.15].max() < 0.01
 
@@ -59,7 +59,7 @@ def test_photographs_differ_over_a_hole_alone(past_the_hole: list[View]) -> None
 def test_what_covers_a_hole_is_taken_out(past_the_hole: list[View]) -> None:
     found = held(past_the_hole, CONFIG)
     assert found.light is Light.FLASH
-    assert found.opened == pytest.approx((1 - np.cos(HOLE)) / 2, rel=0.3)
+    assert found.removed_area == pytest.approx((1 - np.cos(HOLE)) / 2, rel=0.3)
     rim = angles(found.vertices)
     assert HOLE - 0.1 < rim.min() < HOLE + 0.1
 
@@ -67,9 +67,9 @@ def test_what_covers_a_hole_is_taken_out(past_the_hole: list[View]) -> None:
 def test_a_surface_without_holes_stays_whole() -> None:
     found = held(flash_photographs(ball(), patches), CONFIG)
     assert found.light is Light.FLASH
-    assert found.opened == 0 and len(found.faces) == len(ball().faces)
+    assert found.removed_area == 0 and len(found.faces) == len(ball().faces)
 
 
-@pytest.mark.parametrize("kept", [replace(CONFIG, disagreement=None), replace(CONFIG, close_holes=True)])
+@pytest.mark.parametrize("kept", [replace(CONFIG, max_photometric_residual=None), replace(CONFIG, close_holes=True)])
 def test_all_is_kept_where_asked_for(past_the_hole: list[View], kept: MeshConfig) -> None:
-    assert held(past_the_hole, kept).opened == 0
+    assert held(past_the_hole, kept).removed_area == 0

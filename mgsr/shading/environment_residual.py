@@ -16,19 +16,19 @@ import numpy as np
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.scene import View
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, spread, umbrella
+from mgsr.geometry.displace import diffuse, edge_length, uniform_laplacian
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles
-from mgsr.shading.kinds import FRONTAL, MIRRORING_EDGE, Shot, mirrored_surroundings
-from mgsr.shading.readings import Readings, linear_photographs
-from mgsr.shading.surroundings import Surroundings
+from mgsr.shading.environment_fit import FittedEnvironmentMap
+from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, Shot, fit_mirrored_environment
+from mgsr.shading.observations import Observations, linear_photographs
 
 AROUND = 6.0  # pixels over which what is left of the readings is put together
 FEWEST = 3  # readings of a point, or it tells nothing
 
 
 @dataclass(frozen=True)
-class Unexplained:
+class EnvironmentResidual:
     """The photometric residual of a surface, vertices [V,3] and faces [F,3].
 
     variance [V]: of the readings around each vertex, in squared linear light, that is left once each point has its own
@@ -52,39 +52,45 @@ class Unexplained:
         return RayCaster(self.vertices, self.faces)
 
 
-def leave_unexplained(
+def environment_residuals(
     surfaces: Sequence[Triangles], views: Sequence[View], threads: int | None = None
-) -> list[Unexplained]:
+) -> list[EnvironmentResidual]:
     """Return the residual of each of several meshes, by the one environment map that explains its mesh best."""
     photographs, read = linear_photographs(views), []
     for vertices, faces in surfaces:
         pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-        mesh = coarser(vertices, faces, MIRRORING_EDGE * pixel)
-        readings, normals = Shot(photographs, pixel, threads).read(*mesh)
-        surroundings = mirrored_surroundings(readings, normals)
-        read.append((mesh, pixel, readings.frontal(FRONTAL), normals, surroundings))
-    best = min((each[-1] for each in read), key=lambda surroundings: surroundings.ratio)
+        mesh = coarser(vertices, faces, ENVIRONMENT_EDGE * pixel)
+        observations, normals = Shot(photographs, pixel, threads).read(*mesh)
+        environment = fit_mirrored_environment(observations, normals)
+        read.append((mesh, pixel, observations.frontal(FRONTAL), normals, environment))
+    best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
     return [
-        Unexplained(*mesh, _pooled(*mesh, pixel, readings, _left(readings, normals, best)), own.ratio)
-        for mesh, pixel, readings, normals, own in read
+        EnvironmentResidual(
+            *mesh, _pooled(*mesh, pixel, observations, _residual(observations, normals, best)), own.ratio
+        )
+        for mesh, pixel, observations, normals, own in read
     ]
 
 
-def _left(readings: Readings, normals: np.ndarray, surroundings: Surroundings) -> np.ndarray:
+def _residual(observations: Observations, normals: np.ndarray, environment: FittedEnvironmentMap) -> np.ndarray:
     """Return the readings' brightness [P,K] less what points with normals [P,3] mirror; 0 where unseen."""
-    seen = readings.weights > 0
+    seen = observations.weights > 0
     owners = np.nonzero(seen)[0]
-    left = np.zeros(seen.shape)
-    left[seen] = readings.brightness[seen] - surroundings.mirrored(normals[owners], readings.towards[seen])
-    return left
+    residual = np.zeros(seen.shape)
+    residual[seen] = observations.brightness[seen] - environment.mirrored(
+        normals[owners], observations.view_directions[seen]
+    )
+    return residual
 
 
-def _pooled(vertices: np.ndarray, faces: np.ndarray, pixel: float, readings: Readings, left: np.ndarray) -> np.ndarray:
+def _pooled(
+    vertices: np.ndarray, faces: np.ndarray, pixel: float, observations: Observations, residual: np.ndarray
+) -> np.ndarray:
     """Return the variance [V] of the residuals [V,K] about each point's mean, averaged over AROUND pixels."""
-    weights = np.where(readings.counts[:, None] >= FEWEST, readings.weights, 0)
+    weights = np.where(observations.counts[:, None] >= FEWEST, observations.weights, 0)
     total = weights.sum(axis=1)
-    means = (weights * left).sum(axis=1) / np.maximum(total, 1e-9)
-    squares = (weights * (left - means[:, None]) ** 2).sum(axis=1)
+    means = (weights * residual).sum(axis=1) / np.maximum(total, 1e-9)
+    squares = (weights * (residual - means[:, None]) ** 2).sum(axis=1)
     reach = AROUND * pixel / edge_length(vertices, faces)
-    sums = spread(np.stack([squares, total], axis=1), umbrella(faces, len(vertices)), reach)
+    sums = diffuse(np.stack([squares, total], axis=1), uniform_laplacian(faces, len(vertices)), reach)
     return np.asarray(sums[:, 0] / np.maximum(sums[:, 1], 1e-9))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.geometry import fairing
-from mgsr.geometry.fairing import smooth_noise
+from mgsr.geometry import bilateral_filter
+from mgsr.geometry.bilateral_filter import bilateral_normal_filter
 from mgsr.geometry.triangles import face_crosses
 from tests.mesh.shapes import ball
 
@@ -25,19 +25,19 @@ def tilt(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> float:
 
 
 def written_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Compute what `smooth_noise` does, face by face and vertex by vertex."""
+    """Compute what `bilateral_normal_filter` does, face by face and vertex by vertex."""
     crosses, middles = face_crosses(vertices, faces), vertices[faces].mean(axis=1)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     edge = np.mean([np.linalg.norm(vertices[face[i]] - vertices[face[i - 1]]) for face in faces for i in range(3)])
     around = [[j for j, other in enumerate(faces) if set(face) & set(other)] for face in faces]
-    for _ in range(fairing.ROUNDS):
+    for _ in range(bilateral_filter.ROUNDS):
         means = []
         for i, others in enumerate(around):
             apart = np.linalg.norm(middles[others] - middles[i], axis=1) / edge
             unlike = np.linalg.norm(normals[others] - normals[i], axis=1) / np.radians(ANGLE)
             means.append((areas[others] * np.exp(-(apart**2) / 2) * np.exp(-(unlike**2) / 2)) @ normals[others])
         normals = unit(np.array(means))
-    for _ in range(fairing.STEPS):
+    for _ in range(bilateral_filter.STEPS):
         middles, moved = vertices[faces].mean(axis=1), vertices.copy()
         for v in range(len(vertices)):
             own = [j for j, face in enumerate(faces) if v in face]
@@ -53,7 +53,7 @@ def noisy(vertices: np.ndarray, size: float) -> np.ndarray:
 def test_it_is_the_published_filter() -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     rough = noisy(mesh.vertices, 0.01)
-    found = smooth_noise(rough, mesh.faces, ANGLE)
+    found = bilateral_normal_filter(rough, mesh.faces, ANGLE)
     np.testing.assert_allclose(found, written_out(rough, mesh.faces), atol=2e-6)
     assert np.abs(found - rough).max() > 0.005
 
@@ -61,15 +61,15 @@ def test_it_is_the_published_filter() -> None:
 def test_facets_held_in_memory_by_parts_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     rough = noisy(mesh.vertices, 0.01)
-    whole = smooth_noise(rough, mesh.faces, ANGLE)
-    monkeypatch.setattr(fairing, "CHUNK", 77)
-    np.testing.assert_allclose(smooth_noise(rough, mesh.faces, ANGLE), whole, atol=1e-7)
+    whole = bilateral_normal_filter(rough, mesh.faces, ANGLE)
+    monkeypatch.setattr(bilateral_filter, "CHUNK", 77)
+    np.testing.assert_allclose(bilateral_normal_filter(rough, mesh.faces, ANGLE), whole, atol=1e-7)
 
 
 def test_it_takes_the_noise_and_leaves_the_ball() -> None:
     mesh = ball(0.7)
     rough = noisy(mesh.vertices, 0.0015)
-    smooth = smooth_noise(rough, mesh.faces, ANGLE)
+    smooth = bilateral_normal_filter(rough, mesh.faces, ANGLE)
     truth = unit(mesh.vertices[mesh.faces].mean(axis=1))
     assert tilt(smooth, mesh.faces, truth) < 0.4 * tilt(rough, mesh.faces, truth)
     radii = np.linalg.norm(smooth, axis=1)
@@ -84,7 +84,7 @@ def test_creases_stay() -> None:
         box = box.subdivide()
     edge_on = (np.abs(np.abs(box.vertices) - 0.5) < 1e-9).sum(1) >= 2
     rough = noisy(box.vertices, 0.001)
-    smooth = smooth_noise(rough, box.faces, ANGLE)
+    smooth = bilateral_normal_filter(rough, box.faces, ANGLE)
     rounded = trimesh.smoothing.filter_laplacian(trimesh.Trimesh(rough, box.faces, process=False), iterations=3)
     truth = unit(face_crosses(box.vertices, box.faces))
     assert tilt(smooth, box.faces, truth) < 0.3 * tilt(rough, box.faces, truth)
@@ -110,17 +110,17 @@ def test_needles_are_not_turned_over() -> None:
         return int(((unit(face_crosses(vertices, mesh.faces)) * out).sum(1) < 0.7).sum())
 
     # The filter alone turns five times as many as there were.
-    assert turned(smooth_noise(pulled, mesh.faces, ANGLE)) < 1.2 * turned(pulled)
+    assert turned(bilateral_normal_filter(pulled, mesh.faces, ANGLE)) < 1.2 * turned(pulled)
 
 
 def test_a_flat_sheet_with_a_rim_stays_as_it_is() -> None:
     box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
     sheet = box.submesh([np.flatnonzero(box.triangles_center[:, 2] > 0.499)], append=True)
-    np.testing.assert_allclose(smooth_noise(sheet.vertices, sheet.faces, ANGLE), sheet.vertices, atol=1e-12)
+    np.testing.assert_allclose(bilateral_normal_filter(sheet.vertices, sheet.faces, ANGLE), sheet.vertices, atol=1e-12)
 
 
 def test_what_has_no_faces_stays() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
     nothing = np.zeros((0, 3), np.int64)
-    np.testing.assert_array_equal(smooth_noise(vertices, nothing, ANGLE), vertices)
-    np.testing.assert_allclose(smooth_noise(vertices, np.array([[0, 1, 2]]), ANGLE), vertices, atol=1e-12)
+    np.testing.assert_array_equal(bilateral_normal_filter(vertices, nothing, ANGLE), vertices)
+    np.testing.assert_allclose(bilateral_normal_filter(vertices, np.array([[0, 1, 2]]), ANGLE), vertices, atol=1e-12)

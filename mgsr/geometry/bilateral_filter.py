@@ -11,10 +11,10 @@ from mgsr.geometry.triangles import face_crosses
 ROUNDS = 4  # of the normals' filter: more flattens what was photographed
 STEPS = 10  # in which the vertices follow the normals
 FOLDED = 0.7  # cosine to its filtered normal under which a facet counts as folded
-CHUNK = 65_536  # facets whose surroundings are held in memory at a time
+CHUNK = 65_536  # facets whose neighbourhoods are held in memory at a time
 
 
-def smooth_noise(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
+def bilateral_normal_filter(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
     """Return the vertices [V,3] moved so that each face normal comes near the mean of those around it.
 
     vertices [V,3]; faces [F,3]; angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that
@@ -32,14 +32,14 @@ def smooth_noise(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.nd
         (np.ones(faces.size, np.float32), (corners, faces.ravel())), (len(faces), len(vertices))
     )
     areas, given = _areas_and_normals(vertices, faces)
-    surroundings = _surroundings(touches, vertices[faces].mean(axis=1), areas, edge_length(vertices, faces))
+    neighbourhoods = _neighbourhoods(touches, vertices[faces].mean(axis=1), areas, edge_length(vertices, faces))
     normals = given.astype(np.float32)
     for _ in range(ROUNDS):
         own = np.array_split(normals, range(CHUNK, len(faces), CHUNK))
         normals = np.concatenate(
             [
                 _mean_normals(around, part, normals, np.deg2rad(angle))
-                for around, part in zip(surroundings, own, strict=True)
+                for around, part in zip(neighbourhoods, own, strict=True)
             ]
         )
     moved = _follow(vertices, touches, normals.astype(np.float64))
@@ -53,7 +53,7 @@ def _areas_and_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     return areas, crosses / np.maximum(areas, 1e-20)[:, None]
 
 
-def _surroundings(
+def _neighbourhoods(
     touches: sparse.csr_matrix, middles: np.ndarray, areas: np.ndarray, reach: float
 ) -> list[sparse.csr_matrix]:
     """Return the weights of the faces around each face, itself among them, by area and nearness.

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.geometry.displace import bend_to_normals, edges
+from mgsr.geometry.displace import edges, integrate_normals
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.consistency import compare_views
 from mgsr.mesh.pixels import PixelRules
@@ -21,7 +21,7 @@ UNKNOWN = 0.1  # trust in the normal of such a vertex, where a view's is 1
 TURNED = 0.3  # least cosine between the normals of a vertex and of the views' surface there
 
 
-def bend_to_views(
+def fit_to_views(
     vertices: np.ndarray,
     faces: np.ndarray,
     views: Sequence[SurfaceView],
@@ -38,15 +38,15 @@ def bend_to_views(
     moved = compare_views(points, views, rules, tolerance, threads).moved
     offsets = ((moved.positions - vertices) * normals).sum(axis=1)
     told = np.abs(offsets) > 0
-    sure = told & ((moved.normals * normals).sum(axis=1) > TURNED)
-    moves = bend_to_normals(
+    turned = told & ((moved.normals * normals).sum(axis=1) > TURNED)
+    moves = integrate_normals(
         vertices,
         edges(faces),
         normals.astype(np.float64),
-        np.where(sure[:, None], moved.normals, normals),
-        np.where(sure, 1, UNKNOWN),
+        np.where(turned[:, None], moved.normals, normals),
+        np.where(turned, 1, UNKNOWN),
         1.0,
-        hold=np.where(told, 1, STAY),
+        prior_weight=np.where(told, 1, STAY),
         offsets=np.where(told, offsets, 0),
     )
     return vertices + moves[:, None] * normals

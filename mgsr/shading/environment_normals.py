@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from mgsr.geometry.displace import mean_normals, spread
+from mgsr.geometry.displace import diffuse, mean_normals
 from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
-from mgsr.shading.explained import MIN_READINGS, Explained
-from mgsr.shading.readings import Readings
-from mgsr.shading.surroundings import Surroundings, fit_surroundings, look_up
+from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_map, look_up
+from mgsr.shading.observations import Observations
+from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
 
 LIMIT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
 OUTLIER = 3.0  # deviations at which a reading counts half
@@ -23,63 +23,69 @@ KNOWN = 4.0  # degrees; a normal that is known to this is half trusted
 CHUNK = 1000  # points at a time, so that their readings stay in the cache
 
 
-def explain_by_mirroring(
-    readings: Readings,
+def normals_from_environment(
+    observations: Observations,
     normals: np.ndarray,
     laplacian: sparse.csr_matrix,
     reach: float,
     still: np.ndarray,
     threads: int | None,
-) -> Explained:
+) -> TargetNormals:
     """Estimate the normals of a mesh's vertices from one environment map that they all mirror.
 
-    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`umbrella`). reach: edges over which the readings
-    of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
+    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`uniform_laplacian`). reach: edges over which the
+    readings of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
     """
     own = mean_normals(normals, laplacian, rounds=1)
-    surroundings = fit_surroundings(readings, own)
+    environment = fit_environment_map(observations, own)
     tilts = np.tan(np.radians(np.arange(-LIMIT, LIMIT + STEP / 2, STEP)))
     first, second = tangents(own)
-    costs = _costs(readings, surroundings, np.stack([first, second, own], axis=1), tilts, threads)
-    costs = spread(costs, laplacian, reach)
+    costs = _costs(observations, environment, np.stack([first, second, own], axis=1), tilts, threads)
+    costs = diffuse(costs, laplacian, reach)
     squares = tilts[:, None] ** 2 + tilts[None] ** 2
     costs += OWN * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
     across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
     change = across[:, None] * first + along[:, None] * second
-    wanted = normals + (1 - still)[:, None] * change
-    wanted /= np.linalg.norm(wanted, axis=1, keepdims=True).clip(1e-9)
-    weights = spread(readings.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
+    target = normals + (1 - still)[:, None] * change
+    target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
+    weights = diffuse(observations.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
     variance = 2 * cost / np.maximum(weights, 1e-6) * (STEP**2 / np.maximum(bends, 1e-9)).sum(axis=0)
-    return Explained(wanted, np.where(readings.counts >= MIN_READINGS, 1 / (1 + variance / KNOWN**2), 0))
+    return TargetNormals(target, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + variance / KNOWN**2), 0))
 
 
 def _costs(
-    readings: Readings, surroundings: Surroundings, frames: np.ndarray, tilts: np.ndarray, threads: int | None
+    observations: Observations,
+    environment: FittedEnvironmentMap,
+    frames: np.ndarray,
+    tilts: np.ndarray,
+    threads: int | None,
 ) -> np.ndarray:
     """Return the cost [P,T*T] of the residual at each tilt of the third axis of the frames [P,3,3] along the others.
 
     tilts [T]: tangents of the angles.
     """
-    table, outlier = surroundings.table(), OUTLIER * surroundings.deviation + 1e-9
+    table, outlier = environment.table(), OUTLIER * environment.deviation + 1e-9
     parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
-    costs = map_ahead(lambda part: _part(readings.at(part), table, frames[part], tilts, outlier), parts, threads)
+    costs = map_ahead(lambda part: _part(observations.at(part), table, frames[part], tilts, outlier), parts, threads)
     return np.concatenate(list(costs))
 
 
-def _part(readings: Readings, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float) -> np.ndarray:
-    along = np.einsum("pai,pki->apk", frames, readings.towards).astype(np.float32)
-    eye = [readings.towards[..., axis] for axis in range(3)]
-    total = np.maximum(readings.weights.sum(axis=1), 1e-9)[:, None]
+def _part(
+    observations: Observations, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float
+) -> np.ndarray:
+    along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
+    eye = [observations.view_directions[..., axis] for axis in range(3)]
+    total = np.maximum(observations.weights.sum(axis=1), 1e-9)[:, None]
     costs = np.empty((len(frames), len(tilts) ** 2), np.float32)
     for column, (first, second) in enumerate((first, second) for first in tilts for second in tilts):
         tilted = (first * frames[:, 0] + second * frames[:, 1] + frames[:, 2]).astype(np.float32)
         length = 1 + first**2 + second**2
         twice = np.float32(2 / length) * (np.float32(first) * along[0] + np.float32(second) * along[1] + along[2])
         shown = look_up(table, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
-        left = readings.brightness - shown
-        left -= (readings.weights * left).sum(axis=1, keepdims=True) / total
-        squares = (left / outlier) ** 2
-        costs[:, column] = (readings.weights * squares / (1 + squares)).sum(axis=1)
+        residual = observations.brightness - shown
+        residual -= (observations.weights * residual).sum(axis=1, keepdims=True) / total
+        squares = (residual / outlier) ** 2
+        costs[:, column] = (observations.weights * squares / (1 + squares)).sum(axis=1)
     return costs
 
 

@@ -7,38 +7,38 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import bend_to_normals, edge_length, edges
-from mgsr.geometry.raycast import interpolation
+from mgsr.geometry.displace import edge_length, edges, integrate_normals
+from mgsr.geometry.raycast import prolongation_matrix
 from mgsr.geometry.triangles import face_crosses, vertex_normals
 
 EDGE = 1.0  # units; edges of the mesh that is worked on
-REACH = 2.5  # units; deviation of the Gaussian by which a vertex' surroundings weigh
+REACH = 2.5  # units; deviation of the Gaussian by which a vertex' neighbourhood weighs
 FAR = 2.0  # deviations; what lies beyond counts no more
 ROUNDS = 3  # of the normals' filter
-CHUNK = 8192  # vertices whose surroundings are looked at at a time
+CHUNK = 8192  # vertices whose neighbourhoods are handled at a time
 SLOPES = 0.15  # of REACH squared; how firmly the normals' slope is held to 0 where few vertices tell it
 KEPT = 2.0  # units; waves of more than 2 pi times this keep their places, shorter ones follow the normals
 
 
-def smooth_waves(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: float) -> np.ndarray:
+def smooth_low_frequency(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: float) -> np.ndarray:
     """Return the vertices [V,3] moved so that each normal comes near a local linear fit of those around it.
 
     unit: a length, such as a pixel's on the surface; waves of a few units are smoothed. angle: degrees; normals that
     differ by this weigh 0.6, and those that differ by three times as much hardly count, so that creases stay.
 
-    `smooth_noise` moves face normals to the mean of their neighbours. Over more neighbours a mean would flatten what is
-    round, so each normal is fitted here: local regression (Cleveland 1979) with a bilateral filter's weights (Tomasi
-    and Manduchi 1998). The positions then follow, but for the large shape.
+    `bilateral_normal_filter` moves face normals to the mean of their neighbours. Over more neighbours a mean would
+    flatten what is round, so each normal is fitted here: local regression (Cleveland 1979) with a bilateral filter's
+    weights (Tomasi and Manduchi 1998). The positions then follow, but for the large shape.
     """
     before, triangles = coarser(vertices, faces, EDGE * unit)
     if len(triangles) == 0:
         return vertices
     normals = vertex_normals(before, triangles).astype(np.float64)
-    wanted = _fitted_normals(before / (REACH * unit), triangles, normals, np.deg2rad(angle))
+    target = _fitted_normals(before / (REACH * unit), triangles, normals, np.deg2rad(angle))
     strength = (KEPT * unit / edge_length(before, triangles)) ** 2
     ones, zeros = np.ones(len(before)), np.zeros(len(before))
-    moves = bend_to_normals(before, edges(triangles), normals, wanted, ones, strength, ones, zeros)
-    return vertices + interpolation(before, triangles, vertices) @ (moves[:, None] * normals)
+    moves = integrate_normals(before, edges(triangles), normals, target, ones, strength, ones, zeros)
+    return vertices + prolongation_matrix(before, triangles, vertices) @ (moves[:, None] * normals)
 
 
 def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
@@ -46,7 +46,7 @@ def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, 
 
     places [V,3]: positions in units of the weights' deviation; faces [F,3]; normals [V,3]; angle: radians.
     """
-    parts = _surroundings(places, _areas(places, faces))
+    parts = _neighbourhoods(places, _areas(places, faces))
     for _ in range(ROUNDS):
         table = _moments(places, normals)
         owns, heres = (np.array_split(each, range(CHUNK, len(places), CHUNK)) for each in (normals, places))
@@ -59,7 +59,7 @@ def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, 
     return normals
 
 
-def _surroundings(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_matrix]:
+def _neighbourhoods(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_matrix]:
     """Return the weights of the vertices around each vertex, itself among them, by area and nearness.
 
     places [V,3]: in units of the weights' deviation; areas [V]. The result is a list of sparse matrices, each with

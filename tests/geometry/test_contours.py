@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.outlines import find_outline, fit_outlines, outline_gaps
+from mgsr.geometry.contours import contour_gaps, find_contour, fit_contours
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import vertex_normals
 from tests.mesh.shapes import ball, cameras_around
@@ -30,9 +30,9 @@ def covered(radius: float, count: int = 48) -> list[Silhouette]:
 
 
 def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
-    outline = find_outline(covered(RADIUS, 3)[1])
-    camera = outline.camera
-    flat = (outline.points - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
+    contour = find_contour(covered(RADIUS, 3)[1])
+    camera = contour.camera
+    flat = (contour.points - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]]
     local = np.column_stack([flat, np.ones(len(flat))])
     rays = local @ camera.cam_from_world[:3, :3]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -45,7 +45,7 @@ def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
 @pytest.mark.parametrize("off", [-0.02, 0.02])
 def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
     mesh = ball(RADIUS + off)
-    fitted = fit_outlines(mesh.vertices, mesh.faces, [find_outline(one) for one in covered(RADIUS)], smoothing=2.0)
+    fitted = fit_contours(mesh.vertices, mesh.faces, [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
     error = np.linalg.norm(fitted, axis=1) - RADIUS
     # A pixel is 0.024; some vertices are touched by no outline and follow the others.
     assert abs(error.mean()) < 0.001
@@ -60,11 +60,11 @@ def test_gaps_are_told_to_a_small_part_of_a_pixel(off: float) -> None:
     """
     mesh = ball(RADIUS + off)
     normals = vertex_normals(mesh.vertices, mesh.faces)
-    gaps, touched = outline_gaps(mesh.vertices, mesh.faces, normals, [find_outline(one) for one in covered(RADIUS)])
+    gaps, touched = contour_gaps(mesh.vertices, mesh.faces, normals, [find_contour(one) for one in covered(RADIUS)])
     assert (gaps * touched).sum() / touched.sum() == pytest.approx(-off, abs=0.0002)
 
 
 def test_what_no_outline_reaches_stays() -> None:
     mesh = ball(RADIUS - 0.3)  # far more than the search reaches
-    fitted = fit_outlines(mesh.vertices, mesh.faces, [find_outline(one) for one in covered(RADIUS)], smoothing=2.0)
+    fitted = fit_contours(mesh.vertices, mesh.faces, [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
     np.testing.assert_allclose(fitted, mesh.vertices, atol=1e-12)

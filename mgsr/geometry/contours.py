@@ -16,8 +16,8 @@ from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.known import known_inside
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
-from mgsr.geometry.raycast import RayCaster, interpolation
+from mgsr.geometry.displace import edge_length, smooth_displacements, uniform_laplacian
+from mgsr.geometry.raycast import RayCaster, prolongation_matrix
 from mgsr.geometry.triangles import vertex_normals
 from mgsr.parallel import map_ahead
 
@@ -30,15 +30,15 @@ STAY = 0.02  # a vertex that no outline touches follows its surroundings, but no
 
 
 @dataclass(frozen=True)
-class Outline:
-    """A mask's outline: points [P,2] in pixels, and at each the unit direction [P,2] that leads out of the mask."""
+class SilhouetteContour:
+    """A mask's contour: points [P,2] in pixels, and at each the unit direction [P,2] that leads out of the mask."""
 
     camera: Camera
     points: np.ndarray
     outwards: np.ndarray
 
 
-def find_outline(silhouette: Silhouette) -> Outline:
+def find_contour(silhouette: Silhouette) -> SilhouetteContour:
     """Find the silhouette contour of a mask to a fraction of a pixel.
 
     Parts at the border of the image, or of its known pixels, where the object is cut off, are left out.
@@ -56,32 +56,37 @@ def find_outline(silhouette: Silhouette) -> Outline:
     clear = steep > 0.5  # elsewhere two outlines meet: a thin part, a corner
     inwards = slopes[clear] / steep[clear, None]
     centers = np.stack([columns[clear], rows[clear]], axis=1) + 0.5
-    return Outline(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)
+    return SilhouetteContour(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)
 
 
-def fit_outlines(
-    vertices: np.ndarray, faces: np.ndarray, outlines: Sequence[Outline], smoothing: float, rounds: int = 2
+def fit_contours(
+    vertices: np.ndarray, faces: np.ndarray, contours: Sequence[SilhouetteContour], smoothing: float, rounds: int = 2
 ) -> np.ndarray:
     """Return the vertices [V,3] moved along their normals so that the mesh's contours fall on the masks'.
 
     smoothing: the number of mask pixels over which a correction spreads.
     """
-    pixel = pixel_size([outline.camera for outline in outlines], vertices.mean(axis=0))
+    pixel = pixel_size([contour.camera for contour in contours], vertices.mean(axis=0))
     coarse, triangles = coarser(vertices, faces, COARSE * pixel)
-    carry, laplacian = interpolation(coarse, triangles, vertices), umbrella(triangles, len(coarse))
+    prolongation, laplacian = (
+        prolongation_matrix(coarse, triangles, vertices),
+        uniform_laplacian(triangles, len(coarse)),
+    )
     reach = smoothing * pixel / edge_length(coarse, triangles) * (len(vertices) / len(coarse)) ** 0.25
     for _ in range(rounds):
         normals = vertex_normals(vertices, faces)
-        wanted, touched = outline_gaps(vertices, faces, normals, outlines)
+        target, touched = contour_gaps(vertices, faces, normals, contours)
         held = np.minimum(touched, 1)
-        moves = carry @ smooth_displacements(laplacian, wanted * held / (held + STAY), held + STAY, reach, carry)
+        moves = prolongation @ smooth_displacements(
+            laplacian, target * held / (held + STAY), held + STAY, reach, prolongation
+        )
         limit = SEARCH * pixel
         vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
     return vertices
 
 
-def outline_gaps(
-    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, outlines: Sequence[Outline]
+def contour_gaps(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, contours: Sequence[SilhouetteContour]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements [V] along the normals that bring the mesh's contours onto the masks'.
 
@@ -90,19 +95,19 @@ def outline_gaps(
     """
     caster = RayCaster(vertices, faces)
     sums, touched = np.zeros(len(vertices)), np.zeros(len(vertices))
-    for rims in map_ahead(lambda outline: _rims(caster, outline), outlines, None):
-        corners = faces[rims.faces]
-        facing = ((normals[corners] * rims.shares[..., None]).sum(1) * rims.outwards).sum(1)
+    for found in map_ahead(lambda contour: _mesh_contour(caster, contour), contours, None):
+        corners = faces[found.faces]
+        facing = ((normals[corners] * found.shares[..., None]).sum(1) * found.outwards).sum(1)
         good = facing > FACING
-        shares, corners = rims.shares[good], corners[good]
-        wanted = (rims.gaps * facing)[good, None] * shares
-        sums += np.bincount(corners.ravel(), wanted.ravel(), len(vertices))
+        shares, corners = found.shares[good], corners[good]
+        target = (found.gaps * facing)[good, None] * shares
+        sums += np.bincount(corners.ravel(), target.ravel(), len(vertices))
         touched += np.bincount(corners.ravel(), shares.ravel(), len(vertices))
     return sums / np.maximum(touched, 1e-9), touched
 
 
 @dataclass(frozen=True)
-class _Rims:
+class _MeshContour:
     """The mesh's silhouette beside Q points of a mask's contour.
 
     faces [Q]: the face that ends there; shares [Q,3]: the barycentric coordinates on it; outwards [Q,3]: the world
@@ -115,28 +120,28 @@ class _Rims:
     gaps: np.ndarray
 
 
-def _rims(caster: RayCaster, outline: Outline) -> _Rims:
+def _mesh_contour(caster: RayCaster, contour: SilhouetteContour) -> _MeshContour:
     """Find the mesh's last point on the way out across each contour point, where it lies within SEARCH pixels."""
-    camera, steps = outline.camera, np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
-    mask = caster.cast_pixels(camera, _beside(outline, steps)).mask
+    camera, steps = contour.camera, np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
+    mask = caster.cast_pixels(camera, _beside(contour, steps)).mask
     last = len(steps) - 1 - mask[:, ::-1].argmax(axis=1)
     found = np.flatnonzero(mask.any(axis=1) & (last < len(steps) - 1))
     steps = steps[last[found], None] + np.arange(FINER) * (STEP / FINER)
-    hits = caster.cast_pixels(camera, _beside(outline, steps, found))
+    hits = caster.cast_pixels(camera, _beside(contour, steps, found))
     last = FINER - 1 - hits.mask[:, ::-1].argmax(axis=1)
     row = np.arange(len(found))
     sizes = hits.depth[row, last] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-    return _Rims(
+    return _MeshContour(
         hits.face[row, last].astype(np.int64),
         hits.barycentric[row, last],
-        outline.outwards[found] @ camera.cam_from_world[:2, :3],
+        contour.outwards[found] @ camera.cam_from_world[:2, :3],
         -(steps[row, last] + STEP / FINER / 2) * sizes,
     )
 
 
-def _beside(outline: Outline, steps: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+def _beside(contour: SilhouetteContour, steps: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
     """Return pixel coordinates [Q,S,2], `steps` [S] or [Q,S] pixels outwards of the contour's points.
 
     which: the contour points to use, by index; all by default.
     """
-    return outline.points[which, None] + steps[..., None] * outline.outwards[which, None]
+    return contour.points[which, None] + steps[..., None] * contour.outwards[which, None]

@@ -16,7 +16,7 @@ from scipy import sparse
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import face_crosses, tangents, vertex_normals
 from mgsr.parallel import map_ahead
-from mgsr.shading.readings import Photograph, read_image, seen_frontal
+from mgsr.shading.observations import LinearPhotograph, read_image, seen_frontal
 
 RAYS = 64  # from a point into its sky
 GRAZING = 0.05  # cosine of the tilt under which a photograph tells too little of how bright a point is
@@ -24,36 +24,39 @@ TURN = np.pi * (3 - np.sqrt(5))  # from ray to ray: the golden angle spreads the
 
 
 @dataclass(frozen=True)
-class Hollows:
+class AmbientOcclusion:
     """Ambient occlusion and interreflection at the vertices of a coarse copy of a surface, both weighed by the cosine.
 
-    open [V]: the share of its sky that a vertex sees; thrown [V,N]: the brightness that arrives there from the surface
-    itself, in N photographs.
+    sky_visibility [V]: the share of its sky that a vertex sees; interreflection [V,N]: the brightness that arrives
+    there from the surface itself, in N photographs.
     """
 
     caster: RayCaster
     faces: np.ndarray
-    open: np.ndarray
-    thrown: np.ndarray
+    sky_visibility: np.ndarray
+    interreflection: np.ndarray
 
     def at(self, points: np.ndarray, photographs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the open share of the sky [P], and the interreflected light [P,K], at points [P,3] beside the surface.
+        """Return the open share of the sky [P], and the interreflected light [P,K], at points [P,3] beside
+        the surface.
 
         photographs [P,K]: the photographs, by index, of which the interreflected light is asked for.
         """
         face, shares = self.caster.nearest(points)
         corners = self.faces[face]
-        thrown = sum(self.thrown[corners[:, i, None], photographs] * shares[:, i, None] for i in range(3))
-        return (self.open[corners] * shares).sum(axis=1), np.asarray(thrown)
+        interreflection = sum(
+            self.interreflection[corners[:, i, None], photographs] * shares[:, i, None] for i in range(3)
+        )
+        return (self.sky_visibility[corners] * shares).sum(axis=1), np.asarray(interreflection)
 
 
-def find_hollows(
+def estimate_occlusion(
     vertices: np.ndarray,
     faces: np.ndarray,
-    photographs: Sequence[Photograph],
+    photographs: Sequence[LinearPhotograph],
     gap: float,
     threads: int | None = None,
-) -> Hollows:
+) -> AmbientOcclusion:
     """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
 
     vertices [V,3]; faces [F,3]; gap: how far a vertex may lie behind its faces.
@@ -63,11 +66,11 @@ def find_hollows(
     columns = map_ahead(lambda each: _shown(caster, each, vertices, normals, gap), photographs, threads)
     around = _around(caster, vertices, faces, normals, gap)
     hidden = np.asarray(around.sum(axis=1)).ravel()
-    return Hollows(caster, faces, 1 - hidden, around @ np.stack(list(columns), axis=1))
+    return AmbientOcclusion(caster, faces, 1 - hidden, around @ np.stack(list(columns), axis=1))
 
 
 def _shown(
-    caster: RayCaster, photograph: Photograph, vertices: np.ndarray, normals: np.ndarray, gap: float
+    caster: RayCaster, photograph: LinearPhotograph, vertices: np.ndarray, normals: np.ndarray, gap: float
 ) -> np.ndarray:
     """Return each vertex's brightness in a photograph, [V]; 0 where it is not seen."""
     offsets = photograph.camera.center - vertices

@@ -22,15 +22,15 @@ KEPT = 24  # readings of a point, those that see it most frontal
 
 
 @dataclass(frozen=True)
-class Readings:
+class Observations:
     """Observations of P points, each in at most K photographs, float32.
 
-    towards [P,K,3]: unit directions to the camera; distances [P,K] to it; brightness [P,K]: the mean of the channels in
-    linear light; weights [P,K]: the cosine of the tilt where the point is seen and the pixel is of use, else 0;
-    photographs [P,K] int: the photographs' indices.
+    view_directions [P,K,3]: unit directions to the camera; distances [P,K] to it; brightness [P,K]: the mean of the
+    channels in linear light; weights [P,K]: the cosine of the tilt where the point is seen and the pixel is of use,
+    else 0; photographs [P,K] int: the photographs' indices.
     """
 
-    towards: np.ndarray
+    view_directions: np.ndarray
     distances: np.ndarray
     brightness: np.ndarray
     weights: np.ndarray
@@ -41,17 +41,17 @@ class Readings:
         """Return how many photographs tell of each point, [P]."""
         return (self.weights > 0).sum(axis=1)
 
-    def at(self, points: np.ndarray) -> Readings:
+    def at(self, points: np.ndarray) -> Observations:
         """Return the readings of some of the points, by their indices."""
-        return Readings(*(array[points] for array in _arrays(self)))
+        return Observations(*(array[points] for array in _arrays(self)))
 
-    def frontal(self, least: float) -> Readings:
+    def frontal(self, least: float) -> Observations:
         """Return the same readings, but those under a cosine of the tilt of `least` count as unseen."""
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 
 @dataclass(frozen=True)
-class Photograph:
+class LinearPhotograph:
     """A photograph in linear light.
 
     brightness [H,W] float32: the mean of the channels, 0 where nothing is known; usable [H,W] bool: pixels that show
@@ -65,20 +65,20 @@ class Photograph:
     known: np.ndarray | None = None
 
 
-def linear_photographs(views: Sequence[View]) -> list[Photograph]:
+def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
     """Return `some_of` the views as photographs in linear light."""
     return [_linear(view) for view in some_of(views)]
 
 
-def read_photographs(
+def observe_photographs(
     vertices: np.ndarray,
     faces: np.ndarray,
     normals: np.ndarray,
-    photographs: Sequence[Photograph],
+    photographs: Sequence[LinearPhotograph],
     gap: float,
     threads: int | None = None,
     lamps: np.ndarray | None = None,
-) -> Readings:
+) -> Observations:
     """Read the photographs' brightness at the vertices [V,3] of a mesh with normals [V,3].
 
     gap: how far a vertex may lie behind the mesh. lamps [N,3]: the lamp's place for each photograph; a vertex in its
@@ -91,12 +91,12 @@ def read_photographs(
         return *_read(caster, photographs[index], lamp, vertices, normals, gap), np.full(len(vertices), index)
 
     parts = list(map_ahead(read, range(len(photographs)), threads))
-    readings = Readings(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
+    observations = Observations(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
     if len(photographs) <= KEPT:
-        return readings
-    best = np.argpartition(readings.weights, -KEPT, axis=1)[:, -KEPT:]
+        return observations
+    best = np.argpartition(observations.weights, -KEPT, axis=1)[:, -KEPT:]
     rows = np.arange(len(vertices))[:, None]
-    return Readings(*(array[rows, best] for array in _arrays(readings)))
+    return Observations(*(array[rows, best] for array in _arrays(observations)))
 
 
 def seen_frontal(
@@ -126,25 +126,31 @@ def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return read_image(mask.astype(np.float32), pixels) > 0.99
 
 
-def _linear(view: View) -> Photograph:
+def _linear(view: View) -> LinearPhotograph:
     srgb = view.image.astype(np.float32) / 255
     linear = srgb_to_linear(srgb).mean(axis=-1)
     usable = srgb.max(axis=-1) <= CLIPPED
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
     if view.known is None:
-        return Photograph(view.camera, linear, usable)
+        return LinearPhotograph(view.camera, linear, usable)
     known = known_inside(view.known, 1)  # so that interpolation between usable pixels meets no unknown one
-    return Photograph(view.camera, np.where(view.known, linear, 0), usable & known, known)
+    return LinearPhotograph(view.camera, np.where(view.known, linear, 0), usable & known, known)
 
 
-def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:
-    return readings.towards, readings.distances, readings.brightness, readings.weights, readings.photographs
+def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
+    return (
+        observations.view_directions,
+        observations.distances,
+        observations.brightness,
+        observations.weights,
+        observations.photographs,
+    )
 
 
 def _read(
     caster: RayCaster,
-    photograph: Photograph,
+    photograph: LinearPhotograph,
     lamp: np.ndarray | None,
     points: np.ndarray,
     normals: np.ndarray,
@@ -157,8 +163,8 @@ def _read(
     camera = photograph.camera
     offsets = (camera.center - points).astype(np.float32)
     distances = np.linalg.norm(offsets, axis=1)
-    towards = offsets / distances[:, None]
-    cosines = (towards * normals).sum(1)
+    view_directions = offsets / distances[:, None]
+    cosines = (view_directions * normals).sum(1)
     index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.known)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
@@ -166,4 +172,4 @@ def _read(
     brightness, weights = np.zeros((2, len(points)), np.float32)
     brightness[index] = read_image(photograph.brightness, pixels)
     weights[index] = cosines[index] * lie_within(photograph.usable, pixels)
-    return towards, distances, brightness, weights
+    return view_directions, distances, brightness, weights

@@ -28,7 +28,7 @@ ALIKE, STEP = 24, 2.0  # neighbouring directions, and levels off their mean that
 ROUNDS = 40
 
 
-def surroundings(views: Sequence[View], found: np.ndarray) -> PointCloud:
+def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
     """Return background points in directions where photographs show none of the points found [P,3]; maybe none."""
     looks = [_look(view, found) for view in views[:: -(-len(views) // VIEWS)]]
     directions = _directions(DIRECTIONS)

@@ -14,8 +14,8 @@ from mgsr.data.scene import View
 from mgsr.geometry.displace import edges
 from mgsr.geometry.raycast import RayCaster
 from mgsr.geometry.triangles import Triangles, face_components
-from mgsr.shading.refine import MIRRORS
-from mgsr.shading.unexplained import leave_unexplained
+from mgsr.shading.environment_residual import environment_residuals
+from mgsr.shading.shape_from_shading import MIRRORS
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
@@ -38,12 +38,12 @@ def _openings(vertices: np.ndarray, faces: np.ndarray) -> int:
     return 2 * pieces - (len(np.unique(faces)) - len(edges(faces)) + len(faces))
 
 
-def start_is_likelier(start: Triangles, trained: Triangles, photographs: Sequence[View]) -> bool:
+def photographs_prefer_start(start: Triangles, trained: Triangles, photographs: Sequence[View]) -> bool:
     """Return whether the photographs speak clearly for the surface that training began on.
 
     start, trained: vertices [V,3] in the scene's frame and faces [F,3].
     """
-    on_start, on_trained = (each.ratio for each in leave_unexplained((start, trained), photographs))
+    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photographs))
     if on_start <= MIRRORS:
         return on_start <= CLEARLY * on_trained
     prepared = stereo_photographs(photographs)

@@ -14,7 +14,7 @@ from scipy import sparse
 from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import LinearOperator, cg
 
-from mgsr.shading.readings import Readings
+from mgsr.shading.observations import Observations
 
 HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
 CELLS = 64  # a side of the table, which looks a direction up to 2 degrees
@@ -25,7 +25,7 @@ OUTLIER = 3.0  # deviations at which a reading counts half
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class FittedEnvironmentMap:
     """An environment map fitted to readings.
 
     light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the readings from it, in linear light; ratio: of that
@@ -47,39 +47,47 @@ class Surroundings:
         wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
         return map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
 
-    def mirrored(self, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
-        """Return the light [P] that points with normals [P,3] mirror into the directions towards [P,3], all unit."""
-        directions = 2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards
+    def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
+        """Return the light [P] that points with normals [P,3] mirror into the directions view_directions [P,3], all
+        unit."""
+        directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
         return np.asarray(_sampling(directions) @ self.light.ravel())
 
 
 def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the light [...] in unit directions with components x, y and z [...], from a `Surroundings.table`."""
+    """Return the light [...] in unit directions with components x, y and z [...], from a
+    `FittedEnvironmentMap.table`."""
     x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
     return table[(x * CELLS + y) * CELLS + z]
 
 
-def fit_surroundings(readings: Readings, normals: np.ndarray, seed: int = 0) -> Surroundings:
+def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
     """Fit the environment map that explains the readings best on a surface with normals [P,3], by robust least squares.
 
     At most POINTS points are used, drawn with `seed`.
     """
-    points, seen = _well_read(readings, seed)
-    towards, brightness, weights = readings.towards[points], readings.brightness[points], readings.weights[points]
+    points, seen = _well_read(observations, seed)
+    view_directions, brightness, weights = (
+        observations.view_directions[points],
+        observations.brightness[points],
+        observations.weights[points],
+    )
     owners = np.nonzero(seen)[0]
-    own, eye = normals[points][owners], towards[seen]
+    own, eye = normals[points][owners], view_directions[seen]
     rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
     equations = _Equations(rows, brightness[seen].astype(float), owners)
     given = weights[seen].astype(float)
     light, current = np.zeros(rows.shape[1]), given
     for _ in range(ROUNDS):
         light = equations.solve(current, light)
-        left = equations.left(light, current)
-        spread = 1.4826 * np.median(np.abs(left)) + 1e-9
-        current = given / (1 + (left / (OUTLIER * spread)) ** 2)
-    deviation = _deviation(left, given)
-    plain = _deviation(equations.left(np.zeros_like(light), given), given)
-    return Surroundings(light.reshape(HEIGHT, WIDTH).astype(np.float32), deviation, deviation / max(plain, 1e-9))
+        residual = equations.residual(light, current)
+        spread = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        current = given / (1 + (residual / (OUTLIER * spread)) ** 2)
+    deviation = _deviation(residual, given)
+    plain = _deviation(equations.residual(np.zeros_like(light), given), given)
+    return FittedEnvironmentMap(
+        light.reshape(HEIGHT, WIDTH).astype(np.float32), deviation, deviation / max(plain, 1e-9)
+    )
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,7 @@ class _Equations:
         right = turned @ (weights * self._without_own(self.brightness, weights))
         return cg(LinearOperator((size, size), matvec=apply, dtype=float), right, x0=start, rtol=1e-3, maxiter=100)[0]
 
-    def left(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -112,15 +120,15 @@ class _Equations:
         return values - means[self.owners]
 
 
-def _well_read(readings: Readings, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of some points that at least three photographs see, and which of their readings count.
 
     The latter are [points,K] bool.
     """
-    points = np.flatnonzero(readings.counts >= 3)
+    points = np.flatnonzero(observations.counts >= 3)
     if len(points) > POINTS:
         points = np.sort(np.random.default_rng(seed).choice(points, POINTS, replace=False))
-    return points, readings.weights[points] > 0
+    return points, observations.weights[points] > 0
 
 
 def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,5 +167,5 @@ def _steps_squared() -> sparse.csr_matrix:
     return (steps.T @ steps).tocsr()
 
 
-def _deviation(left: np.ndarray, weights: np.ndarray) -> float:
-    return float(np.sqrt((weights * left * left).sum() / max(weights.sum(), 1e-12)))
+def _deviation(residual: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.sqrt((weights * residual * residual).sum() / max(weights.sum(), 1e-12)))

@@ -10,7 +10,7 @@ from mgsr.config import MeshConfig
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.likelier import is_torn, start_is_likelier
+from mgsr.mesh.surface_choice import is_torn, photographs_prefer_start
 from tests.mesh.shapes import ball, cameras_around, views_of
 from tests.shading.balls import RADIUS, mirror_photographs, painted_photographs
 
@@ -26,9 +26,9 @@ def surface(depth: float) -> Triangles:
 def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
     views = mirror_photographs(128) if mirror else painted_photographs(128)
     smooth, dented = surface(0), surface(0.06)
-    assert start_is_likelier(smooth, dented, views)
-    assert not start_is_likelier(dented, smooth, views)
-    assert not start_is_likelier(smooth, smooth, views), "training's is taken where both are alike"
+    assert photographs_prefer_start(smooth, dented, views)
+    assert not photographs_prefer_start(dented, smooth, views)
+    assert not photographs_prefer_start(smooth, smooth, views), "training's is taken where both are alike"
 
 
 @pytest.mark.parametrize(("holes", "torn"), [(0, False), (20, False), (60, True)])
@@ -57,7 +57,7 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     smaller = (0.9 * smaller[0], smaller[1])
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
-        monkeypatch.setattr(extract, "start_is_likelier", lambda *surfaces, kept=kept: kept)
+        monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces, kept=kept: kept)
         mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), painted_photographs(64)[:3], start=smaller)
         assert mesh.start_kept is kept
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01

@@ -9,7 +9,7 @@ import pytest
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
-from mgsr.start.surroundings import surroundings
+from mgsr.start.background_points import background_points
 from tests.training.ball import RADIUS, ball_points, ball_scene, surface_points
 
 DISTANCE = 6.0  # of a round room's wall from the middle
@@ -37,7 +37,7 @@ def _picture(camera: Camera, pattern: bool) -> np.ndarray:
 
 
 def test_a_wall_with_a_pattern_is_found() -> None:
-    points = surroundings(room(), BALL)
+    points = background_points(room(), BALL)
     distance = np.linalg.norm(points.positions, axis=1)
     assert len(points) > 1500
     assert 0.9 < np.median(distance) / DISTANCE < 1.1
@@ -46,7 +46,7 @@ def test_a_wall_with_a_pattern_is_found() -> None:
 
 
 def test_a_plain_wall_has_its_colour_somewhere_behind_the_cameras_reach() -> None:
-    points = surroundings(room(pattern=False), BALL)
+    points = background_points(room(pattern=False), BALL)
     assert len(points) > 1500 and np.linalg.norm(points.positions, axis=1).min() >= 1.5
     assert (np.abs(points.colors.astype(int) - 153) <= 3).mean() > 0.99  # a ball's edge here and there
 
@@ -60,4 +60,4 @@ def test_nothing_is_added_where_all_is_found_or_nothing_is_known(shown: str) -> 
     else:
         directions = ball_points(200_000, 1.0).positions
         found = np.concatenate([BALL, DISTANCE * directions])
-    assert len(surroundings(views, found)) == 0
+    assert len(background_points(views, found)) == 0

@@ -16,30 +16,30 @@ import numpy as np
 
 from mgsr.geometry.raycast import PixelHits, RayCaster
 from mgsr.parallel import map_ahead
-from mgsr.shading.readings import Photograph, Readings, read_image
+from mgsr.shading.observations import LinearPhotograph, Observations, read_image
 
 RAYS = 2  # along a pixel's side
 
 
-def unmixed(
-    readings: Readings,
+def deconvolve(
+    observations: Observations,
     caster: RayCaster,
     vertices: np.ndarray,
     faces: np.ndarray,
-    photographs: Sequence[Photograph],
+    photographs: Sequence[LinearPhotograph],
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
-) -> Readings:
+) -> Observations:
     """Return the readings at a mesh's vertices [V,3], corrected for what the footprints of pixels mix into them.
 
     caster: of the mesh. shown: a function of a photograph's number and vertex indices [P], which returns the known
     brightness [P] of these vertices in this photograph, as single points.
     """
-    brightness = readings.brightness.copy()
+    brightness = observations.brightness.copy()
 
     def take_off(number: int) -> None:
         photograph = photographs[number]
-        read, columns = np.nonzero((readings.photographs == number) & (readings.weights > 0))
+        read, columns = np.nonzero((observations.photographs == number) & (observations.weights > 0))
         pixels, _ = photograph.camera.project(vertices[read])
         hits = _cast(caster, photograph)
         needed = np.unique(np.concatenate([faces[hits.face[hits.mask]].ravel(), read]))
@@ -49,10 +49,10 @@ def unmixed(
         brightness[read, columns] += read_image(known, pixels) * points[read] - read_image(image, pixels)
 
     deque(map_ahead(take_off, range(len(photographs)), threads), maxlen=0)
-    return replace(readings, brightness=brightness)
+    return replace(observations, brightness=brightness)
 
 
-def _cast(caster: RayCaster, photograph: Photograph) -> PixelHits:
+def _cast(caster: RayCaster, photograph: LinearPhotograph) -> PixelHits:
     """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; the hits are [U,RAYS,RAYS]."""
     rows, columns = np.nonzero(photograph.usable)
     inside = (np.arange(RAYS) + 0.5) / RAYS

@@ -11,19 +11,19 @@ import trimesh
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
-from mgsr.geometry.displace import umbrella
-from mgsr.geometry.outlines import find_outline
+from mgsr.geometry.contours import find_contour
+from mgsr.geometry.displace import uniform_laplacian
 from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.geometry.triangles import vertex_normals
-from mgsr.shading.mirroring import explain_by_mirroring
-from mgsr.shading.readings import linear_photographs, read_photographs
-from mgsr.shading.refine import Light, Pass, Refined, refine_by_shading
-from mgsr.shading.surroundings import fit_surroundings, look_up
+from mgsr.shading.environment_fit import fit_environment_map, look_up
+from mgsr.shading.environment_normals import normals_from_environment
+from mgsr.shading.observations import linear_photographs, observe_photographs
+from mgsr.shading.shape_from_shading import Light, ShadingPass, ShadingResult, shape_from_shading
 from tests.mesh.shapes import ball, cameras_around, silhouettes_of
 
 RADIUS = 0.7
 SIDE = 128
-FINE = Pass(edge=1.0, rounds=3, reach=20.0)
+FINE = ShadingPass(edge=1.0, rounds=3, reach=20.0)
 LAMPS = np.array([[0.6, 0.2, 0.77], [-0.7, 0.5, -0.5], [0.1, -0.95, 0.3]])
 
 Shade = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # paint, normal, offset to the eye -> linear light
@@ -120,13 +120,13 @@ def refine(
     shade: Shade,
     aside: tuple[float, float] = (0, 0),
     start: trimesh.Trimesh | None = None,
-    work: Pass = FINE,
-) -> Refined:
+    work: ShadingPass = FINE,
+) -> ShadingResult:
     """Refine the start, or else the smooth ball, by photographs of the rippled one."""
     start, views = start or ball(RADIUS), photographs(rippled(), shade, aside)
-    outlines = [find_outline(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
+    contours = [find_contour(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
     passes = {light: (work,) for light in Light}
-    return refine_by_shading(start.vertices, start.faces, views, outlines, max_ratio=0.85, passes=passes)
+    return shape_from_shading(start.vertices, start.faces, views, contours, max_ratio=0.85, passes=passes)
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
@@ -137,7 +137,7 @@ def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
 
 @pytest.mark.parametrize(
     ("shade", "aside", "light"),
-    [(flash, (0, 0), Light.FLASH), (flash, (0.2, -0.3), Light.FLASH), (glossy, (0, 0), Light.SURROUNDINGS)],
+    [(flash, (0, 0), Light.FLASH), (flash, (0.2, -0.3), Light.FLASH), (glossy, (0, 0), Light.ENVIRONMENT)],
 )
 def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light) -> None:
     truth, smooth = rippled(), ball(RADIUS)
@@ -152,24 +152,24 @@ def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light
 
 def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     truth = rippled()
-    refined = refine(glossy, start=truth, work=Pass(edge=6.0, rounds=4, reach=60.0))
+    refined = refine(glossy, start=truth, work=ShadingPass(edge=6.0, rounds=4, reach=60.0))
     outwards = truth.vertices / np.linalg.norm(truth.vertices, axis=1, keepdims=True)
     assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
 
 
 def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> None:
     truth = rippled()
-    refined = refine(varnished, start=truth, work=Pass(edge=4.0, rounds=2, reach=240.0))
-    assert refined.light is Light.SURROUNDINGS
+    refined = refine(varnished, start=truth, work=ShadingPass(edge=4.0, rounds=2, reach=240.0))
+    assert refined.light is Light.ENVIRONMENT
     assert np.linalg.norm(refined.vertices - truth.vertices, axis=1).mean() < 0.005
 
 
 def test_creases_stay_as_deep_as_they_are_though_pixels_flatten_them() -> None:
     truth = grooved()
     views = photographs(truth, flash, rays=4)
-    outlines = [find_outline(one) for one in silhouettes_of(truth, [view.camera for view in views])]
-    passes = {Light.FLASH: (Pass(edge=1.0, rounds=4, reach=20.0),)}
-    refined = refine_by_shading(truth.vertices, truth.faces, views, outlines, max_ratio=0.85, passes=passes)
+    contours = [find_contour(one) for one in silhouettes_of(truth, [view.camera for view in views])]
+    passes = {Light.FLASH: (ShadingPass(edge=1.0, rounds=4, reach=20.0),)}
+    refined = shape_from_shading(truth.vertices, truth.faces, views, contours, max_ratio=0.85, passes=passes)
     assert refined.light is Light.FLASH
     assert tilt_error(refined.vertices, truth) < 0.5
 
@@ -184,8 +184,8 @@ def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
     mesh = ball(RADIUS)
     normals = vertex_normals(mesh.vertices, mesh.faces).astype(float)
     seen = linear_photographs(photographs(mesh, glossy))
-    readings = read_photographs(mesh.vertices, mesh.faces, normals, seen, gap=0.01)
-    found = fit_surroundings(readings, normals)
+    observations = observe_photographs(mesh.vertices, mesh.faces, normals, seen, gap=0.01)
+    found = fit_environment_map(observations, normals)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     difference = look_up(found.table(), *directions.T.astype(np.float32)) - lamps(directions)
@@ -197,27 +197,27 @@ def test_tilted_normals_are_turned_back() -> None:
     mesh = ball(RADIUS)
     true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
     seen = linear_photographs(photographs(mesh, glossy))
-    readings = read_photographs(mesh.vertices, mesh.faces, true, seen, gap=0.01)
+    observations = observe_photographs(mesh.vertices, mesh.faces, true, seen, gap=0.01)
     wave = np.sin(8 * mesh.vertices[:, 2] / RADIUS)  # to and fro, so that the map itself stays where it is
     tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    still, laplacian = np.zeros(len(true)), umbrella(mesh.faces, len(true))
-    explained = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=still, threads=1)
+    still, laplacian = np.zeros(len(true)), uniform_laplacian(mesh.faces, len(true))
+    explained = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=still, threads=1)
     errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1))) for n in (tilted, explained.normals)]
     assert errors[1].mean() < 0.6 * errors[0].mean()
-    kept = explain_by_mirroring(readings, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
+    kept = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=1 - still, threads=1)
     np.testing.assert_allclose(kept.normals, tilted, atol=1e-6)
 
 
 def test_what_no_tilt_explains_is_not_trusted() -> None:
     mesh = ball(RADIUS)
     true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
-    readings = read_photographs(
+    observations = observe_photographs(
         mesh.vertices, mesh.faces, true, linear_photographs(photographs(mesh, glossy)), gap=0.01
     )
     odd = mesh.vertices[:, 0] > 0
-    noise = np.random.default_rng(0).normal(scale=0.2, size=readings.brightness.shape)
-    spoilt = replace(readings, brightness=readings.brightness + odd[:, None] * noise.astype(np.float32))
-    laplacian, still = umbrella(mesh.faces, len(true)), np.zeros(len(true))
-    sure = explain_by_mirroring(spoilt, true, laplacian, reach=2.0, still=still, threads=1).sure
-    assert sure[~odd].mean() > 2 * sure[odd].mean() > 0
+    noise = np.random.default_rng(0).normal(least_squares_scale=0.2, size=observations.brightness.shape)
+    spoilt = replace(observations, brightness=observations.brightness + odd[:, None] * noise.astype(np.float32))
+    laplacian, still = uniform_laplacian(mesh.faces, len(true)), np.zeros(len(true))
+    confidence = normals_from_environment(spoilt, true, laplacian, reach=2.0, still=still, threads=1).confidence
+    assert confidence[~odd].mean() > 2 * confidence[odd].mean() > 0

@@ -14,12 +14,12 @@ import numpy as np
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View, some_of
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import umbrella
-from mgsr.geometry.raycast import interpolation
+from mgsr.geometry.displace import uniform_laplacian
+from mgsr.geometry.raycast import prolongation_matrix
 from mgsr.parallel import map_ahead
-from mgsr.shading.details import GREY, MIN_READINGS, KnownLight, MixedPhotograph, Surface, look_at, mixed_photographs
-from mgsr.shading.kinds import Shading
-from mgsr.shading.readings import read_image
+from mgsr.shading.details import GREY, MIN_OBSERVATIONS, ChannelMix, KnownLight, Surface, mix_channels, sample_view
+from mgsr.shading.light_models import LightModel
+from mgsr.shading.observations import read_image
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 OFF = 0.7  # pixels by which the surface may be off; differences that this explains do not count
@@ -27,11 +27,11 @@ AROUND = 3.0  # pixels over which disagreement is averaged
 USUAL = 6.0  # times what is usual all over the surface, which is noise and gloss; so much is forgiven
 
 
-def disagreement(
+def photometric_residual(
     vertices: np.ndarray,
     faces: np.ndarray,
     views: Sequence[View],
-    shading: Shading,
+    light_model: LightModel,
     threads: int | None = None,
 ) -> np.ndarray:
     """Return each vertex's photometric residual [V], in sRGB 0..1, less what is usual all over the surface.
@@ -40,29 +40,29 @@ def disagreement(
     an error of OFF pixels in the surface are taken off; 0 where too few photographs show it.
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-    light = KnownLight.known_by(shading, vertices, faces)
+    light = KnownLight.known_by(light_model, vertices, faces)
     places, triangles = coarser(vertices, faces, EDGE * pixel)
-    surface = Surface(places, triangles, umbrella(triangles, len(places)), pixel)
-    photographs = mixed_photographs(some_of(views), GREY, threads)
+    surface = Surface(places, triangles, uniform_laplacian(triangles, len(places)), pixel)
+    photographs = mix_channels(some_of(views), GREY, threads)
     columns = list(map_ahead(lambda photograph: _column(surface, photograph, light), photographs, threads))
     values, slopes = (np.stack(each, axis=1) for each in zip(*columns, strict=True))
-    apart = np.maximum(np.abs(values - _median(values)[:, None]) - OFF * slopes, 0)
-    told = np.isfinite(values).sum(axis=1) >= MIN_READINGS
+    centered = np.maximum(np.abs(values - _median(values)[:, None]) - OFF * slopes, 0)
+    told = np.isfinite(values).sum(axis=1) >= MIN_OBSERVATIONS
     if not told.any():
         return np.zeros(len(vertices))
-    differing = np.where(told, _median(apart), 0)
+    differing = np.where(told, _median(centered), 0)
     around = surface.around(np.stack([differing, told], axis=1), AROUND)
     differing = around[:, 0] / np.maximum(around[:, 1], 1e-6)
     beyond = told * np.maximum(differing - USUAL * np.median(differing[told]), 0)
-    return np.asarray(interpolation(places, triangles, vertices) @ beyond)
+    return np.asarray(prolongation_matrix(places, triangles, vertices) @ beyond)
 
 
-def _column(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
+def _column(surface: Surface, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
     """Return a photograph's values at the vertices under even light, and their slopes: [2,V], NaN where unknown.
 
     A slope is the change of the value from a pixel to the next.
     """
-    look = look_at(surface, photograph, light)
+    look = sample_view(surface, photograph, light)
     told = np.full((2, len(surface.places)), np.nan, np.float32)
     of_use = look.weights > 0
     pixels = look.pixels[of_use]

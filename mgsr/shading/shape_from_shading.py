@@ -16,16 +16,16 @@ from scipy import sparse
 
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View
+from mgsr.geometry.bilateral_filter import bilateral_normal_filter
+from mgsr.geometry.contours import SilhouetteContour, contour_gaps
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import bend_to_normals, edge_length, edges, spread, umbrella
-from mgsr.geometry.fairing import smooth_noise
-from mgsr.geometry.outlines import Outline, outline_gaps
-from mgsr.geometry.raycast import interpolation
+from mgsr.geometry.displace import diffuse, edge_length, edges, integrate_normals, uniform_laplacian
+from mgsr.geometry.raycast import prolongation_matrix
 from mgsr.geometry.triangles import vertex_normals
-from mgsr.shading.explained import Explained
 from mgsr.shading.flash import flash_ratio
-from mgsr.shading.kinds import ByFlash, ByMirroring, Shading, Shot, mirrored_surroundings
-from mgsr.shading.readings import linear_photographs
+from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, Shot, fit_mirrored_environment
+from mgsr.shading.observations import linear_photographs
+from mgsr.shading.target_normals import TargetNormals
 
 TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
 STAY = 0.05  # how much any other does
@@ -35,11 +35,11 @@ OUTLINE_SMOOTHING = 1.5  # pixels over which what the outlines say is smoothed
 class Light(StrEnum):
     """The light of a capture, as far as the photographs tell.
 
-    flash: on the camera; surroundings: standing still, mirrored by the surface; unknown: neither explains enough.
+    flash: on the camera; environment: standing still, mirrored by the surface; unknown: neither explains enough.
     """
 
     FLASH = "flash"
-    SURROUNDINGS = "surroundings"
+    ENVIRONMENT = "environment"
     UNKNOWN = "unknown"
 
 
@@ -49,11 +49,11 @@ RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are co
 
 
 @dataclass(frozen=True)
-class Pass:
+class ShadingPass:
     """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels.
 
     Shape larger than `reach` pixels stays as it is, but for what the contours say. fairing: degrees; noise up to this
-    is smoothed before and after the rounds (`smooth_noise`); 0: none.
+    is smoothed before and after the rounds (`bilateral_normal_filter`); 0: none.
     """
 
     edge: float
@@ -63,31 +63,31 @@ class Pass:
 
 
 @dataclass(frozen=True)
-class Refined:
+class ShadingResult:
     """A surface refined by shading.
 
-    vertices [V,3]: moved where the light is known; shading: the light model, None for an unknown light.
+    vertices [V,3]: moved where the light is known; light_model: the light model, None for an unknown light.
     """
 
     vertices: np.ndarray
     light: Light
-    shading: Shading | None = None
+    light_model: LightModel | None = None
 
 
-def refine_by_shading(
+def shape_from_shading(
     vertices: np.ndarray,
     faces: np.ndarray,
     views: Sequence[View],
-    outlines: Sequence[Outline],
+    contours: Sequence[SilhouetteContour],
     max_ratio: float,
-    passes: Mapping[Light, Sequence[Pass]],
+    passes: Mapping[Light, Sequence[ShadingPass]],
     threads: int | None = None,
     progress: Callable[[float], None] = lambda done: None,
     go_on: Callable[[], bool] = lambda: True,
-) -> Refined:
+) -> ShadingResult:
     """Move the vertices [V,3] of a mesh so that its shading explains the photographs, if a light model does.
 
-    outlines: the masks' contours, which hold the surface; none without masks.
+    contours: the masks' contours, which hold the surface; none without masks.
     max_ratio: the largest share that the light may leave unexplained.
     passes: how each light bends the surface; a light without any is only identified.
     go_on: asked before every round; once it says no, no more rounds follow.
@@ -95,62 +95,64 @@ def refine_by_shading(
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
     shot = Shot(linear_photographs(views), pixel, threads)
-    light, shading = _find_light(shot, *coarser(vertices, faces, RATIO_EDGE * pixel), max_ratio)
-    if shading is None:
-        return Refined(vertices, light)
+    light, light_model = _find_light(shot, *coarser(vertices, faces, RATIO_EDGE * pixel), max_ratio)
+    if light_model is None:
+        return ShadingResult(vertices, light)
     chosen = passes.get(light, ())
     rounds = sum(each.rounds for each in chosen)
     done = 0
     for each in chosen:
         vertices = _fair(vertices, faces, each.fairing)
         before, triangles = coarser(vertices, faces, each.edge * pixel)
-        carry = interpolation(before, triangles, vertices)
-        whole = _Whole(vertices, faces, before, carry, outlines)
-        work = _Work(triangles, edges(triangles), umbrella(triangles, len(before)), whole, pixel)
+        prolongation = prolongation_matrix(before, triangles, vertices)
+        whole = _Whole(vertices, faces, before, prolongation, contours)
+        work = _Work(triangles, edges(triangles), uniform_laplacian(triangles, len(before)), whole, pixel)
         after = before
         for _ in range(each.rounds):
             if not go_on():
                 break
-            after = work.bend(after, *shading.explain(after, triangles, work.laplacian), each.reach)
+            after = work.bend(after, *light_model.explain(after, triangles, work.laplacian), each.reach)
             done += 1
             progress(done / rounds)
-        vertices = _fair(vertices + carry @ (after - before), faces, each.fairing)
-    return Refined(vertices, light, shading)
+        vertices = _fair(vertices + prolongation @ (after - before), faces, each.fairing)
+    return ShadingResult(vertices, light, light_model)
 
 
-def _find_light(shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float) -> tuple[Light, Shading | None]:
+def _find_light(
+    shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float
+) -> tuple[Light, LightModel | None]:
     """Return the light that leaves least unexplained on the mesh as it is, and its model.
 
     Where that is more than max_ratio, the light is unknown and the model None.
     """
-    readings, normals = shot.read(vertices, faces)
-    by_flash, by_mirroring = flash_ratio(readings, normals), mirrored_surroundings(readings, normals).ratio
+    observations, normals = shot.read(vertices, faces)
+    by_flash, by_mirroring = flash_ratio(observations, normals), fit_mirrored_environment(observations, normals).ratio
     if not min(by_flash, by_mirroring) <= max_ratio:
         return Light.UNKNOWN, None
     if by_flash <= by_mirroring:
-        return Light.FLASH, ByFlash(shot, vertices, faces, readings, normals)
-    return Light.SURROUNDINGS, ByMirroring(shot)
+        return Light.FLASH, FlashLight(shot, vertices, faces, observations, normals)
+    return Light.ENVIRONMENT, EnvironmentLight(shot)
 
 
 @dataclass(frozen=True)
 class _Whole:
     """The full mesh that a coarser one's moves are carried over to, and the contours that it is held against.
 
-    vertices [W,3], faces: before any moves; before [V,3]: the coarse mesh's vertices; carry [W,V]: the interpolation of
-    their moves; outlines: the contours. Those of the coarse mesh would show cut corners.
+    vertices [W,3], faces: before any moves; before [V,3]: the coarse mesh's vertices; prolongation [W,V]: the
+    interpolation of their moves; contours: the contours. Those of the coarse mesh would show cut corners.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     before: np.ndarray
-    carry: sparse.csr_matrix
-    outlines: Sequence[Outline]
+    prolongation: sparse.csr_matrix
+    contours: Sequence[SilhouetteContour]
 
     def gaps(self, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `outline_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
-        vertices = self.vertices + self.carry @ (after - self.before)
-        gaps, touched = outline_gaps(vertices, self.faces, vertex_normals(vertices, self.faces), self.outlines)
-        sums, counts = self.carry.T @ (gaps * touched), self.carry.T @ touched
+        """Return `contour_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
+        vertices = self.vertices + self.prolongation @ (after - self.before)
+        gaps, touched = contour_gaps(vertices, self.faces, vertex_normals(vertices, self.faces), self.contours)
+        sums, counts = self.prolongation.T @ (gaps * touched), self.prolongation.T @ touched
         return sums / np.maximum(counts, 1e-9), counts
 
 
@@ -164,7 +166,7 @@ class _Work:
     whole: _Whole
     pixel: float
 
-    def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: Explained, reach: float) -> np.ndarray:
+    def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: TargetNormals, reach: float) -> np.ndarray:
         """Return the vertices [V,3] moved to fit the light's normals, the contours and their own places.
 
         normals [V,3]: the vertices' own; explained: the light's; reach: pixels; larger shape stays.
@@ -174,24 +176,24 @@ class _Work:
         edge = edge_length(vertices, self.faces)
         offsets = _mean_around(offsets, held, self.laplacian, OUTLINE_SMOOTHING * self.pixel / edge)
         strength = STAY * (reach * self.pixel / (2 * np.pi * edge)) ** 2
-        moves = bend_to_normals(
+        moves = integrate_normals(
             vertices,
             self.edges,
             normals,
             explained.normals,
-            explained.sure,
+            explained.confidence,
             strength,
-            hold=STAY + TOUCHED * held,
+            prior_weight=STAY + TOUCHED * held,
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
         return vertices + moves[:, None] * normals
 
 
 def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
-    return smooth_noise(vertices, faces, angle) if angle else vertices
+    return bilateral_normal_filter(vertices, faces, angle) if angle else vertices
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
     """Average values [V] by their weights [V] over about `reach` edges around."""
-    sums = spread(np.stack([values * weights, weights], axis=1), laplacian, reach)
+    sums = diffuse(np.stack([values * weights, weights], axis=1), laplacian, reach)
     return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)

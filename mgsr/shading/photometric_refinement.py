@@ -18,12 +18,12 @@ import numpy as np
 
 from mgsr.data.camera import pixel_size
 from mgsr.data.scene import View, some_of
+from mgsr.geometry.contours import SilhouetteContour, contour_gaps
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
-from mgsr.geometry.outlines import Outline, outline_gaps
-from mgsr.geometry.raycast import interpolation
-from mgsr.shading.details import Details, KnownLight, Surface, apart, mixed_photographs, read_details, telling_mix
-from mgsr.shading.kinds import Shading
+from mgsr.geometry.displace import edge_length, smooth_displacements, uniform_laplacian
+from mgsr.geometry.raycast import prolongation_matrix
+from mgsr.shading.details import Details, KnownLight, Surface, centered, choose_mix, mix_channels, read_details
+from mgsr.shading.light_models import LightModel
 
 EDGE = 1.5  # pixels; edges of the mesh at whose vertices the photographs are read
 COARSE = 4.0  # pixels; edges of the mesh on which displacements are found, as they are smooth
@@ -38,41 +38,41 @@ OUTLINE = 0.1  # pixels to which a mask's outline is known
 STAY = 1e-4  # weight of a vertex's own place, for those of which nothing tells
 
 
-def refine_by_parallax(
+def refine_photometrically(
     vertices: np.ndarray,
     faces: np.ndarray,
     views: Sequence[View],
-    outlines: Sequence[Outline],
+    contours: Sequence[SilhouetteContour],
     reach: float,
-    shading: Shading | None = None,
+    light_model: LightModel | None = None,
     threads: int | None = None,
     go_on: Callable[[], bool] = lambda: True,
 ) -> np.ndarray:
     """Return the vertices [V,3] of a mesh moved along their normals so that the photographs agree at them.
 
-    outlines: the masks' contours, which hold the surface. reach: pixels over which a displacement spreads that is known
-    to KNOWN. shading: what light the photographs were taken in, if that is known. go_on: asked before every round; once
-    it says no, no more rounds follow.
+    contours: the masks' contours, which hold the surface. reach: pixels over which a displacement spreads that is known
+    to KNOWN. light_model: what light the photographs were taken in, if that is known. go_on: asked before every round;
+    once it says no, no more rounds follow.
     """
     pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-    light = KnownLight.known_by(shading, vertices, faces)
+    light = KnownLight.known_by(light_model, vertices, faces)
     start, triangles = coarser(vertices, faces, EDGE * pixel)
-    laplacian, places = umbrella(triangles, len(start)), start
-    mix = telling_mix(Surface(start, triangles, laplacian, pixel), some_of(views, MIXED), light, threads)
-    photographs = mixed_photographs(some_of(views), mix, threads)
+    laplacian, places = uniform_laplacian(triangles, len(start)), start
+    mix = choose_mix(Surface(start, triangles, laplacian, pixel), some_of(views, MIXED), light, threads)
+    photographs = mix_channels(some_of(views), mix, threads)
     plate = _plate(start, *coarser(start, triangles, COARSE * pixel), reach * pixel)
     for _ in range(ROUNDS):
         if not go_on():
             break
         surface = Surface(places, triangles, laplacian, pixel)
-        readings = read_details(surface, photographs, light, threads)
-        wanted, weights = _told(readings, surface)
-        gaps, touched = outline_gaps(places, triangles, surface.normals, outlines)
+        observations = read_details(surface, photographs, light, threads)
+        target, weights = _told(observations, surface)
+        gaps, touched = contour_gaps(places, triangles, surface.normals, contours)
         held = np.minimum(touched, 1) * (KNOWN / OUTLINE) ** 2
         total = weights + held + STAY
-        moves = plate((weights * wanted + held * gaps / pixel) / total, total)
+        moves = plate((weights * target + held * gaps / pixel) / total, total)
         places = places + pixel * np.clip(moves, -LIMIT, LIMIT)[:, None] * surface.normals
-    return vertices + interpolation(start, triangles, vertices) @ (places - start)
+    return vertices + prolongation_matrix(start, triangles, vertices) @ (places - start)
 
 
 def _plate(
@@ -82,33 +82,33 @@ def _plate(
 
     It takes the points' target displacements [P] and their weights [P], and returns displacements [P].
     """
-    carry, laplacian = interpolation(coarse, triangles, points), umbrella(triangles, len(coarse))
+    prolongation, laplacian = prolongation_matrix(coarse, triangles, points), uniform_laplacian(triangles, len(coarse))
     steps = reach / edge_length(coarse, triangles) * (len(points) / len(coarse)) ** 0.25
-    return lambda wanted, weights: carry @ smooth_displacements(laplacian, wanted, weights, steps, carry)
+    return lambda target, weights: prolongation @ smooth_displacements(laplacian, target, weights, steps, prolongation)
 
 
-def _told(readings: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+def _told(observations: Details, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """Return the displacements [V], in pixels, after which the photographs agree best, and their weights [V]."""
-    weights = readings.weights
-    noise = _noise(apart(readings.mixed, weights), weights)
-    weights = weights / (1 + (readings.mirrored / (MIRRORED * noise)) ** 2)
-    trusted = weights
+    weights = observations.weights
+    noise = _noise(centered(observations.mixed, weights), weights)
+    weights = weights / (1 + (observations.mirrored / (MIRRORED * noise)) ** 2)
+    irls_weights = weights
     for _ in range(2):
-        left = apart(readings.mixed, trusted)
-        noise = _noise(left, weights)
-        trusted = weights / (1 + (left / (OUTLIER * noise)) ** 2)
-    left, slope = apart(readings.mixed, trusted), apart(readings.change, trusted)
-    unexplained = (weights * np.minimum(left**2, (10 * noise) ** 2)).sum(axis=1)
-    around = surface.around(np.stack([unexplained, weights.sum(axis=1)], axis=1), NOISE)
+        residual = centered(observations.mixed, irls_weights)
+        noise = _noise(residual, weights)
+        irls_weights = weights / (1 + (residual / (OUTLIER * noise)) ** 2)
+    residual, slope = centered(observations.mixed, irls_weights), centered(observations.change, irls_weights)
+    residual_energy = (weights * np.minimum(residual**2, (10 * noise) ** 2)).sum(axis=1)
+    around = surface.around(np.stack([residual_energy, weights.sum(axis=1)], axis=1), NOISE)
     variance = np.maximum(around[:, 0] / np.maximum(around[:, 1], 1e-9), noise**2 / 4)
-    steepness = (trusted * slope**2).sum(axis=1)
-    wanted = -(trusted * slope * left).sum(axis=1) / np.maximum(steepness, 1e-12)
-    return wanted, KNOWN**2 * steepness / variance
+    steepness = (irls_weights * slope**2).sum(axis=1)
+    target = -(irls_weights * slope * residual).sum(axis=1) / np.maximum(steepness, 1e-12)
+    return target, KNOWN**2 * steepness / variance
 
 
-def _noise(left: np.ndarray, weights: np.ndarray) -> float:
+def _noise(residual: np.ndarray, weights: np.ndarray) -> float:
     """Return the robust deviation of the residuals [V,K] where the weights [V,K] are above 0.
 
     It is the median absolute residual times 1.4826; 1 where no weight is above 0.
     """
-    return 1.4826 * float(np.median(np.abs(left[weights > 0]))) + 1e-9 if weights.any() else 1.0
+    return 1.4826 * float(np.median(np.abs(residual[weights > 0]))) + 1e-9 if weights.any() else 1.0

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from mgsr.gaussians.mirrored import MirroredLight
     from mgsr.gaussians.surfels import SurfelModel
     from mgsr.gaussians.volumes import VolumeModel
-    from mgsr.mesh.surface import Mesh
+    from mgsr.geometry.mesh import Mesh
+    from mgsr.mesh.surface import ReconstructedMesh
     from mgsr.pipeline.novel_view import Rendering, render
     from mgsr.pipeline.progress import Event
     from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
@@ -54,6 +55,7 @@ __all__ = [
     "MgsrError",
     "MirroredLight",
     "MissingPhotoError",
+    "ReconstructedMesh",
     "Reconstruction",
     "Rendering",
     "Scene",
@@ -77,8 +79,9 @@ _MODULES = {
     "Config": "mgsr.config",
     "DataConfig": "mgsr.config",
     "Event": "mgsr.pipeline.progress",
-    "Mesh": "mgsr.mesh.surface",
+    "Mesh": "mgsr.geometry.mesh",
     "MirroredLight": "mgsr.gaussians.mirrored",
+    "ReconstructedMesh": "mgsr.mesh.surface",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.pipeline.novel_view",
     "Scene": "mgsr.data.scene",

@@ -20,7 +20,16 @@ from tests.cli.spheres import held_out_camera, write_spheres
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {
     *("load_scene", "reconstruct", "load_result", "render", "make_config", "__version__"),
-    *("Reconstruction", "Rendering", "Mesh", "SurfelModel", "VolumeModel", "MirroredLight", "Event"),
+    *(
+        "Reconstruction",
+        "Rendering",
+        "Mesh",
+        "ReconstructedMesh",
+        "SurfelModel",
+        "VolumeModel",
+        "MirroredLight",
+        "Event",
+    ),
     *("Scene", "View", "Camera", "Config", "DataConfig"),
     *("MgsrError", "SceneError", "MissingPhotoError", "ArchiveError", "ConfigError", "TensorError", "TrainingError"),
     *("MeshError", "CheckpointError", "GpuError", "LostCardError", "Cancelled"),

@@ -21,6 +21,7 @@ import numpy as np
 from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError, in_short
 from mgsr.export.far_origin import no_origin
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.lighting import Lighting
 
 
@@ -28,8 +29,8 @@ def write_flash(path: Path, lighting: Lighting, origin: np.ndarray | None = None
     """Write a flash, in the user's frame. origin [3]: the origin of the file's vertices, None for the frame's own."""
     about = no_origin() if origin is None else origin
     arrays: dict[str, Any] = {
-        "vertices": (lighting.vertices - about).astype(np.float32),
-        "faces": lighting.faces.astype(np.int32),
+        "vertices": (lighting.mesh.vertices - about).astype(np.float32),
+        "faces": lighting.mesh.faces.astype(np.int32),
         "besides": lighting.ambient.astype(np.float32),
         "like": lighting.proxy_vertex.astype(np.int32),
         "lamp": np.array([lighting.right, lighting.down, lighting.lamp]),
@@ -60,4 +61,4 @@ def load_flash(path: Path) -> Lighting:
             f"like [V] of indices, got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, {faces.shape}, "
             f"{proxy_vertex.shape}; train again, or remove it"
         )
-    return Lighting(vertices + origin, faces, ambient, proxy_vertex, *lamp.tolist())
+    return Lighting(Mesh(vertices + origin, faces), ambient, proxy_vertex, *lamp.tolist())

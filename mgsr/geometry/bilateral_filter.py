@@ -2,39 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import sparse
 
-from mgsr.geometry.displace import edge_length
-from mgsr.geometry.triangles import face_crosses
+from mgsr.geometry.mesh import Mesh
 
-ROUNDS = 4  # of the normals' filter: more flattens what was photographed
-STEPS = 10  # in which the vertices follow the normals
-FOLDED = 0.7  # cosine to its filtered normal under which a facet counts as folded
-CHUNK = 65_536  # facets whose neighbourhoods are held in memory at a time
+CHUNK = 65_536  # faces whose neighbourhoods are held in memory at a time
 
 
-def bilateral_normal_filter(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
-    """Return the vertices [V,3] moved so that each face normal comes near the mean of those around it.
+@dataclass(frozen=True)
+class BilateralOptions:
+    """Numbers of the bilateral normal filter."""
 
-    vertices [V,3]; faces [F,3]; angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that
-    differ by three times as much hardly count, so that creases stay. The faces around a face are those that share a
-    vertex with it. Vertices whose move would fold a face stay in place.
+    rounds: int = 4  # of the normals' filter: more flattens what was photographed
+    steps: int = 10  # in which the vertices follow the normals
+    folded: float = 0.7  # cosine to its filtered normal under which a face counts as folded
+
+
+def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions = BilateralOptions()) -> Mesh:
+    """Return the mesh with its vertices moved so that each face normal comes near the mean of those around it.
+
+    angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that differ by three times as much
+    hardly count, so that creases stay. The faces around a face are those that share a vertex with it. Vertices whose
+    move would fold a face stay in place.
 
     Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin, Martin
     and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
     """
+    faces = mesh.faces
     if len(faces) == 0:
-        return vertices
-    vertices = vertices.astype(np.float64)
+        return mesh
+    mesh = mesh.moved(mesh.vertices.astype(np.float64))
     corners = np.repeat(np.arange(len(faces)), 3)
     touches = sparse.csr_matrix(
-        (np.ones(faces.size, np.float32), (corners, faces.ravel())), (len(faces), len(vertices))
+        (np.ones(faces.size, np.float32), (corners, faces.ravel())), (len(faces), len(mesh.vertices))
     )
-    areas, given = _areas_and_normals(vertices, faces)
-    neighbourhoods = _neighbourhoods(touches, vertices[faces].mean(axis=1), areas, edge_length(vertices, faces))
+    areas, given = _areas_and_normals(mesh)
+    neighbourhoods = _neighbourhoods(touches, mesh.vertices[faces].mean(axis=1), areas, mesh.edge_length)
     normals = given.astype(np.float32)
-    for _ in range(ROUNDS):
+    for _ in range(options.rounds):
         own = np.array_split(normals, range(CHUNK, len(faces), CHUNK))
         normals = np.concatenate(
             [
@@ -42,15 +50,14 @@ def bilateral_normal_filter(vertices: np.ndarray, faces: np.ndarray, angle: floa
                 for around, part in zip(neighbourhoods, own, strict=True)
             ]
         )
-    moved = _follow(vertices, touches, normals.astype(np.float64))
-    return _unfold(moved, vertices, faces, normals, (given * normals).sum(1))
+    moved = _follow(mesh.vertices, touches, normals.astype(np.float64), options.steps)
+    return mesh.moved(_unfold(moved, mesh, normals, (given * normals).sum(1), options.folded))
 
 
-def _areas_and_normals(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _areas_and_normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return twice the face areas [F] and the unit face normals [F,3]; the normal of a face without area is 0."""
-    crosses = face_crosses(vertices, faces)
-    areas = np.linalg.norm(crosses, axis=1)
-    return areas, crosses / np.maximum(areas, 1e-20)[:, None]
+    areas = np.linalg.norm(mesh.face_crosses, axis=1)
+    return areas, mesh.face_crosses / np.maximum(areas, 1e-20)[:, None]
 
 
 def _neighbourhoods(
@@ -84,33 +91,31 @@ def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarra
     return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
 
 
-def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray) -> np.ndarray:
+def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray, steps: int) -> np.ndarray:
     """Move the vertices [V,3] in steps so that the faces come to lie across the normals [F,3].
 
     Each step moves a vertex towards the planes through its faces' middles. touches [F,V]: 1 where a face has a vertex.
     """
     counts = np.maximum(touches.getnnz(axis=0), 1)
-    mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the facets around a vertex
+    mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the faces around a vertex
     projections = (mean @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
-    for _ in range(STEPS):
+    for _ in range(steps):
         heights = np.einsum("fi,fi->f", normals, touches @ vertices) / 3
         vertices = vertices + mean @ (normals * heights[:, None]) - np.einsum("vij,vj->vi", projections, vertices)
     return vertices
 
 
-def _unfold(
-    moved: np.ndarray, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, given: np.ndarray
-) -> np.ndarray:
+def _unfold(moved: np.ndarray, mesh: Mesh, normals: np.ndarray, given: np.ndarray, least: float) -> np.ndarray:
     """Put moved vertices back where a face has folded: where its normal is far from the filtered one.
 
-    moved, vertices [V,3]: after and before the move; `moved` is changed in place and returned. normals [F,3]: the
+    moved [V,3]: the vertices after the move; changed in place and returned. mesh: before the move. normals [F,3]: the
     filtered ones. given [F]: the cosines between the face normals before the move and `normals`; a face that was no
-    better then stays moved.
+    better then stays moved. least: the cosine under which a face counts as folded.
     """
     while True:
-        likeness = (_areas_and_normals(moved, faces)[1] * normals).sum(1)
-        folded = (likeness < FOLDED) & (likeness < given)
+        likeness = (_areas_and_normals(Mesh(moved, mesh.faces))[1] * normals).sum(1)
+        folded = (likeness < least) & (likeness < given)
         if not folded.any():
             return moved
-        back = faces[folded]
-        moved[back] = vertices[back]
+        back = mesh.faces[folded]
+        moved[back] = mesh.vertices[back]

@@ -16,17 +16,23 @@ from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.known import known_inside
 from mgsr.data.silhouettes import Silhouette
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, smooth_displacements, uniform_laplacian
-from mgsr.geometry.raycast import RayCaster, prolongation_matrix
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.displace import smooth_displacements
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
-SEARCH = 3.0  # pixels to both sides of a mask's outline in which the mesh's is looked for
-STEP = 0.25  # pixels between two rays that look for the mesh's outline
-FINER = 8  # parts of a step, to which it is then found: coarser ones pull surfaces inwards by 0.04 pixels
-FACING = 0.5  # least cosine between a vertex normal and the outline's direction
-COARSE = 1.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
-STAY = 0.02  # a vertex that no outline touches follows its surroundings, but not for ever
+
+@dataclass(frozen=True)
+class ContourOptions:
+    """Numbers of the registration to silhouette contours; pixels are those of the masks."""
+
+    search: float = 3.0  # pixels to both sides of a mask's contour in which the mesh's is looked for
+    step: float = 0.25  # pixels between two rays that look for the mesh's contour
+    finer: int = 8  # parts of a step, to which it is then found: coarser ones pull surfaces inwards by 0.04 pixels
+    facing: float = 0.5  # least cosine between a vertex normal and the contour's direction
+    coarse_edge: float = 1.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
+    prior_weight: float = 0.02  # of the place of a vertex that no contour touches: it follows its neighbours, not far
+    rounds: int = 2  # of finding the mesh's contours and moving it
 
 
 @dataclass(frozen=True)
@@ -60,49 +66,45 @@ def find_contour(silhouette: Silhouette) -> SilhouetteContour:
 
 
 def fit_contours(
-    vertices: np.ndarray, faces: np.ndarray, contours: Sequence[SilhouetteContour], smoothing: float, rounds: int = 2
-) -> np.ndarray:
-    """Return the vertices [V,3] moved along their normals so that the mesh's contours fall on the masks'.
+    mesh: Mesh, contours: Sequence[SilhouetteContour], smoothing: float, options: ContourOptions = ContourOptions()
+) -> Mesh:
+    """Return the mesh moved along its normals so that its silhouette contours fall on the masks'.
 
     smoothing: the number of mask pixels over which a correction spreads.
     """
-    pixel = pixel_size([contour.camera for contour in contours], vertices.mean(axis=0))
-    coarse, triangles = coarser(vertices, faces, COARSE * pixel)
-    prolongation, laplacian = (
-        prolongation_matrix(coarse, triangles, vertices),
-        uniform_laplacian(triangles, len(coarse)),
-    )
-    reach = smoothing * pixel / edge_length(coarse, triangles) * (len(vertices) / len(coarse)) ** 0.25
-    for _ in range(rounds):
-        normals = vertex_normals(vertices, faces)
-        target, touched = contour_gaps(vertices, faces, normals, contours)
+    pixel = pixel_size([contour.camera for contour in contours], mesh.vertices.mean(axis=0))
+    coarse = coarser(mesh, options.coarse_edge * pixel)
+    prolongation, stay = coarse.prolongation(mesh.vertices), options.prior_weight
+    reach = smoothing * pixel / coarse.edge_length * (len(mesh.vertices) / len(coarse.vertices)) ** 0.25
+    for _ in range(options.rounds):
+        target, touched = contour_gaps(mesh, contours, options)
         held = np.minimum(touched, 1)
         moves = prolongation @ smooth_displacements(
-            laplacian, target * held / (held + STAY), held + STAY, reach, prolongation
+            coarse.laplacian, target * held / (held + stay), held + stay, reach, prolongation
         )
-        limit = SEARCH * pixel
-        vertices = vertices + np.clip(moves, -limit, limit)[:, None] * normals
-    return vertices
+        limit = options.search * pixel
+        mesh = mesh.moved(mesh.vertices + np.clip(moves, -limit, limit)[:, None] * mesh.normals)
+    return mesh
 
 
 def contour_gaps(
-    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, contours: Sequence[SilhouetteContour]
+    mesh: Mesh, contours: Sequence[SilhouetteContour], options: ContourOptions = ContourOptions()
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacements [V] along the normals that bring the mesh's contours onto the masks'.
+    """Return the displacements [V] along a mesh's normals that bring its silhouette contours onto the masks'.
 
-    vertices, normals [V,3]; faces [F,3]. Also returns the number [V] of contour points that tell each vertex's
-    displacement, counted in barycentric shares. Both are 0 where none does. Displacements are in the scene's unit.
+    Also returns the number [V] of contour points that tell each vertex's displacement, counted in barycentric shares.
+    Both are 0 where none does. Displacements are in the scene's unit.
     """
-    caster = RayCaster(vertices, faces)
-    sums, touched = np.zeros(len(vertices)), np.zeros(len(vertices))
-    for found in map_ahead(lambda contour: _mesh_contour(caster, contour), contours, None):
+    faces, normals, count, caster = mesh.faces, mesh.normals, len(mesh.vertices), mesh.caster
+    sums, touched = np.zeros(count), np.zeros(count)
+    for found in map_ahead(lambda contour: _mesh_contour(caster, contour, options), contours, None):
         corners = faces[found.faces]
         facing = ((normals[corners] * found.shares[..., None]).sum(1) * found.outwards).sum(1)
-        good = facing > FACING
+        good = facing > options.facing
         shares, corners = found.shares[good], corners[good]
         target = (found.gaps * facing)[good, None] * shares
-        sums += np.bincount(corners.ravel(), target.ravel(), len(vertices))
-        touched += np.bincount(corners.ravel(), shares.ravel(), len(vertices))
+        sums += np.bincount(corners.ravel(), target.ravel(), count)
+        touched += np.bincount(corners.ravel(), shares.ravel(), count)
     return sums / np.maximum(touched, 1e-9), touched
 
 
@@ -120,22 +122,23 @@ class _MeshContour:
     gaps: np.ndarray
 
 
-def _mesh_contour(caster: RayCaster, contour: SilhouetteContour) -> _MeshContour:
-    """Find the mesh's last point on the way out across each contour point, where it lies within SEARCH pixels."""
-    camera, steps = contour.camera, np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
+def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: ContourOptions) -> _MeshContour:
+    """Find the mesh's last point on the way out across each contour point, where it lies within reach."""
+    search, step, finer = options.search, options.step, options.finer
+    camera, steps = contour.camera, np.arange(-search, search + step / 2, step)
     mask = caster.cast_pixels(camera, _beside(contour, steps)).mask
     last = len(steps) - 1 - mask[:, ::-1].argmax(axis=1)
     found = np.flatnonzero(mask.any(axis=1) & (last < len(steps) - 1))
-    steps = steps[last[found], None] + np.arange(FINER) * (STEP / FINER)
+    steps = steps[last[found], None] + np.arange(finer) * (step / finer)
     hits = caster.cast_pixels(camera, _beside(contour, steps, found))
-    last = FINER - 1 - hits.mask[:, ::-1].argmax(axis=1)
+    last = finer - 1 - hits.mask[:, ::-1].argmax(axis=1)
     row = np.arange(len(found))
     sizes = hits.depth[row, last] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
     return _MeshContour(
         hits.face[row, last].astype(np.int64),
         hits.barycentric[row, last],
         contour.outwards[found] @ camera.cam_from_world[:2, :3],
-        -(steps[row, last] + STEP / FINER / 2) * sizes,
+        -(steps[row, last] + step / finer / 2) * sizes,
     )
 
 

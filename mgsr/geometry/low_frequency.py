@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import edge_length, edges, integrate_normals
-from mgsr.geometry.raycast import prolongation_matrix
-from mgsr.geometry.triangles import face_crosses, vertex_normals
+from mgsr.geometry.displace import integrate_normals
+from mgsr.geometry.mesh import Mesh
 
-EDGE = 1.0  # units; edges of the mesh that is worked on
-REACH = 2.5  # units; deviation of the Gaussian by which a vertex' neighbourhood weighs
-FAR = 2.0  # deviations; what lies beyond counts no more
-ROUNDS = 3  # of the normals' filter
 CHUNK = 8192  # vertices whose neighbourhoods are handled at a time
-SLOPES = 0.15  # of REACH squared; how firmly the normals' slope is held to 0 where few vertices tell it
-KEPT = 2.0  # units; waves of more than 2 pi times this keep their places, shorter ones follow the normals
 
 
-def smooth_low_frequency(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: float) -> np.ndarray:
-    """Return the vertices [V,3] moved so that each normal comes near a local linear fit of those around it.
+@dataclass(frozen=True)
+class LowFrequencyOptions:
+    """Numbers of the smoothing of low-frequency waves. A unit is a length that the caller gives, such as a pixel's."""
+
+    edge: float = 1.0  # units; edges of the mesh that is worked on
+    reach: float = 2.5  # units; deviation of the Gaussian by which a vertex' neighbourhood weighs
+    far: float = 2.0  # deviations; what lies beyond counts no more
+    rounds: int = 3  # of the normals' filter
+    regularization: float = 0.15  # of reach squared; how firmly a fit's slopes are held to 0 where few vertices tell
+    kept: float = 2.0  # units; waves of more than 2 pi times this keep their places, shorter ones follow the normals
+
+
+def smooth_low_frequency(
+    mesh: Mesh, unit: float, angle: float, options: LowFrequencyOptions = LowFrequencyOptions()
+) -> Mesh:
+    """Return the mesh with its vertices moved so that each normal comes near a local linear fit of those around it.
 
     unit: a length, such as a pixel's on the surface; waves of a few units are smoothed. angle: degrees; normals that
     differ by this weigh 0.6, and those that differ by three times as much hardly count, so that creases stay.
@@ -30,43 +39,41 @@ def smooth_low_frequency(vertices: np.ndarray, faces: np.ndarray, unit: float, a
     flatten what is round, so each normal is fitted here: local regression (Cleveland 1979) with a bilateral filter's
     weights (Tomasi and Manduchi 1998). The positions then follow, but for the large shape.
     """
-    before, triangles = coarser(vertices, faces, EDGE * unit)
-    if len(triangles) == 0:
-        return vertices
-    normals = vertex_normals(before, triangles).astype(np.float64)
-    target = _fitted_normals(before / (REACH * unit), triangles, normals, np.deg2rad(angle))
-    strength = (KEPT * unit / edge_length(before, triangles)) ** 2
-    ones, zeros = np.ones(len(before)), np.zeros(len(before))
-    moves = integrate_normals(before, edges(triangles), normals, target, ones, strength, ones, zeros)
-    return vertices + prolongation_matrix(before, triangles, vertices) @ (moves[:, None] * normals)
+    coarse = coarser(mesh, options.edge * unit)
+    if len(coarse.faces) == 0:
+        return mesh
+    target = _fitted_normals(coarse, unit, np.deg2rad(angle), options)
+    strength = (options.kept * unit / coarse.edge_length) ** 2
+    ones, zeros = np.ones(len(coarse.vertices)), np.zeros(len(coarse.vertices))
+    moves = integrate_normals(coarse, target, ones, strength, ones, zeros)
+    return mesh.moved(mesh.vertices + coarse.prolongation(mesh.vertices) @ (moves[:, None] * coarse.double_normals))
 
 
-def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
-    """Fit unit normals [V,3] linearly to those around each vertex, in ROUNDS rounds.
-
-    places [V,3]: positions in units of the weights' deviation; faces [F,3]; normals [V,3]; angle: radians.
-    """
-    parts = _neighbourhoods(places, _areas(places, faces))
-    for _ in range(ROUNDS):
+def _fitted_normals(mesh: Mesh, unit: float, angle: float, options: LowFrequencyOptions) -> np.ndarray:
+    """Fit unit normals [V,3] linearly to those around each vertex, in rounds. angle: radians."""
+    scaled = mesh.moved(mesh.vertices / (options.reach * unit))
+    places, normals = scaled.vertices, mesh.double_normals
+    parts = _neighbourhoods(places, _areas(scaled), options.far)
+    for _ in range(options.rounds):
         table = _moments(places, normals)
         owns, heres = (np.array_split(each, range(CHUNK, len(places), CHUNK)) for each in (normals, places))
         normals = np.concatenate(
             [
-                _fit(_alike(around, own, normals, angle), table, own, here)
+                _fit(_alike(around, own, normals, angle), table, own, here, options.regularization)
                 for around, own, here in zip(parts, owns, heres, strict=True)
             ]
         )
     return normals
 
 
-def _neighbourhoods(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_matrix]:
+def _neighbourhoods(places: np.ndarray, areas: np.ndarray, far: float) -> list[sparse.csr_matrix]:
     """Return the weights of the vertices around each vertex, itself among them, by area and nearness.
 
-    places [V,3]: in units of the weights' deviation; areas [V]. The result is a list of sparse matrices, each with
-    CHUNK rows (the last with fewer) and V columns.
+    places [V,3]: in units of the weights' deviation; areas [V]; far: in the same units. The result is a list of sparse
+    matrices, each with CHUNK rows (the last with fewer) and V columns.
     """
     count = len(places)
-    pairs = cKDTree(places).query_pairs(FAR, output_type="ndarray").astype(np.int32)
+    pairs = cKDTree(places).query_pairs(far, output_type="ndarray").astype(np.int32)
     ones = np.ones(len(pairs), np.int8)
     half = sparse.csr_matrix((ones, (pairs[:, 0], pairs[:, 1])), (count, count))
     whole = (half + half.T + sparse.identity(count, np.int8, "csr")).tocsr()
@@ -79,10 +86,10 @@ def _neighbourhoods(places: np.ndarray, areas: np.ndarray) -> list[sparse.csr_ma
     return parts
 
 
-def _areas(places: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _areas(mesh: Mesh) -> np.ndarray:
     """Return each vertex's share of its faces' areas, [V]."""
-    areas = np.linalg.norm(face_crosses(places, faces), axis=1) / 6
-    return np.bincount(faces.ravel(), np.repeat(areas, 3), len(places))
+    areas = np.linalg.norm(mesh.face_crosses, axis=1) / 6
+    return np.bincount(mesh.faces.ravel(), np.repeat(areas, 3), len(mesh.vertices))
 
 
 def _moments(places: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -103,10 +110,13 @@ def _alike(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angl
     return sparse.csr_matrix((around.data * np.exp(-unlike / angle**2), around.indices, around.indptr), around.shape)
 
 
-def _fit(around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np.ndarray) -> np.ndarray:
+def _fit(
+    around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np.ndarray, regularization: float
+) -> np.ndarray:
     """Return the unit normals [C,3], at places `here` [C,3], of fits that are linear along the tangent planes.
 
-    around [C,V]: weights; table [V,25]: `_moments`; own [C,3]: the normals before the fit.
+    around [C,V]: weights; table [V,25]: `_moments`; own [C,3]: the normals before the fit; regularization: of its
+    slopes.
     """
     sums = around @ table
     total = np.maximum(sums[:, :1], 1e-20)
@@ -115,7 +125,7 @@ def _fit(around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np
     spread = sums[:, 7:16].reshape(-1, 3, 3) / total[..., None] - middle[:, :, None] * middle[:, None, :]
     changes = sums[:, 16:].reshape(-1, 3, 3) / total[..., None] - middle[:, :, None] * mean[:, None, :]
     tangents = np.linalg.svd(own[:, None, :])[2][:, 1:]
-    flat = tangents @ spread @ tangents.transpose(0, 2, 1) + SLOPES * np.eye(2)
+    flat = tangents @ spread @ tangents.transpose(0, 2, 1) + regularization * np.eye(2)
     slopes = np.linalg.solve(flat, tangents @ changes)
     ways = np.einsum("vti,vi->vt", tangents, here - middle)
     values = mean + np.einsum("vt,vti->vi", ways, slopes)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from mgsr.data.camera import Camera
 from mgsr.data.known import known_at
@@ -142,16 +141,6 @@ def _shares(uv: np.ndarray) -> np.ndarray:
     shares[..., 1:] = uv
     shares[..., 0] = 1 - uv[..., 0] - uv[..., 1]
     return shares
-
-
-def prolongation_matrix(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [P,V] that interpolates values of a mesh's vertices at the points [P,3] beside it.
-
-    Each point takes the barycentric mean at the nearest point of the mesh, vertices [V,3] and faces [F,3].
-    """
-    face, shares = RayCaster(vertices, faces).nearest(points)
-    places = (np.repeat(np.arange(len(points)), 3), faces[face].ravel())
-    return sparse.coo_matrix((shares.ravel().astype(np.float64), places), (len(points), len(vertices))).tocsr()
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:

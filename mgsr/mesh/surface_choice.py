@@ -6,16 +6,12 @@ one environment map explain them. Training has no such check of its own: dents t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from mgsr.data.scene import View
-from mgsr.geometry.displace import edges
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles, face_components
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_residual import environment_residuals
-from mgsr.shading.shape_from_shading import MIRRORS
+from mgsr.shading.light_estimate import MAX_ENVIRONMENT_RATIO
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.stereo.photo_consistency import photo_consistency
 from mgsr.stereo.photographs import stereo_photographs
 
@@ -24,28 +20,27 @@ TEARS = 40  # holes and handles, the latter counted twice; a torn surface has hu
 BETTER = 0.02  # of correlation by which the start must exceed the trained surface
 
 
-def is_torn(trained: Triangles, start: Triangles) -> bool:
+def is_torn(trained: Mesh, start: Mesh) -> bool:
     """Return whether the trained surface has TEARS more holes and handles than the one that training began on.
 
     Where sheets are thinner than the cells of its extraction, it is torn into hundreds.
     """
-    return _openings(*trained) > _openings(*start) + TEARS
+    return _openings(trained) > _openings(start) + TEARS
 
 
-def _openings(vertices: np.ndarray, faces: np.ndarray) -> int:
+def _openings(mesh: Mesh) -> int:
     """Return the number of boundary loops and twice that of handles, by Euler's formula."""
-    pieces, _ = face_components(faces, len(vertices))
-    return 2 * pieces - (len(np.unique(faces)) - len(edges(faces)) + len(faces))
+    return 2 * mesh.components[0] - (len(np.unique(mesh.faces)) - len(mesh.edges) + len(mesh.faces))
 
 
-def photographs_prefer_start(start: Triangles, trained: Triangles, photographs: Sequence[View]) -> bool:
+def photographs_prefer_start(start: Mesh, trained: Mesh, photos: PhotoSet) -> bool:
     """Return whether the photographs speak clearly for the surface that training began on.
 
-    start, trained: vertices [V,3] in the scene's frame and faces [F,3].
+    start, trained: in the scene's frame.
     """
-    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photographs))
-    if on_start <= MIRRORS:
+    on_start, on_trained = (each.ratio for each in environment_residuals((start, trained), photos))
+    if on_start <= MAX_ENVIRONMENT_RATIO:
         return on_start <= CLEARLY * on_trained
-    prepared = stereo_photographs(photographs)
-    before, after = (photo_consistency(prepared, RayCaster(*surface)) for surface in (start, trained))
+    prepared = stereo_photographs(photos.views)
+    before, after = (photo_consistency(prepared, surface.caster) for surface in (start, trained))
     return before > after + BETTER

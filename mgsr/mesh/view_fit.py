@@ -1,4 +1,4 @@
-"""A mesh bent to the surface that views show, with its own faces kept.
+"""A mesh moved to the surface that views show, with its own faces kept.
 
 Unlike an extraction from points, it keeps both sides of a sheet that is thinner than the extraction's cells.
 """
@@ -9,44 +9,37 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mgsr.geometry.displace import edges, integrate_normals
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.displace import integrate_normals
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.consistency import compare_views
 from mgsr.mesh.pixels import PixelRules
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView
 
-STAY = 0.02  # weight of the place of a vertex of which no view tells, where a view's is 1
-UNKNOWN = 0.1  # trust in the normal of such a vertex, where a view's is 1
-TURNED = 0.3  # least cosine between the normals of a vertex and of the views' surface there
+PRIOR_WEIGHT = 0.02  # of the place of a vertex of which no view tells, where a view's is 1
+CONFIDENCE = 0.1  # in the normal of such a vertex, where a view's is 1
+MIN_COSINE = 0.3  # between the normals of a vertex and of the views' surface there
 
 
 def fit_to_views(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    views: Sequence[SurfaceView],
-    rules: PixelRules,
-    tolerance: float,
-    threads: int | None = None,
-) -> np.ndarray:
-    """Return the vertices [V,3] moved along their normals to where the views' depths and normals agree.
+    mesh: Mesh, views: Sequence[SurfaceView], rules: PixelRules, tolerance: float, threads: int | None = None
+) -> Mesh:
+    """Return the mesh moved along its normals to where the views' depths and normals agree.
 
     rules, tolerance: as for `compare_views`.
     """
-    normals = vertex_normals(vertices, faces)
-    points = OrientedPoints(vertices.astype(np.float32), normals)
-    moved = compare_views(points, views, rules, tolerance, threads).moved
-    offsets = ((moved.positions - vertices) * normals).sum(axis=1)
+    normals = mesh.normals
+    points = OrientedPoints(mesh.vertices.astype(np.float32), normals)
+    agreed = compare_views(points, views, rules, tolerance, threads).moved
+    offsets = ((agreed.positions - mesh.vertices) * normals).sum(axis=1)
     told = np.abs(offsets) > 0
-    turned = told & ((moved.normals * normals).sum(axis=1) > TURNED)
+    alike = told & ((agreed.normals * normals).sum(axis=1) > MIN_COSINE)
     moves = integrate_normals(
-        vertices,
-        edges(faces),
-        normals.astype(np.float64),
-        np.where(turned[:, None], moved.normals, normals),
-        np.where(turned, 1, UNKNOWN),
+        mesh,
+        np.where(alike[:, None], agreed.normals, normals),
+        np.where(alike, 1, CONFIDENCE),
         1.0,
-        prior_weight=np.where(told, 1, STAY),
-        offsets=np.where(told, offsets, 0),
+        prior_weight=np.where(told, 1, PRIOR_WEIGHT),
+        prior=np.where(told, offsets, 0),
     )
-    return vertices + moves[:, None] * normals
+    return mesh.moved(mesh.vertices + moves[:, None] * normals)

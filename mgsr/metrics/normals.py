@@ -7,21 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.geometry.raycast import RayCaster, RayHits
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayHits
 from mgsr.metrics.truth import TrueSurface
 
 
-def normal_metrics(
-    vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface, cameras: Sequence[Camera]
-) -> dict[str, float]:
+def normal_metrics(mesh: Mesh, truth: TrueSurface, cameras: Sequence[Camera]) -> dict[str, float]:
     """Return the mean errors over the cameras (user's frame) of a mesh's normals, silhouettes and depths, by name.
 
     normal_error: degrees between face normals where both are hit; normal_error_median; mask_iou of the silhouettes;
     depth_error, in the truth's bounding radius. A view in which no pixel shows both is left out of all but mask_iou;
     all are NaN where every view is.
     """
-    mesh, true = RayCaster(vertices, faces), RayCaster(truth.vertices, truth.faces)
-    views = [compare_hits(mesh.cast(camera), true.cast(camera), truth.radius) for camera in cameras]
+    ours, true = mesh.caster, truth.mesh.caster
+    views = [compare_hits(ours.cast(camera), true.cast(camera), truth.radius) for camera in cameras]
     names = ("normal_error", "normal_error_median", "mask_iou", "depth_error")
     return {name: _mean([view[name] for view in views if name in view]) for name in names}
 

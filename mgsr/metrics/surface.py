@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.errors import MeshError
+from mgsr.geometry.mesh import Mesh
 from mgsr.metrics.truth import DENSE, POINTS, Samples, TrueSurface, sample_surface
 
 CLIP = 0.1  # radii; what is farther off counts as this far
@@ -13,7 +14,7 @@ F_LIMITS = {"f_005": 0.005, "f_010": 0.01, "f_020": 0.02}  # radii
 MIN_VIEWS = 2
 
 
-def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface) -> dict[str, float]:
+def surface_metrics(mesh: Mesh, truth: TrueSurface) -> dict[str, float]:
     """Measure distances and normals of a mesh, in the truth's frame, against the truth; return them by name.
 
     Distances are in the truth's bounding radius. accuracy: mean distance of area-uniform points of the mesh to the
@@ -25,15 +26,15 @@ def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface)
 
     Raises MeshError for a mesh without faces.
     """
-    if len(faces) == 0:
+    if len(mesh.faces) == 0:
         raise MeshError("surface metrics: expected a mesh with faces, got none; extract a surface first")
-    sparse, dense = (sample_surface(vertices, faces, count, seed) for seed, count in enumerate((POINTS, DENSE)))
+    sparse, dense = (sample_surface(mesh, count, seed) for seed, count in enumerate((POINTS, DENSE)))
     seen = truth.view_counts >= MIN_VIEWS
     seen_truth = Samples(truth.labelled.points[seen], truth.labelled.normals[seen])
     nearest = cKDTree(truth.labelled.points).query(sparse.points, workers=-1)[1]
     kept, labels = Samples(sparse.points[seen[nearest]], sparse.normals[seen[nearest]]), nearest[seen[nearest]]
     # Unbalanced trees give the same neighbours and are built in half the time, which is most of it.
-    true_dense = sample_surface(truth.vertices, truth.faces, DENSE, seed=2)
+    true_dense = sample_surface(truth.mesh, DENSE, seed=2)
     to_truth = cKDTree(true_dense.points, balanced_tree=False).query(kept.points, workers=-1)[0] / truth.radius
     to_mesh, index = cKDTree(dense.points, balanced_tree=False).query(seen_truth.points, workers=-1)
     cosines = [

@@ -40,8 +40,8 @@ class Models:
         """Return models of the user's frame in the scene's."""
         light = self.light
         if light is not None and light.reflector is not None:
-            surface = light.reflector
-            light = replace(light, reflector=Reflector(user_from_scene.to_scene(surface.vertices), surface.faces))
+            mesh = light.reflector.mesh
+            light = replace(light, reflector=Reflector(mesh.moved(user_from_scene.to_scene(mesh.vertices))))
         return Models(
             None if self.surfels is None else _to_scene(self.surfels, user_from_scene),
             None if self.volumes is None else _to_scene(self.volumes, user_from_scene),

@@ -18,7 +18,8 @@ from mgsr.export.far_origin import origin_of_frame
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.steps.step import StepReport
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.models import Models
 from mgsr.pipeline.progress import Event, EventCallback
@@ -28,8 +29,8 @@ from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.run_log import RunLog
 from mgsr.pipeline.steps import never
 from mgsr.report.data import ReportData
+from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.shape_from_shading import Light
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Reconstruction:
     were trained and are rendered, where the object lies in the unit ball.
     """
 
-    mesh: Mesh
+    mesh: ReconstructedMesh
     surfels: SurfelModel | None
     gaussians: VolumeModel | None
     light: MirroredLight | None
@@ -139,14 +140,15 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         unit = float(report.other["settings"]["output"]["scale"])
         frame = report.other["input"]["user_from_scene"]
         normalisation = Similarity(frame["scale"] / unit, np.array(frame["offset"], np.float64) / unit)
-        known = {name: report.other[name] for name in ("photometric_refinement", "removed_area", "start_kept")}
-        light = Light(report.other["light"])
+        start_kept = report.other["start_kept"]
+        steps = {name: StepReport(**step) for name, step in report.other["mesh_steps"].items()}
+        light = LightKind(report.other["light"])
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     models = read_models(folder, Similarity(offset=origin))
     return Reconstruction(
-        mesh=replace(read_mesh(folder), light=light, **known),
+        mesh=read_mesh(folder).told(light, start_kept, steps),
         surfels=models.surfels,
         gaussians=models.volumes,
         light=models.light,

@@ -29,7 +29,7 @@ from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import ViewImages
@@ -164,8 +164,8 @@ def read_models(out: Path, user_from_scene: Similarity) -> Models:
 
 def _stored(light: MirroredLight, scene: Scene) -> StoredLight:
     """Return a light in the user's frame."""
-    surface = light.reflector
-    placed = None if surface is None else (scene.user_from_scene.to_user(surface.vertices), surface.faces)
+    mesh = None if light.reflector is None else light.reflector.mesh
+    placed = None if mesh is None else mesh.moved(scene.user_from_scene.to_user(mesh.vertices))
     return StoredLight(light.maps().numpy(), light.bounce().numpy(), placed)
 
 
@@ -174,11 +174,12 @@ def _read_light(path: Path, user_from_scene: Similarity) -> MirroredLight:
     stored = load_mirrored_light(path)
     reflector = None
     if stored.surface is not None:
-        reflector = Reflector(user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
+        mesh = stored.surface
+        reflector = Reflector(mesh.moved(user_from_scene.to_scene(mesh.vertices)))
     return MirroredLight.of(stored.maps, stored.bounce, reflector)
 
 
-def write_mesh(out: Path, mesh: Mesh, scene: Scene, output: OutputConfig) -> None:
+def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputConfig) -> None:
     """Write mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for.
 
     The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
@@ -208,7 +209,7 @@ def _up(scene: Scene, output: OutputConfig) -> UpDirection:
     return up_direction([view.camera for view in scene.train])
 
 
-def read_mesh(out: Path) -> Mesh:
+def read_mesh(out: Path) -> ReconstructedMesh:
     """Read the mesh that an earlier run left in `out`, in the user's frame and unit.
 
     Raises MgsrError where there is none.
@@ -221,7 +222,7 @@ def read_mesh(out: Path) -> Mesh:
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
     vertices = np.asarray(mesh.vertices, np.float64) / read_number(out / MESH, UNIT)
-    return Mesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
+    return ReconstructedMesh(vertices, np.asarray(mesh.faces, np.int64), colors).with_normals(normals)
 
 
 def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:

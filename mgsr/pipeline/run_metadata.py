@@ -17,7 +17,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.models import Models
@@ -37,7 +37,7 @@ def run_report(
     config: Config,
     device: Device,
     trained: TrainResult,
-    mesh: Mesh,
+    mesh: ReconstructedMesh,
     scores: dict[str, Any],
     clock: StepClock,
     time_budget: dict[str, Any] | None = None,
@@ -47,7 +47,7 @@ def run_report(
     scores: psnr_test, ssim_test, gt and whatever else was measured.
     """
     known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
-    counts = topology(mesh.vertices, mesh.faces)
+    counts = topology(mesh)
     return ReportData(
         scene=scene.name,
         preset=config.preset,
@@ -67,9 +67,8 @@ def run_report(
         other={
             "input": _input(scene, start, config.output.scale),
             "light": str(mesh.light),
-            "photometric_refinement": mesh.photometric_refinement,
-            "removed_area": mesh.removed_area,
             "start_kept": mesh.start_kept,
+            "mesh_steps": {name: asdict(step) for name, step in mesh.steps.items()},
             "reflection": {"chosen": trained.reflection, "tried": trained.tried},
             "sh_degree": {
                 "chosen": None if trained.volumes is None else trained.volumes.sh_degree,

@@ -9,7 +9,7 @@ from mgsr.config import Config
 from mgsr.data.backdrop import backdrop
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
@@ -29,7 +29,7 @@ from mgsr.report.data import finite
 from mgsr.start.starting_points import starting_points
 
 
-def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> Mesh:
+def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> ReconstructedMesh:
     """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.

@@ -175,14 +175,14 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield Decision("Light model of the mesh", "not looked at", "as the settings have it (shading_ratio)")
     elif data.other.get("light") in LIGHTS:
         yield Decision("Light model of the mesh", *LIGHTS[data.other["light"]])
-        if "photometric_refinement" in data.other:
+        if "mesh_steps" in data.other:
             yield _about_photometric_refinement(data)
         if data.other.get("start_kept"):
             why = "the surface that training made is torn, or the photographs agree less about what lies on it"
             yield Decision("Surface that was refined", "the one that training began on", why)
-        if data.other.get("removed_area"):
+        if (removed := _removed_area(data)) > 0:
             why = "photographs under the flash contradict each other about it, as they do where a hole is covered"
-            yield Decision("Removed area", f"{data.other['removed_area']:.1%} of it", why)
+            yield Decision("Removed area", f"{removed:.1%}", why)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
         settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
@@ -191,9 +191,15 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
 
 
+def _removed_area(data: ReportData) -> float:
+    """Return the share of the mesh's area that was removed, as photographs contradict it."""
+    step = data.other.get("mesh_steps", {}).get("remove_contradicted")
+    return 0.0 if step is None else float(step["outcome"]["removed_area"])
+
+
 def _about_photometric_refinement(data: ReportData) -> Decision:
     what = "Photometric refinement of the surface"
-    if data.other["photometric_refinement"]:
+    if "photometric_refinement" in data.other["mesh_steps"]:
         still = "the light stands still" if data.other["light"] != "flash" else "the flash's light is known for each"
         return Decision(what, "used", f"{still}, so photographs should agree about each place")
     given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}

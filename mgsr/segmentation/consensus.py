@@ -9,7 +9,7 @@ import numpy as np
 from mgsr.data.camera import Camera
 from mgsr.data.hull import Hull, hull_surface, view_field
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 
 RESOLUTION = 96  # voxels along the longest side of the box
@@ -27,7 +27,7 @@ def completed_masks(masks: Sequence[np.ndarray], cameras: Sequence[Camera], box:
     hull = _tolerant_hull(masks, cameras, box)
     if not (hull.field > 0).any():
         return list(masks)
-    caster = RayCaster(*hull_surface(hull))
+    caster = Mesh(*hull_surface(hull)).caster
     return [mask | (caster.cast(camera).depth > 0) for mask, camera in zip(masks, cameras, strict=True)]
 
 

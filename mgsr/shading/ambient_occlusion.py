@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import face_crosses, tangents, vertex_normals
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import tangents
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import LinearPhotograph, read_image, seen_frontal
 
@@ -31,8 +31,7 @@ class AmbientOcclusion:
     there from the surface itself, in N photographs.
     """
 
-    caster: RayCaster
-    faces: np.ndarray
+    mesh: Mesh
     sky_visibility: np.ndarray
     interreflection: np.ndarray
 
@@ -42,8 +41,8 @@ class AmbientOcclusion:
 
         photographs [P,K]: the photographs, by index, of which the interreflected light is asked for.
         """
-        face, shares = self.caster.nearest(points)
-        corners = self.faces[face]
+        face, shares = self.mesh.caster.nearest(points)
+        corners = self.mesh.faces[face]
         interreflection = sum(
             self.interreflection[corners[:, i, None], photographs] * shares[:, i, None] for i in range(3)
         )
@@ -51,53 +50,45 @@ class AmbientOcclusion:
 
 
 def estimate_occlusion(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    photographs: Sequence[LinearPhotograph],
-    gap: float,
-    threads: int | None = None,
+    mesh: Mesh, photographs: Sequence[LinearPhotograph], gap: float, threads: int | None = None
 ) -> AmbientOcclusion:
     """Estimate ambient occlusion and one-bounce interreflection for every vertex of a mesh.
 
-    vertices [V,3]; faces [F,3]; gap: how far a vertex may lie behind its faces.
+    gap: how far a vertex may lie behind its faces.
     """
-    caster = RayCaster(vertices, faces)
-    normals = vertex_normals(vertices, faces).astype(np.float64)
-    columns = map_ahead(lambda each: _shown(caster, each, vertices, normals, gap), photographs, threads)
-    around = _around(caster, vertices, faces, normals, gap)
+    columns = map_ahead(lambda each: _shown(mesh, each, gap), photographs, threads)
+    around = _around(mesh, gap)
     hidden = np.asarray(around.sum(axis=1)).ravel()
-    return AmbientOcclusion(caster, faces, 1 - hidden, around @ np.stack(list(columns), axis=1))
+    return AmbientOcclusion(mesh, 1 - hidden, around @ np.stack(list(columns), axis=1))
 
 
-def _shown(
-    caster: RayCaster, photograph: LinearPhotograph, vertices: np.ndarray, normals: np.ndarray, gap: float
-) -> np.ndarray:
+def _shown(mesh: Mesh, photograph: LinearPhotograph, gap: float) -> np.ndarray:
     """Return each vertex's brightness in a photograph, [V]; 0 where it is not seen."""
+    vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-    seen = seen_frontal(caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.known)
+    seen = seen_frontal(mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.known)
     pixels, _ = photograph.camera.project(vertices[seen])
     brightness = np.zeros(len(vertices), np.float32)
     brightness[seen] = read_image(photograph.brightness, pixels)
     return brightness
 
 
-def _around(
-    caster: RayCaster, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, gap: float
-) -> sparse.csr_matrix:
+def _around(mesh: Mesh, gap: float) -> sparse.csr_matrix:
     """Return the share of each vertex's sky (row) that each other vertex fills, [V,V].
 
     RAYS rays are cast from each vertex, distributed by the cosine, on a spiral that is turned from vertex to vertex.
     """
+    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.double_normals
     first, second = tangents(normals)
-    outwards = face_crosses(vertices, faces)
+    outwards = mesh.face_crosses
     turned = 2 * np.pi * np.random.default_rng(0).random(len(vertices))
     places, shares = [], []
     for ray in range(RAYS):
         square, angle = (ray + 0.5) / RAYS, ray * TURN + turned
         level = np.sqrt(square) * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second)
         directions = level + np.sqrt(1 - square) * normals
-        hits = caster.cast_rays(vertices + gap * normals, directions)
+        hits = mesh.caster.cast_rays(vertices + gap * normals, directions)
         met = np.flatnonzero(hits.mask)
         met = met[(outwards[hits.face[met]] * directions[met]).sum(axis=1) < 0]
         places.append(np.stack([np.repeat(met, 3), faces[hits.face[met]].ravel()]))

@@ -11,17 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy import linalg, ndimage, sparse
+from scipy import linalg, ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_rate
 from mgsr.data.scene import View
-from mgsr.geometry.displace import diffuse, edge_length
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.displace import diffuse
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.shading.environment_fit import FittedEnvironmentMap
 from mgsr.shading.light_models import LightModel
@@ -48,36 +46,21 @@ class KnownLight:
     mirrors: FittedEnvironmentMap | None = None
 
     @classmethod
-    def known_by(cls, light_model: LightModel | None, vertices: np.ndarray, faces: np.ndarray) -> KnownLight:
-        if light_model is None:
-            return cls()
-        return cls(light_model.lighting(vertices, faces), light_model.environment(vertices, faces))
+    def known_by(cls, light_model: LightModel | None, mesh: Mesh) -> KnownLight:
+        """Return what a light model tells of the light on a mesh."""
+        return cls() if light_model is None else cls(light_model.lighting(mesh), light_model.environment(mesh))
 
 
 @dataclass(frozen=True)
-class Surface:
-    """A mesh under refinement.
+class ObservedMesh:
+    """A mesh under refinement; pixel: the size of a photograph's pixel there."""
 
-    places [V,3]: its vertices; faces [F,3]; laplacian: their uniform Laplacian (`uniform_laplacian`); pixel: a pixel's
-    size there.
-    """
-
-    places: np.ndarray
-    faces: np.ndarray
-    laplacian: sparse.csr_matrix
+    mesh: Mesh
     pixel: float
-
-    @cached_property
-    def normals(self) -> np.ndarray:
-        return vertex_normals(self.places, self.faces).astype(np.float64)
-
-    @cached_property
-    def caster(self) -> RayCaster:
-        return RayCaster(self.places, self.faces)
 
     def around(self, values: np.ndarray, reach: float) -> np.ndarray:
         """Smooth values [V,...] over about `reach` pixels of the surface."""
-        return diffuse(values, self.laplacian, reach * self.pixel / self._edge)
+        return diffuse(values, self.mesh.laplacian, reach * self.pixel / self.mesh.edge_length)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return values [N,V] less their mean over DETAIL pixels around, and 0 where they are not known.
@@ -87,10 +70,6 @@ class Surface:
         """
         around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
         return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
-
-    @cached_property
-    def _edge(self) -> float:
-        return edge_length(self.places, self.faces)
 
 
 @dataclass(frozen=True)
@@ -137,7 +116,7 @@ def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) ->
     return list(map_ahead(mixed, views, threads))
 
 
-def choose_mix(surface: Surface, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
+def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
     """Find the channel weights [3] whose detail tells most about where the surface lies.
 
     The mix is steepest against the residual: the leading eigenvector of the slopes' covariance against that of the
@@ -174,7 +153,7 @@ class Details:
 
 
 def read_details(
-    surface: Surface, photographs: Sequence[ChannelMix], light: KnownLight, threads: int | None
+    surface: ObservedMesh, photographs: Sequence[ChannelMix], light: KnownLight, threads: int | None
 ) -> Details:
     """Read the detail of the surface's vertices in all photographs."""
     rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
@@ -183,22 +162,22 @@ def read_details(
     return details
 
 
-def _read_one(surface: Surface, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
+def _read_one(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
     """Read one photograph's column [4,V] of `Details`, in the order of its fields."""
-    camera, places, normals = photograph.camera, surface.places, surface.normals
-    look = sample_view(surface, photograph, light)
-    step = 0.1 * surface.pixel * normals[look.seen]
-    moved = 10 * (camera.project(places[look.seen] + step)[0] - look.pixels)
+    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
+    samples = sample_view(surface, photograph, light)
+    step = 0.1 * surface.pixel * normals[samples.seen]
+    moved = 10 * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
     column = np.zeros((4, len(places)), np.float32)
-    column[0, look.seen] = read_image(photograph.mixed, look.pixels) / look.lit
-    column[1, look.seen] = (photograph.slopes(look.pixels) * moved).sum(axis=1) / look.lit
-    column[3, look.seen] = look.weights
+    column[0, samples.seen] = read_image(photograph.mixed, samples.pixels) / samples.lit
+    column[1, samples.seen] = (photograph.slopes(samples.pixels) * moved).sum(axis=1) / samples.lit
+    column[3, samples.seen] = samples.weights
     column[:2] = surface.detail(column[:2], column[3] > 0)
     if light.mirrors is not None:
-        shine = light.mirrors.mirrored(normals, look.view_directions)
+        shine = light.mirrors.mirrored(normals, samples.view_directions)
         fine = shine - surface.around(shine, DETAIL)
         fine = np.sqrt(fine**2 + surface.around(fine**2, DETAIL))
-        column[2, look.seen] = fine[look.seen] * photograph.rates(look.pixels)
+        column[2, samples.seen] = fine[samples.seen] * photograph.rates(samples.pixels)
     return column
 
 
@@ -218,13 +197,13 @@ class ViewSamples:
     weights: np.ndarray
 
 
-def sample_view(surface: Surface, photograph: ChannelMix, light: KnownLight) -> ViewSamples:
+def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> ViewSamples:
     """Find where a photograph shows the surface's vertices, and how much each counts."""
-    camera, places, normals = photograph.camera, surface.places, surface.normals
+    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     offsets = camera.center - places
     view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
     cosines = (view_directions * normals).sum(axis=1)
-    seen = seen_frontal(surface.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
+    seen = seen_frontal(surface.mesh.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
     pixels, _ = camera.project(places[seen])
     weights, lit = cosines[seen] * lie_within(photograph.usable, pixels), np.ones(len(seen))
     if light.lighting is not None:

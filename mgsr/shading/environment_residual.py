@@ -9,71 +9,62 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.scene import View
+from mgsr.data.camera import Camera
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import diffuse, edge_length, uniform_laplacian
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.displace import diffuse
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_fit import FittedEnvironmentMap
-from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, Shot, fit_mirrored_environment
-from mgsr.shading.observations import Observations, linear_photographs
+from mgsr.shading.light_models import ENVIRONMENT_EDGE, FRONTAL, fit_mirrored_environment
+from mgsr.shading.observations import Observations
+from mgsr.shading.photo_set import Observer, PhotoSet
 
-AROUND = 6.0  # pixels over which what is left of the readings is put together
-FEWEST = 3  # readings of a point, or it tells nothing
+AROUND = 6.0  # pixels over which residuals are averaged
+FEWEST = 3  # observations of a point, or it tells nothing
 
 
 @dataclass(frozen=True)
 class EnvironmentResidual:
-    """The photometric residual of a surface, vertices [V,3] and faces [F,3].
+    """The photometric residual of a mesh under a mirrored environment map.
 
-    variance [V]: of the readings around each vertex, in squared linear light, that is left once each point has its own
-    brightness and what it mirrors, 0 where too few tell; ratio: the share of the readings' deviation that the
+    variance [V]: of the observations around each vertex, in squared linear light, that is left once each point has its
+    own brightness and what it mirrors, 0 where too few tell; ratio: the share of the observations' deviation that the
     environment map leaves on the whole surface.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
+    mesh: Mesh
     variance: np.ndarray
     ratio: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """Return the variance [H,W] of what the camera sees; 0 where it sees nothing, or too few readings tell."""
-        hits = self._caster.cast(camera)
-        corners = self.variance[self.faces[np.where(hits.mask, hits.face, 0)]]
+        """Return the variance [H,W] of what the camera sees; 0 where it sees nothing, or too few observations tell."""
+        hits = self.mesh.caster.cast(camera)
+        corners = self.variance[self.mesh.faces[np.where(hits.mask, hits.face, 0)]]
         return np.asarray(np.where(hits.mask & (corners > 0).all(axis=-1), corners.mean(axis=-1), 0))
 
-    @cached_property
-    def _caster(self) -> RayCaster:
-        return RayCaster(self.vertices, self.faces)
 
-
-def environment_residuals(
-    surfaces: Sequence[Triangles], views: Sequence[View], threads: int | None = None
-) -> list[EnvironmentResidual]:
+def environment_residuals(meshes: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
     """Return the residual of each of several meshes, by the one environment map that explains its mesh best."""
-    photographs, read = linear_photographs(views), []
-    for vertices, faces in surfaces:
-        pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-        mesh = coarser(vertices, faces, ENVIRONMENT_EDGE * pixel)
-        observations, normals = Shot(photographs, pixel, threads).read(*mesh)
-        environment = fit_mirrored_environment(observations, normals)
-        read.append((mesh, pixel, observations.frontal(FRONTAL), normals, environment))
+    read = []
+    for mesh in meshes:
+        pixel = photos.pixel_on(mesh)
+        coarse = coarser(mesh, ENVIRONMENT_EDGE * pixel)
+        observations = Observer(photos.linear, pixel, photos.threads).observe(coarse)
+        environment = fit_mirrored_environment(observations, coarse.double_normals)
+        read.append((coarse, pixel, observations.frontal(FRONTAL), environment))
     best = min((each[-1] for each in read), key=lambda environment: environment.ratio)
     return [
         EnvironmentResidual(
-            *mesh, _pooled(*mesh, pixel, observations, _residual(observations, normals, best)), own.ratio
+            mesh, _pooled(mesh, pixel, observations, _residual(observations, mesh.double_normals, best)), own.ratio
         )
-        for mesh, pixel, observations, normals, own in read
+        for mesh, pixel, observations, own in read
     ]
 
 
 def _residual(observations: Observations, normals: np.ndarray, environment: FittedEnvironmentMap) -> np.ndarray:
-    """Return the readings' brightness [P,K] less what points with normals [P,3] mirror; 0 where unseen."""
+    """Return the observations' brightness [P,K] less what points with normals [P,3] mirror; 0 where unseen."""
     seen = observations.weights > 0
     owners = np.nonzero(seen)[0]
     residual = np.zeros(seen.shape)
@@ -83,14 +74,12 @@ def _residual(observations: Observations, normals: np.ndarray, environment: Fitt
     return residual
 
 
-def _pooled(
-    vertices: np.ndarray, faces: np.ndarray, pixel: float, observations: Observations, residual: np.ndarray
-) -> np.ndarray:
+def _pooled(mesh: Mesh, pixel: float, observations: Observations, residual: np.ndarray) -> np.ndarray:
     """Return the variance [V] of the residuals [V,K] about each point's mean, averaged over AROUND pixels."""
     weights = np.where(observations.counts[:, None] >= FEWEST, observations.weights, 0)
     total = weights.sum(axis=1)
     means = (weights * residual).sum(axis=1) / np.maximum(total, 1e-9)
     squares = (weights * (residual - means[:, None]) ** 2).sum(axis=1)
-    reach = AROUND * pixel / edge_length(vertices, faces)
-    sums = diffuse(np.stack([squares, total], axis=1), uniform_laplacian(faces, len(vertices)), reach)
+    reach = AROUND * pixel / mesh.edge_length
+    sums = diffuse(np.stack([squares, total], axis=1), mesh.laplacian, reach)
     return np.asarray(sums[:, 0] / np.maximum(sums[:, 1], 1e-9))

@@ -92,7 +92,7 @@ def normals_from_flash(
     return TargetNormals(solved, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + (known / KNOWN) ** 2), 0))
 
 
-def albedos(
+def fit_albedo(
     observations: Observations,
     points: np.ndarray,
     normals: np.ndarray,

@@ -12,6 +12,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.known import known_inside
 from mgsr.data.scene import View, some_of
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
@@ -71,31 +72,29 @@ def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
 
 
 def observe_photographs(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
+    mesh: Mesh,
     photographs: Sequence[LinearPhotograph],
     gap: float,
     threads: int | None = None,
     lamps: np.ndarray | None = None,
 ) -> Observations:
-    """Read the photographs' brightness at the vertices [V,3] of a mesh with normals [V,3].
+    """Read the photographs' brightness at the vertices of a mesh.
 
     gap: how far a vertex may lie behind the mesh. lamps [N,3]: the lamp's place for each photograph; a vertex in its
-    shadow counts as unseen. At most KEPT readings of a vertex are kept, those that see it most head-on.
+    shadow counts as unseen. At most KEPT observations of a vertex are kept, those that see it most head-on.
     """
-    caster = RayCaster(vertices, faces)
+    count = len(mesh.vertices)
 
     def read(index: int) -> tuple[np.ndarray, ...]:
         lamp = None if lamps is None else lamps[index]
-        return *_read(caster, photographs[index], lamp, vertices, normals, gap), np.full(len(vertices), index)
+        return *_read(mesh, photographs[index], lamp, gap), np.full(count, index)
 
     parts = list(map_ahead(read, range(len(photographs)), threads))
     observations = Observations(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
     if len(photographs) <= KEPT:
         return observations
     best = np.argpartition(observations.weights, -KEPT, axis=1)[:, -KEPT:]
-    rows = np.arange(len(vertices))[:, None]
+    rows = np.arange(count)[:, None]
     return Observations(*(array[rows, best] for array in _arrays(observations)))
 
 
@@ -149,17 +148,13 @@ def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
 
 
 def _read(
-    caster: RayCaster,
-    photograph: LinearPhotograph,
-    lamp: np.ndarray | None,
-    points: np.ndarray,
-    normals: np.ndarray,
-    gap: float,
+    mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Read one photograph's column of the readings, without its index.
+    """Read one photograph's column of the observations of a mesh's vertices, without its index.
 
-    lamp [3]: the lamp's place, or None; points, normals [P,3]; gap: how far a point may lie behind the mesh.
+    lamp [3]: the lamp's place, or None; gap: how far a vertex may lie behind the mesh.
     """
+    caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
     camera = photograph.camera
     offsets = (camera.center - points).astype(np.float32)
     distances = np.linalg.norm(offsets, axis=1)

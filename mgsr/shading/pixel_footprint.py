@@ -1,9 +1,9 @@
-"""Correction of readings for the footprints of pixels.
+"""Correction of observations for the footprints of pixels.
 
-A pixel shows the mean of a patch of the surface, and a reading between pixels that of a larger one. So creases look
+A pixel shows the mean of a patch of the surface, and a value between pixels that of a larger one. So creases look
 flatter than they are, and the borders of paint look like shades. The surface as it is known, seen through the same
-pixels, is mixed alike; what mixing changes there at a point is taken off the reading of it. A surface that explains the
-photographs then explains its readings too (deferred correction; of images, Van Cittert's deconvolution, 1931).
+pixels, is mixed alike; what mixing changes there at a point is taken off the observation of it. A surface that explains
+the photographs then explains its observations too (deferred correction; of images, Van Cittert's deconvolution, 1931).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits, RayCaster
 from mgsr.parallel import map_ahead
 from mgsr.shading.observations import LinearPhotograph, Observations, read_image
@@ -23,18 +24,17 @@ RAYS = 2  # along a pixel's side
 
 def deconvolve(
     observations: Observations,
-    caster: RayCaster,
-    vertices: np.ndarray,
-    faces: np.ndarray,
+    mesh: Mesh,
     photographs: Sequence[LinearPhotograph],
     shown: Callable[[int, np.ndarray], np.ndarray],
     threads: int | None = None,
 ) -> Observations:
-    """Return the readings at a mesh's vertices [V,3], corrected for what the footprints of pixels mix into them.
+    """Return the observations of a mesh's vertices, corrected for what the footprints of pixels mix into them.
 
-    caster: of the mesh. shown: a function of a photograph's number and vertex indices [P], which returns the known
+    shown: a function of a photograph's number and vertex indices [P], which returns the known
     brightness [P] of these vertices in this photograph, as single points.
     """
+    vertices, faces, caster = mesh.vertices, mesh.faces, mesh.caster
     brightness = observations.brightness.copy()
 
     def take_off(number: int) -> None:

@@ -1,51 +1,34 @@
 """Shape from shading: a surface is bent to the normals that the photographs' shading tells.
 
-Two light models are tried: a flash on the camera, and an environment that stands still and is mirrored. Where neither
-explains the photographs, the surface stays. Normals know the small shape best and positions the large (Nehab and others
-2005), and the masks' contours hold the surface where they touch it.
+Normals know the small shape best and positions the large (Nehab and others 2005), and the masks' contours hold the
+surface where they touch it. Where no light model explains the photographs, the surface stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from scipy import sparse
 
-from mgsr.data.camera import pixel_size
-from mgsr.data.scene import View
 from mgsr.geometry.bilateral_filter import bilateral_normal_filter
 from mgsr.geometry.contours import SilhouetteContour, contour_gaps
 from mgsr.geometry.decimate import coarser
-from mgsr.geometry.displace import diffuse, edge_length, edges, integrate_normals, uniform_laplacian
-from mgsr.geometry.raycast import prolongation_matrix
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.shading.flash import flash_ratio
-from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, Shot, fit_mirrored_environment
-from mgsr.shading.observations import linear_photographs
+from mgsr.geometry.displace import diffuse, integrate_normals
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.light_estimate import LightEstimate, LightKind
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.shading.target_normals import TargetNormals
 
-TOUCHED = 10.0  # how much a vertex that an outline touches holds its place
-STAY = 0.05  # how much any other does
-OUTLINE_SMOOTHING = 1.5  # pixels over which what the outlines say is smoothed
 
+@dataclass(frozen=True)
+class ShadingOptions:
+    """Weights that hold the surface while its normals are integrated; pixels are those on the surface."""
 
-class Light(StrEnum):
-    """The light of a capture, as far as the photographs tell.
-
-    flash: on the camera; environment: standing still, mirrored by the surface; unknown: neither explains enough.
-    """
-
-    FLASH = "flash"
-    ENVIRONMENT = "environment"
-    UNKNOWN = "unknown"
-
-
-MIRRORS = 0.85  # of what differs between the photographs; mirrored surroundings that leave more unexplained, on a
-# surface that is known roughly, tell nothing
-RATIO_EDGE = 2.0  # pixels; edges of the mesh on which the kinds of light are compared
+    contour_weight: float = 10.0  # of the place of a vertex that a contour touches
+    prior_weight: float = 0.05  # of the place of any other
+    contour_smoothing: float = 1.5  # pixels over which the contours' displacements are smoothed
 
 
 @dataclass(frozen=True)
@@ -62,135 +45,88 @@ class ShadingPass:
     fairing: float = 0.0
 
 
-@dataclass(frozen=True)
-class ShadingResult:
-    """A surface refined by shading.
-
-    vertices [V,3]: moved where the light is known; light_model: the light model, None for an unknown light.
-    """
-
-    vertices: np.ndarray
-    light: Light
-    light_model: LightModel | None = None
-
-
 def shape_from_shading(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    views: Sequence[View],
-    contours: Sequence[SilhouetteContour],
-    max_ratio: float,
-    passes: Mapping[Light, Sequence[ShadingPass]],
-    threads: int | None = None,
+    mesh: Mesh,
+    photos: PhotoSet,
+    estimate: LightEstimate,
+    passes: Mapping[LightKind, Sequence[ShadingPass]],
     progress: Callable[[float], None] = lambda done: None,
     go_on: Callable[[], bool] = lambda: True,
-) -> ShadingResult:
-    """Move the vertices [V,3] of a mesh so that its shading explains the photographs, if a light model does.
+    options: ShadingOptions = ShadingOptions(),
+) -> Mesh:
+    """Return the mesh moved so that its shading explains the photographs under the estimated light.
 
-    contours: the masks' contours, which hold the surface; none without masks.
-    max_ratio: the largest share that the light may leave unexplained.
-    passes: how each light bends the surface; a light without any is only identified.
-    go_on: asked before every round; once it says no, no more rounds follow.
-    progress: told after each round of the share of the rounds that are done.
+    photos: their silhouette contours hold the surface, where there are masks. estimate: its model is refined on the
+    way. passes: how each light bends the surface; a light without any bends nothing. go_on: asked before every round;
+    once it says no, no more rounds follow. progress: told after each round of the share of the rounds that are done.
     """
-    pixel = pixel_size([view.camera for view in views], vertices.mean(axis=0))
-    shot = Shot(linear_photographs(views), pixel, threads)
-    light, light_model = _find_light(shot, *coarser(vertices, faces, RATIO_EDGE * pixel), max_ratio)
-    if light_model is None:
-        return ShadingResult(vertices, light)
-    chosen = passes.get(light, ())
+    if estimate.model is None:
+        return mesh
+    pixel, chosen, done = photos.pixel_on(mesh), passes.get(estimate.kind, ()), 0
     rounds = sum(each.rounds for each in chosen)
-    done = 0
     for each in chosen:
-        vertices = _fair(vertices, faces, each.fairing)
-        before, triangles = coarser(vertices, faces, each.edge * pixel)
-        prolongation = prolongation_matrix(before, triangles, vertices)
-        whole = _Whole(vertices, faces, before, prolongation, contours)
-        work = _Work(triangles, edges(triangles), uniform_laplacian(triangles, len(before)), whole, pixel)
+        mesh = _fair(mesh, each.fairing)
+        before = coarser(mesh, each.edge * pixel)
+        fine = _FineMesh(mesh, before, before.prolongation(mesh.vertices), photos.contours)
         after = before
         for _ in range(each.rounds):
             if not go_on():
                 break
-            after = work.bend(after, *light_model.explain(after, triangles, work.laplacian), each.reach)
+            after = _bend(after, fine, estimate.model.explain(after), each.reach * pixel, pixel, options)
             done += 1
             progress(done / rounds)
-        vertices = _fair(vertices + prolongation @ (after - before), faces, each.fairing)
-    return ShadingResult(vertices, light, light_model)
-
-
-def _find_light(
-    shot: Shot, vertices: np.ndarray, faces: np.ndarray, max_ratio: float
-) -> tuple[Light, LightModel | None]:
-    """Return the light that leaves least unexplained on the mesh as it is, and its model.
-
-    Where that is more than max_ratio, the light is unknown and the model None.
-    """
-    observations, normals = shot.read(vertices, faces)
-    by_flash, by_mirroring = flash_ratio(observations, normals), fit_mirrored_environment(observations, normals).ratio
-    if not min(by_flash, by_mirroring) <= max_ratio:
-        return Light.UNKNOWN, None
-    if by_flash <= by_mirroring:
-        return Light.FLASH, FlashLight(shot, vertices, faces, observations, normals)
-    return Light.ENVIRONMENT, EnvironmentLight(shot)
+        mesh = _fair(fine.moved_with(after), each.fairing)
+    return mesh
 
 
 @dataclass(frozen=True)
-class _Whole:
-    """The full mesh that a coarser one's moves are carried over to, and the contours that it is held against.
+class _FineMesh:
+    """The full mesh that follows a coarser one, and the contours that it is held against.
 
-    vertices [W,3], faces: before any moves; before [V,3]: the coarse mesh's vertices; prolongation [W,V]: the
-    interpolation of their moves; contours: the contours. Those of the coarse mesh would show cut corners.
+    mesh, before: both before any moves; prolongation [W,V]: from the coarse mesh's V vertices to the W of the full one;
+    contours: the coarse mesh's own would show cut corners.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    before: np.ndarray
+    mesh: Mesh
+    before: Mesh
     prolongation: sparse.csr_matrix
     contours: Sequence[SilhouetteContour]
 
-    def gaps(self, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `contour_gaps` at the coarse mesh's vertices once they are at `after` [V,3]."""
-        vertices = self.vertices + self.prolongation @ (after - self.before)
-        gaps, touched = contour_gaps(vertices, self.faces, vertex_normals(vertices, self.faces), self.contours)
+    def moved_with(self, after: Mesh) -> Mesh:
+        """Return the full mesh once the coarse one has moved to `after`."""
+        return self.mesh.moved(self.mesh.vertices + self.prolongation @ (after.vertices - self.before.vertices))
+
+    def gaps(self, after: Mesh) -> tuple[np.ndarray, np.ndarray]:
+        """Return `contour_gaps` at the coarse mesh's vertices once it has moved to `after`."""
+        gaps, touched = contour_gaps(self.moved_with(after), self.contours)
         sums, counts = self.prolongation.T @ (gaps * touched), self.prolongation.T @ touched
         return sums / np.maximum(counts, 1e-9), counts
 
 
-@dataclass(frozen=True)
-class _Work:
-    """The coarse mesh that is bent, but for its vertices, and the full one."""
+def _bend(
+    mesh: Mesh, fine: _FineMesh, target: TargetNormals, reach: float, pixel: float, options: ShadingOptions
+) -> Mesh:
+    """Return the coarse mesh moved to fit the light's normals, the contours and its own place.
 
-    faces: np.ndarray
-    edges: np.ndarray
-    laplacian: sparse.csr_matrix
-    whole: _Whole
-    pixel: float
-
-    def bend(self, vertices: np.ndarray, normals: np.ndarray, explained: TargetNormals, reach: float) -> np.ndarray:
-        """Return the vertices [V,3] moved to fit the light's normals, the contours and their own places.
-
-        normals [V,3]: the vertices' own; explained: the light's; reach: pixels; larger shape stays.
-        """
-        offsets, touched = self.whole.gaps(vertices)
-        held = np.minimum(touched, 1)
-        edge = edge_length(vertices, self.faces)
-        offsets = _mean_around(offsets, held, self.laplacian, OUTLINE_SMOOTHING * self.pixel / edge)
-        strength = STAY * (reach * self.pixel / (2 * np.pi * edge)) ** 2
-        moves = integrate_normals(
-            vertices,
-            self.edges,
-            normals,
-            explained.normals,
-            explained.confidence,
-            strength,
-            prior_weight=STAY + TOUCHED * held,
-            offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
-        )
-        return vertices + moves[:, None] * normals
+    reach: in the scene's unit; larger shape stays.
+    """
+    offsets, touched = fine.gaps(mesh)
+    held, own, contour = np.minimum(touched, 1), options.prior_weight, options.contour_weight
+    offsets = _mean_around(offsets, held, mesh.laplacian, options.contour_smoothing * pixel / mesh.edge_length)
+    strength = own * (reach / (2 * np.pi * mesh.edge_length)) ** 2
+    moves = integrate_normals(
+        mesh,
+        target.normals,
+        target.confidence,
+        strength,
+        prior_weight=own + contour * held,
+        prior=offsets * contour * held / (contour * held + own),
+    )
+    return mesh.moved(mesh.vertices + moves[:, None] * mesh.double_normals)
 
 
-def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
-    return bilateral_normal_filter(vertices, faces, angle) if angle else vertices
+def _fair(mesh: Mesh, angle: float) -> Mesh:
+    return bilateral_normal_filter(mesh, angle) if angle else mesh
 
 
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:

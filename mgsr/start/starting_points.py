@@ -14,9 +14,9 @@ from mgsr.data.backdrop import backdrop, without_backdrop
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.shape_from_shading import Light
 from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
@@ -64,7 +64,7 @@ class StartingPoints:
     positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where the
     surface is known, else None; shiny: whether a flash, or a mirrored environment map, explains how brightness changes
     from view to view, None where that was not looked at; lighting: a flash's light on the surface, None without one;
-    surface: vertices [V,3] and faces [F,3] of the mesh that the points lie on, None without masks.
+    surface: the mesh that the points lie on, None without masks.
     """
 
     positions: np.ndarray
@@ -73,7 +73,7 @@ class StartingPoints:
     normals: np.ndarray | None = None
     shiny: bool | None = None
     lighting: Lighting | None = None
-    surface: Triangles | None = None
+    surface: Mesh | None = None
 
 
 def starting_points(
@@ -115,8 +115,8 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
 
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
-    vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution))
-    positions, normals = _sample(vertices, faces, count, np.random.default_rng(seed))
+    mesh = Mesh(*hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution)))
+    positions, normals = _sample(mesh, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution)
 
 
@@ -179,13 +179,13 @@ def _surface_points(
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
     found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
-    positions, normals = _sample(found.vertices, found.faces, count, generator)
-    shiny = found.light is not Light.UNKNOWN
+    positions, normals = _sample(found.mesh, count, generator)
+    shiny = found.light is not LightKind.UNKNOWN
     return replace(
         _seen_on_hull(views, positions, normals, resolution),
         shiny=shiny,
         lighting=found.lighting,
-        surface=(found.vertices, found.faces),
+        surface=found.mesh,
     )
 
 
@@ -195,17 +195,15 @@ def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndar
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 
-def _sample(
-    vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _sample(mesh: Mesh, count: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Spread `count` points [count,3] evenly over a mesh, and return them with their faces' unit normals [count,3]."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    across = np.cross(b - a, c - a)
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    across = mesh.face_crosses
     area = np.linalg.norm(across, axis=1)
     sums = np.cumsum(area)
     # Stratified: one point in each of `count` equal parts of the area, so that none stays empty by chance.
     place = (np.arange(count) + generator.random(count)) / count * sums[-1]
-    chosen = np.minimum(np.searchsorted(sums, place), len(faces) - 1)
+    chosen = np.minimum(np.searchsorted(sums, place), len(mesh.faces) - 1)
     u, v = generator.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     positions = a[chosen] + u[:, None] * (b - a)[chosen] + v[:, None] * (c - a)[chosen]

@@ -16,7 +16,7 @@ from mgsr.data.scene import Scene, Similarity, View
 from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.result_files import write_mesh
 from tests.data.captures import BallCapture
 from tests.export.test_mesh_files import ball
@@ -54,7 +54,8 @@ def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
     view = View("a", Camera(np.eye(3), pose, 2, 2), np.zeros((2, 2, 3), np.uint8), None)
     scene = Scene("a", None, "plain", [view], [], None, Similarity())
     corners = np.array([[0.0, 0, 0], [1, 0, 0], 3 * up])
-    mesh = Mesh(corners, np.array([[0, 1, 2]]), np.tile(np.cross(side, up), (3, 1)), np.ones((3, 3), np.float32))
+    mesh = ReconstructedMesh(corners, np.array([[0, 1, 2]]), np.ones((3, 3), np.float32))
+    mesh = mesh.with_normals(np.tile(np.cross(side, up), (3, 1)))
     write_mesh(tmp_path, mesh, scene, OutputConfig())
     written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
     np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)

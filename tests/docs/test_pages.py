@@ -18,9 +18,12 @@ from mgsr.config import PRESETS, Config, DataConfig, field_types, make_config
 from mgsr.data import find_scene
 from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.light_estimate import LightEstimate
 from scripts.options_page import settings_markdown
 from tests.cli.spheres import write_spheres
 from tests.docs.blocks import PAGES, ROOT, program
+from tests.mesh.shapes import ball
 
 CONTRIBUTING = ROOT / "docs/contributing.md"
 PYTHON = ROOT / "docs/python.md"
@@ -58,8 +61,18 @@ def test_the_table_of_settings_has_every_one_with_its_default() -> None:
 
 def test_comments_that_go_on_belong_to_their_setting() -> None:
     table = settings_markdown()
-    assert "there the soft edges of splats" in table and "where they leave at most this share" in table
+    assert "there the soft edges of splats" in table and "or the light counts as unknown" in table
     assert "count Positions move slowly" not in table
+
+
+def test_the_added_step_smooths_a_mesh() -> None:
+    names: dict[str, Any] = {"__name__": __name__}
+    exec(program(CONTRIBUTING, "step"), names)
+    shape = ball(0.7)
+    rough = shape.vertices * np.random.default_rng(0).uniform(0.99, 1.01, (len(shape.vertices), 1))
+    result = names["SmoothOnce"]().run(Mesh(rough, np.asarray(shape.faces)), LightEstimate(), None)
+    before, after = (np.linalg.norm(each, axis=1).std() for each in (rough, result.mesh.vertices))
+    assert after < 0.6 * before and result.outcome == {"share": 0.5}
 
 
 def test_the_first_loss_is_a_loss() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from mgsr.errors import SceneError
 from mgsr.export.mirrored_light import StoredLight, load_mirrored_light, write_mirrored_light
+from mgsr.geometry.mesh import Mesh
 
 MAPS = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
 MESH = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
@@ -17,7 +18,7 @@ def stored_light() -> StoredLight:
     generator = np.random.default_rng(0)
     maps = generator.random((2, 3, 4, 4)).astype(np.float32)
     corners = np.add(np.eye(3), [512346.25, 4501234.5, 431.0])
-    return StoredLight(maps, np.array([0.5, 0.25, 0.125], np.float32), (corners, np.array([[0, 1, 2]])))
+    return StoredLight(maps, np.array([0.5, 0.25, 0.125], np.float32), Mesh(corners, np.array([[0, 1, 2]])))
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -26,10 +27,11 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     read = load_mirrored_light(tmp_path / "light.npz")
     assert np.array_equal(read.maps, light.maps) and np.array_equal(read.bounce, light.bounce)
     assert read.surface is not None and light.surface is not None
-    assert np.array_equal(read.surface[0], light.surface[0]) and np.array_equal(read.surface[1], light.surface[1])
+    assert np.array_equal(read.surface.vertices, light.surface.vertices)
+    assert np.array_equal(read.surface.faces, light.surface.faces)
     with np.load(tmp_path / "light.npz") as content:  # as its own description says, without our reader
         assert np.array_equal(content["camera"][1, 2], light.maps[1, :, 1, 2])
-        assert np.array_equal(content["vertices"] + content["origin"], light.surface[0])
+        assert np.array_equal(content["vertices"] + content["origin"], light.surface.vertices)
 
 
 def test_a_light_without_a_mesh_is_read(tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from mgsr.geometry import bilateral_filter
-from mgsr.geometry.bilateral_filter import bilateral_normal_filter
-from mgsr.geometry.triangles import face_crosses
+from mgsr.geometry.bilateral_filter import BilateralOptions, bilateral_normal_filter
+from mgsr.geometry.mesh import Mesh
 from tests.mesh.shapes import ball
 
 ANGLE = 17.0
@@ -20,24 +20,24 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 def tilt(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> float:
     """Return the faces' mean angle, in degrees, to the unit normals [F,3]."""
-    cosines = (unit(face_crosses(vertices, faces)) * normals).sum(1)
+    cosines = (unit(Mesh(vertices, faces).face_crosses) * normals).sum(1)
     return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).mean())
 
 
 def written_out(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Compute what `bilateral_normal_filter` does, face by face and vertex by vertex."""
-    crosses, middles = face_crosses(vertices, faces), vertices[faces].mean(axis=1)
+    crosses, middles = Mesh(vertices, faces).face_crosses, vertices[faces].mean(axis=1)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     edge = np.mean([np.linalg.norm(vertices[face[i]] - vertices[face[i - 1]]) for face in faces for i in range(3)])
     around = [[j for j, other in enumerate(faces) if set(face) & set(other)] for face in faces]
-    for _ in range(bilateral_filter.ROUNDS):
+    for _ in range(BilateralOptions().rounds):
         means = []
         for i, others in enumerate(around):
             apart = np.linalg.norm(middles[others] - middles[i], axis=1) / edge
             unlike = np.linalg.norm(normals[others] - normals[i], axis=1) / np.radians(ANGLE)
             means.append((areas[others] * np.exp(-(apart**2) / 2) * np.exp(-(unlike**2) / 2)) @ normals[others])
         normals = unit(np.array(means))
-    for _ in range(bilateral_filter.STEPS):
+    for _ in range(BilateralOptions().steps):
         middles, moved = vertices[faces].mean(axis=1), vertices.copy()
         for v in range(len(vertices)):
             own = [j for j, face in enumerate(faces) if v in face]
@@ -53,7 +53,7 @@ def noisy(vertices: np.ndarray, size: float) -> np.ndarray:
 def test_it_is_the_published_filter() -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     rough = noisy(mesh.vertices, 0.01)
-    found = bilateral_normal_filter(rough, mesh.faces, ANGLE)
+    found = bilateral_normal_filter(Mesh(rough, mesh.faces), ANGLE).vertices
     np.testing.assert_allclose(found, written_out(rough, mesh.faces), atol=2e-6)
     assert np.abs(found - rough).max() > 0.005
 
@@ -61,15 +61,15 @@ def test_it_is_the_published_filter() -> None:
 def test_facets_held_in_memory_by_parts_come_to_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     rough = noisy(mesh.vertices, 0.01)
-    whole = bilateral_normal_filter(rough, mesh.faces, ANGLE)
+    whole = bilateral_normal_filter(Mesh(rough, mesh.faces), ANGLE).vertices
     monkeypatch.setattr(bilateral_filter, "CHUNK", 77)
-    np.testing.assert_allclose(bilateral_normal_filter(rough, mesh.faces, ANGLE), whole, atol=1e-7)
+    np.testing.assert_allclose(bilateral_normal_filter(Mesh(rough, mesh.faces), ANGLE).vertices, whole, atol=1e-7)
 
 
 def test_it_takes_the_noise_and_leaves_the_ball() -> None:
     mesh = ball(0.7)
     rough = noisy(mesh.vertices, 0.0015)
-    smooth = bilateral_normal_filter(rough, mesh.faces, ANGLE)
+    smooth = bilateral_normal_filter(Mesh(rough, mesh.faces), ANGLE).vertices
     truth = unit(mesh.vertices[mesh.faces].mean(axis=1))
     assert tilt(smooth, mesh.faces, truth) < 0.4 * tilt(rough, mesh.faces, truth)
     radii = np.linalg.norm(smooth, axis=1)
@@ -84,9 +84,9 @@ def test_creases_stay() -> None:
         box = box.subdivide()
     edge_on = (np.abs(np.abs(box.vertices) - 0.5) < 1e-9).sum(1) >= 2
     rough = noisy(box.vertices, 0.001)
-    smooth = bilateral_normal_filter(rough, box.faces, ANGLE)
+    smooth = bilateral_normal_filter(Mesh(rough, box.faces), ANGLE).vertices
     rounded = trimesh.smoothing.filter_laplacian(trimesh.Trimesh(rough, box.faces, process=False), iterations=3)
-    truth = unit(face_crosses(box.vertices, box.faces))
+    truth = unit(Mesh(box.vertices, box.faces).face_crosses)
     assert tilt(smooth, box.faces, truth) < 0.3 * tilt(rough, box.faces, truth)
 
     def off(vertices: np.ndarray) -> float:
@@ -107,20 +107,24 @@ def test_needles_are_not_turned_over() -> None:
 
     def turned(vertices: np.ndarray) -> int:
         out = unit(vertices[mesh.faces].mean(axis=1))
-        return int(((unit(face_crosses(vertices, mesh.faces)) * out).sum(1) < 0.7).sum())
+        return int(((unit(Mesh(vertices, mesh.faces).face_crosses) * out).sum(1) < 0.7).sum())
 
     # The filter alone turns five times as many as there were.
-    assert turned(bilateral_normal_filter(pulled, mesh.faces, ANGLE)) < 1.2 * turned(pulled)
+    assert turned(bilateral_normal_filter(Mesh(pulled, mesh.faces), ANGLE).vertices) < 1.2 * turned(pulled)
 
 
 def test_a_flat_sheet_with_a_rim_stays_as_it_is() -> None:
     box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide()
     sheet = box.submesh([np.flatnonzero(box.triangles_center[:, 2] > 0.499)], append=True)
-    np.testing.assert_allclose(bilateral_normal_filter(sheet.vertices, sheet.faces, ANGLE), sheet.vertices, atol=1e-12)
+    np.testing.assert_allclose(
+        bilateral_normal_filter(Mesh(sheet.vertices, sheet.faces), ANGLE).vertices, sheet.vertices, atol=1e-12
+    )
 
 
 def test_what_has_no_faces_stays() -> None:
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
     nothing = np.zeros((0, 3), np.int64)
-    np.testing.assert_array_equal(bilateral_normal_filter(vertices, nothing, ANGLE), vertices)
-    np.testing.assert_allclose(bilateral_normal_filter(vertices, np.array([[0, 1, 2]]), ANGLE), vertices, atol=1e-12)
+    np.testing.assert_array_equal(bilateral_normal_filter(Mesh(vertices, nothing), ANGLE).vertices, vertices)
+    np.testing.assert_allclose(
+        bilateral_normal_filter(Mesh(vertices, np.array([[0, 1, 2]])), ANGLE).vertices, vertices, atol=1e-12
+    )

@@ -9,9 +9,7 @@ import pytest
 
 from mgsr.data.silhouettes import Silhouette, signed_distance
 from mgsr.geometry.contours import contour_gaps, find_contour, fit_contours
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import vertex_normals
-from tests.mesh.shapes import ball, cameras_around
+from tests.mesh.shapes import as_mesh, ball, cameras_around
 
 RADIUS = 0.7
 FINE = 8
@@ -21,7 +19,7 @@ FINE = 8
 def covered(radius: float, count: int = 48) -> list[Silhouette]:
     """Return silhouettes of the ball from the share of each pixel that it covers."""
     mesh = ball(radius)
-    caster, found = RayCaster(mesh.vertices, mesh.faces), []
+    caster, found = as_mesh(mesh).caster, []
     for camera in cameras_around(count):
         fine = caster.cast(camera.resized(camera.width * FINE, camera.height * FINE)).mask
         share = fine.reshape(camera.height, FINE, camera.width, FINE).mean((1, 3))
@@ -45,8 +43,8 @@ def test_outline_lies_on_the_rays_that_touch_the_ball() -> None:
 @pytest.mark.parametrize("off", [-0.02, 0.02])
 def test_a_ball_of_the_wrong_size_gets_the_right_one(off: float) -> None:
     mesh = ball(RADIUS + off)
-    fitted = fit_contours(mesh.vertices, mesh.faces, [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
-    error = np.linalg.norm(fitted, axis=1) - RADIUS
+    fitted = fit_contours(as_mesh(mesh), [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
+    error = np.linalg.norm(fitted.vertices, axis=1) - RADIUS
     # A pixel is 0.024; some vertices are touched by no outline and follow the others.
     assert abs(error.mean()) < 0.001
     assert np.abs(error).mean() < 0.002
@@ -59,12 +57,11 @@ def test_gaps_are_told_to_a_small_part_of_a_pixel(off: float) -> None:
     Rays a quarter of it apart alone would make 0.003 of the least gap.
     """
     mesh = ball(RADIUS + off)
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    gaps, touched = contour_gaps(mesh.vertices, mesh.faces, normals, [find_contour(one) for one in covered(RADIUS)])
+    gaps, touched = contour_gaps(as_mesh(mesh), [find_contour(one) for one in covered(RADIUS)])
     assert (gaps * touched).sum() / touched.sum() == pytest.approx(-off, abs=0.0002)
 
 
 def test_what_no_outline_reaches_stays() -> None:
     mesh = ball(RADIUS - 0.3)  # far more than the search reaches
-    fitted = fit_contours(mesh.vertices, mesh.faces, [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
-    np.testing.assert_allclose(fitted, mesh.vertices, atol=1e-12)
+    fitted = fit_contours(as_mesh(mesh), [find_contour(one) for one in covered(RADIUS)], smoothing=2.0)
+    np.testing.assert_allclose(fitted.vertices, mesh.vertices, atol=1e-12)

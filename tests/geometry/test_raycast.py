@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mgsr.data.camera import Camera
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.precision import middle_for_float
-from mgsr.geometry.raycast import RayCaster, pixel_rays, prolongation_matrix
+from mgsr.geometry.raycast import RayCaster, pixel_rays
 from mgsr.open3d_library import load_open3d
 from tests.mesh.shapes import ball, looking_at_origin
 
@@ -69,7 +70,7 @@ def test_far_away_the_same_points_are_seen_and_nearest(away: np.ndarray) -> None
     assert (far.sees(moved(camera, away), points + away, gap=0.01) != seen).sum() <= 2
     assert (far.reached(PLACE + away, points + away, 0.01) != near.reached(PLACE, points, 0.01)).sum() <= 2
     # A field that is linear in the place comes back as the point's foot on the mesh, 4e-4 at most below the sphere.
-    feet = prolongation_matrix(BALL.vertices + away, BALL.faces, points + away) @ BALL.vertices
+    feet = Mesh(BALL.vertices + away, BALL.faces).prolongation(points + away) @ BALL.vertices
     np.testing.assert_allclose(feet, points, rtol=0, atol=1e-3)
 
 

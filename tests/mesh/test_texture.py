@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import Mesh, TexturedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
 from tests.mesh.shapes import cameras_around, position_color, views_of
 
@@ -20,10 +19,10 @@ def ball() -> trimesh.Trimesh:
     return trimesh.creation.icosphere(3, 0.7)
 
 
-def surface(mesh: trimesh.Trimesh) -> Mesh:
+def surface(mesh: trimesh.Trimesh) -> ReconstructedMesh:
     """Return a mesh with grey vertices, so that what a texture shows can only come from the views."""
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    return Mesh(vertices, faces, vertex_normals(vertices, faces), np.full(vertices.shape, GREY, np.float32))
+    return ReconstructedMesh(vertices, faces, np.full(vertices.shape, GREY, np.float32))
 
 
 def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:

@@ -14,8 +14,7 @@ from mgsr.config import DataConfig
 from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, image_scores, off_white, surface_scores
 from mgsr.pipeline.rendering import ViewImages
 from tests.metrics.altered import SCENE, altered_image, load
@@ -33,9 +32,9 @@ def scene(shared_data: Path) -> Scene:
     return load_scene(shared_data / "scenes" / SCENE, DataConfig())
 
 
-def as_mesh(mesh: trimesh.Trimesh) -> Mesh:
+def as_mesh(mesh: trimesh.Trimesh) -> ReconstructedMesh:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    return Mesh(vertices, faces, vertex_normals(vertices, faces), np.zeros((len(vertices), 3), np.uint8))
+    return ReconstructedMesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8))
 
 
 def visual_hull(root: Path) -> trimesh.Trimesh:

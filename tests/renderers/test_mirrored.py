@@ -151,7 +151,7 @@ def test_maps_come_back_from_their_own_values() -> None:
 
 def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_itself() -> None:
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
-    lit.reflector = Reflector(*corner())
+    lit.reflector = Reflector(corner())
     lit.logits[-1] = torch.tensor([0.2, 0.5, 0.8]).logit()
     lit.logits.requires_grad_()
     view = corner_camera()

@@ -55,7 +55,7 @@ def test_a_flash_is_told_with_its_place() -> None:
     ],
 )
 def test_photometric_refinement_has_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:
-    other = {"light": light, "input": {"masked": masked}, "photometric_refinement": moved}
+    other = {"light": light, "input": {"masked": masked}, "mesh_steps": {"photometric_refinement": {}} if moved else {}}
     told = {each.what: each for each in tell_decisions(replace(sample_report(), other=other))}
     decision = told["Photometric refinement of the surface"]
     assert decision.choice == choice and why in decision.why

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from mgsr.data.camera import Camera
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import estimate_occlusion
 from mgsr.shading.observations import LinearPhotograph
 
@@ -34,7 +34,7 @@ def from_above(brightness: float) -> LinearPhotograph:
 @pytest.mark.parametrize("height", [0.0, -0.5])
 def test_each_point_of_a_ball_sees_its_parts_by_their_area(height: float) -> None:
     vertices, faces = bowl(height)
-    occlusion = estimate_occlusion(vertices, faces, [from_above(0.4), from_above(0.2)], gap=0.002)
+    occlusion = estimate_occlusion(Mesh(vertices, faces), [from_above(0.4), from_above(0.2)], gap=0.002)
     deep = np.flatnonzero(vertices[:, 2] < height - 0.1)
     share = trimesh.Trimesh(vertices, faces).area / (4 * np.pi)  # of the ball's area, which the bowl is
     assert np.abs(occlusion.sky_visibility[deep] - (1 - share)).mean() < 0.03
@@ -45,15 +45,15 @@ def test_each_point_of_a_ball_sees_its_parts_by_their_area(height: float) -> Non
 
 def test_a_ball_hides_and_throws_nothing() -> None:
     ball = trimesh.creation.icosphere(subdivisions=3)
-    occlusion = estimate_occlusion(np.asarray(ball.vertices), np.asarray(ball.faces), [from_above(1.0)], gap=0.02)
+    occlusion = estimate_occlusion(Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)), [from_above(1.0)], gap=0.02)
     assert (occlusion.sky_visibility == 1).all() and not occlusion.interreflection.any()
 
 
 def test_points_between_vertices_get_what_lies_between() -> None:
     vertices, faces = bowl(0.0)
-    occlusion = estimate_occlusion(vertices, faces, [from_above(0.4), from_above(0.2)], gap=0.02)
+    occlusion = estimate_occlusion(Mesh(vertices, faces), [from_above(0.4), from_above(0.2)], gap=0.02)
     corners, shares = faces[100], np.array([0.5, 0.3, 0.2])
-    point = (shares @ vertices[corners])[None] + 0.001 * vertex_normals(vertices, faces)[corners[:1]]
+    point = (shares @ vertices[corners])[None] + 0.001 * Mesh(vertices, faces).normals[corners[:1]]
     sky_visibility, interreflection = occlusion.at(point, np.array([[1, 0]]))
     np.testing.assert_allclose(sky_visibility, shares @ occlusion.sky_visibility[corners], atol=0.01)
     np.testing.assert_allclose(interreflection, [shares @ occlusion.interreflection[corners][:, ::-1]], atol=0.01)

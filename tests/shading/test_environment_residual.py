@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from mgsr.data.scene import View
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.environment_residual import environment_residuals
-from tests.mesh.shapes import ball
+from mgsr.shading.photo_set import PhotoSet
+from tests.mesh.shapes import as_mesh, ball
 from tests.shading.balls import RADIUS, VIEWS, mirror_photographs, painted_photographs
 
 TAKEN = [mirror_photographs, painted_photographs]
@@ -24,7 +26,7 @@ def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], l
     views, right = photographs(96), ball(RADIUS)
     pressed = right.vertices.copy()
     pressed[:, 2] = np.minimum(pressed[:, 2], 0.5 * RADIUS)
-    on_ball, on_pressed = environment_residuals([(right.vertices, right.faces), (pressed, right.faces)], views)
+    on_ball, on_pressed = environment_residuals([as_mesh(right), Mesh(pressed, right.faces)], PhotoSet(views))
     assert on_ball.ratio < on_pressed.ratio
     worse, alike = [], []
     for view in views:
@@ -38,9 +40,9 @@ def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], l
 
 def test_what_is_not_seen_is_not_told() -> None:
     views, right = painted_photographs(96), ball(RADIUS)
-    (found,) = environment_residuals([(right.vertices, right.faces)], views[:2])
+    (found,) = environment_residuals([as_mesh(right)], PhotoSet(views[:2]))
     assert len(views) == VIEWS and not found.variance.any(), "two readings tell nothing of a point"
-    (found,) = environment_residuals([(right.vertices, right.faces)], views)
+    (found,) = environment_residuals([as_mesh(right)], PhotoSet(views))
     seen = found.seen_by(views[0].camera)
     # The mesh that is compared has coarser faces than the ball, whose outline they cut by a little.
     outside, inside = (views[0].alpha == value for value in (0, 255))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.ambient_occlusion import AmbientOcclusion
 from mgsr.shading.flash import Flash, normals_from_flash
 from mgsr.shading.flash_fit import fit_flash
 from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
 from mgsr.shading.target_normals import TargetNormals
-from tests.mesh.shapes import cameras_around, looking_at_origin
+from tests.mesh.shapes import as_mesh, cameras_around, looking_at_origin
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
 POINTS = np.asarray(BALL.vertices)
@@ -25,9 +25,7 @@ def occlusion() -> AmbientOcclusion:
     """Return ambient occlusion and interreflection as if the ball had some: both change along it."""
     x, y, z = NORMALS.T
     interreflection = 0.1 * (1 + np.sin(4 * y))[:, None] * (1 + 0.5 * np.cos(np.arange(len(CAMERAS))))
-    return AmbientOcclusion(
-        RayCaster(POINTS, BALL.faces), np.asarray(BALL.faces), 0.7 + 0.3 * np.sin(5 * x) * z, interreflection
-    )
+    return AmbientOcclusion(Mesh(POINTS, np.asarray(BALL.faces)), 0.7 + 0.3 * np.sin(5 * x) * z, interreflection)
 
 
 def observations(light: Flash, gloss: float = 0.0) -> Observations:
@@ -81,7 +79,7 @@ def test_normals_come_back(gloss: float) -> None:
 @pytest.mark.parametrize(("noise", "aside", "ambient"), [(0.0, 0.005, 0.002), (0.08, 0.03, 0.015)])
 def test_the_lamp_is_found(light: Flash, noise: float, aside: float, ambient: float) -> None:
     """Check that the lamp is found; normals that are off by 5 degrees each put it off by less than one."""
-    rough = NORMALS + np.random.default_rng(1).normal(least_squares_scale=noise, size=NORMALS.shape)
+    rough = NORMALS + np.random.default_rng(1).normal(scale=noise, size=NORMALS.shape)
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     assert off(rough).mean() > 60 * noise
     found = fit_flash(observations(light, 0.1), POINTS, rough, CAMERAS, occlusion(), Flash())
@@ -129,7 +127,10 @@ def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
     lamp = np.array([[2.0, 0.0, 2.0]])  # from the right, at 45 degrees
     read = [
         observe_photographs(
-            both.vertices, both.faces, both.vertex_normals, [LinearPhotograph(camera, even, even)], 0.005, lamps=lamps
+            as_mesh(both),
+            [LinearPhotograph(camera, even, even)],
+            0.005,
+            lamps=lamps,
         )
         for lamps in (None, lamp)
     ]

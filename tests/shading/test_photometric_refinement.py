@@ -13,16 +13,15 @@ import trimesh
 from mgsr.config import MeshConfig
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.geometry.contours import SilhouetteContour, find_contour
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.pixels import back_project
-from mgsr.shading.light_models import EnvironmentLight, FlashLight, Shot
-from mgsr.shading.observations import linear_photographs
+from mgsr.shading.light_estimate import LightKind
+from mgsr.shading.light_models import EnvironmentLight, FlashLight
+from mgsr.shading.photo_set import Observer, PhotoSet
 from mgsr.shading.photometric_refinement import refine_photometrically
-from mgsr.shading.shape_from_shading import Light
 from mgsr.start.starting_points import starting_points
-from tests.mesh.shapes import ball, cameras_around, silhouettes_of, views_of
+from tests.mesh.shapes import as_mesh, ball, cameras_around, silhouettes_of, views_of
 from tests.shading.painted import PIXEL, SIDE, Paint, flash_photographs, painted
 
 RADIUS = 0.7
@@ -81,17 +80,14 @@ def photographs(mesh: trimesh.Trimesh, paint: Paint, shine: Shine = nothing, noi
         mirrored /= np.linalg.norm(mirrored, axis=-1, keepdims=True)
         light = srgb_to_linear(0.8 * paint(back_project(seen))) + shine(mirrored)[..., None]
         srgb = linear_to_srgb(light) * seen.alpha[..., None]
-        image = (
-            np.clip(255 * srgb + random.normal(least_squares_scale=noise, size=srgb.shape), 0, 255)
-            .round()
-            .astype(np.uint8)
-        )
+        image = np.clip(255 * srgb + random.normal(scale=noise, size=srgb.shape), 0, 255).round().astype(np.uint8)
         views.append(View(str(index), seen.camera, image, (255 * seen.alpha).astype(np.uint8)))
     return views
 
 
-def outlines_of(mesh: trimesh.Trimesh, views: list[View]) -> list[SilhouetteContour]:
-    return [find_contour(one) for one in silhouettes_of(mesh, [view.camera for view in views])]
+def photos_of(mesh: trimesh.Trimesh, views: list[View]) -> PhotoSet:
+    """Return photographs with the silhouettes of a mesh."""
+    return PhotoSet(views, silhouettes_of(mesh, [view.camera for view in views]))
 
 
 def error(vertices: np.ndarray) -> float:
@@ -106,9 +102,9 @@ def error(vertices: np.ndarray) -> float:
 def test_a_dent_comes_out(shine: Shine, noise: float, share: float) -> None:
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, painted, shine, noise)
-    found = refine_photometrically(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
+    found = refine_photometrically(as_mesh(full), photos_of(truth, views), 6.0)
     assert error(full.vertices) > 0.7
-    assert error(found) < share * error(full.vertices)
+    assert error(found.vertices) < share * error(full.vertices)
 
 
 @pytest.mark.parametrize("shine", [nothing, many_lamps])
@@ -119,8 +115,8 @@ def test_hue_tells_where_brightness_does_not(shine: Shine) -> None:
     """
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, of_one_brightness, shine, noise=1)
-    found = refine_photometrically(full.vertices, full.faces, views, outlines_of(truth, views), reach=6.0)
-    assert error(found) < 0.3 * error(full.vertices)
+    found = refine_photometrically(as_mesh(full), photos_of(truth, views), 6.0)
+    assert error(found.vertices) < 0.3 * error(full.vertices)
 
 
 def test_a_dent_comes_out_under_a_flash() -> None:
@@ -130,14 +126,13 @@ def test_a_dent_comes_out_under_a_flash() -> None:
     """
     truth, full = dented(), ball(RADIUS)
     views = flash_photographs(truth, painted)
-    shot = Shot(linear_photographs(views), PIXEL, None)
-    flash = FlashLight(shot, full.vertices, full.faces, *shot.read(full.vertices, full.faces))
+    observer = Observer(photos_of(truth, views).linear, PIXEL, None)
+    flash = FlashLight(observer, as_mesh(full), observer.observe(as_mesh(full)))
     found, unlit = (
-        refine_photometrically(full.vertices, full.faces, views, outlines_of(truth, views), 6.0, known)
-        for known in (flash, None)
+        refine_photometrically(as_mesh(full), photos_of(truth, views), 6.0, known) for known in (flash, None)
     )
-    assert error(found) < 0.15 * error(full.vertices)
-    assert error(found) < 0.8 * error(unlit)
+    assert error(found.vertices) < 0.15 * error(full.vertices)
+    assert error(found.vertices) < 0.8 * error(unlit.vertices)
 
 
 def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
@@ -151,10 +146,12 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     masks = silhouettes_of(truth, [view.camera for view in seen])
     meshes = [extract_mesh(rendered, config, silhouettes, seen) for silhouettes in (masks, [])]
     moved, unmoved = meshes
-    assert moved.light is Light.UNKNOWN and moved.photometric_refinement and not unmoved.photometric_refinement
+    assert moved.light is LightKind.UNKNOWN and "photometric_refinement" in moved.steps
+    assert "photometric_refinement" not in unmoved.steps
     assert error(moved.vertices) < 0.3 * error(unmoved.vertices)
-    assert not extract_mesh(rendered, replace(config, photometric_reach=None), masks, seen).photometric_refinement
-    assert not extract_mesh(rendered, config, masks, seen, go_on=lambda: False).parallax
+    without = extract_mesh(rendered, replace(config, photometric_reach=None), masks, seen)
+    in_haste = extract_mesh(rendered, config, masks, seen, go_on=lambda: False)
+    assert not [each for each in (without, in_haste) if "photometric_refinement" in each.steps]
 
 
 def test_a_start_has_the_dent() -> None:
@@ -167,15 +164,15 @@ def test_a_start_has_the_dent() -> None:
 def test_what_is_true_stays() -> None:
     truth = dented()
     views = photographs(truth, painted)
-    found = refine_photometrically(truth.vertices, truth.faces, views, outlines_of(truth, views), reach=6.0)
-    assert np.linalg.norm(found - truth.vertices, axis=1).mean() / PIXEL < 0.1
+    found = refine_photometrically(as_mesh(truth), photos_of(truth, views), 6.0)
+    assert np.linalg.norm(found.vertices - truth.vertices, axis=1).mean() / PIXEL < 0.1
 
 
 def test_noise_without_paint_tells_nothing() -> None:
     full = ball(RADIUS)
     views = photographs(full, plain, noise=3)
-    found = refine_photometrically(full.vertices, full.faces, views, outlines_of(full, views), reach=6.0)
-    assert np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL < 0.15
+    found = refine_photometrically(as_mesh(full), photos_of(full, views), 6.0)
+    assert np.linalg.norm(found.vertices - full.vertices, axis=1).mean() / PIXEL < 0.15
 
 
 def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
@@ -187,12 +184,12 @@ def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
     full = ball(RADIUS)
     colored = photographs(full, plain, many_lamps, noise=2)
     views = [replace(view, image=np.repeat(view.image[..., :1], 3, axis=-1)) for view in colored]
-    contours = outlines_of(full, views)
-    mirroring = EnvironmentLight(Shot(linear_photographs(views), PIXEL, None))
+    photos = photos_of(full, views)
+    mirroring = EnvironmentLight(Observer(photos.linear, PIXEL, None))
     drawn, remaining = (
-        np.linalg.norm(found - full.vertices, axis=1).mean() / PIXEL
+        np.linalg.norm(found.vertices - full.vertices, axis=1).mean() / PIXEL
         for known in (None, mirroring)
-        for found in [refine_photometrically(full.vertices, full.faces, views, contours, 6.0, known)]
+        for found in [refine_photometrically(as_mesh(full), photos, 6.0, known)]
     )
     assert drawn > 0.1
     assert remaining < 0.5 * drawn
@@ -201,5 +198,5 @@ def test_highlights_move_nothing_where_the_surroundings_are_known() -> None:
 def test_no_more_rounds_when_told_so() -> None:
     truth, full = dented(), ball(RADIUS)
     views = photographs(truth, painted)
-    found = refine_photometrically(full.vertices, full.faces, views, [], reach=6.0, go_on=lambda: False)
-    np.testing.assert_array_equal(found, full.vertices)
+    found = refine_photometrically(as_mesh(full), PhotoSet(views), 6.0, go_on=lambda: False)
+    np.testing.assert_array_equal(found.vertices, full.vertices)

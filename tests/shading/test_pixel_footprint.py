@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mgsr.data.camera import Camera
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
 from mgsr.shading.pixel_footprint import deconvolve
 from tests.mesh.shapes import looking_at_origin
@@ -42,8 +42,7 @@ def striped(camera: Camera) -> LinearPhotograph:
 
 
 def read(vertices: np.ndarray, faces: np.ndarray, photographs: list[LinearPhotograph]) -> Observations:
-    normals = np.broadcast_to([0.0, 0.0, 1.0], vertices.shape)
-    return observe_photographs(vertices, faces, normals, photographs, gap=0.01)
+    return observe_photographs(Mesh(vertices, faces), photographs, gap=0.01)
 
 
 def test_a_surface_that_is_known_reads_as_it_is() -> None:
@@ -52,9 +51,7 @@ def test_a_surface_that_is_known_reads_as_it_is() -> None:
     photographs = [striped(camera) for camera in seen]
     true = np.stack([stripes(camera.project(vertices)[0][:, 0]) for camera in seen], axis=1)
     mixed = read(vertices, faces, photographs)
-    clear = deconvolve(
-        mixed, RayCaster(vertices, faces), vertices, faces, photographs, lambda number, some: true[some, number]
-    )
+    clear = deconvolve(mixed, Mesh(vertices, faces), photographs, lambda number, some: true[some, number])
     inner = np.abs(vertices).max(axis=1) < 0.35
     assert (mixed.weights[inner] > 0).all()
     errors = [np.abs(each.brightness - true)[inner].mean() for each in (mixed, clear)]
@@ -68,9 +65,7 @@ def test_where_pixels_miss_the_surface_they_say_nothing_of_it(level: float) -> N
     vertices, faces = plate(0.2)
     photographs = [striped(camera) for camera in cameras()]
     mixed = read(vertices, faces, photographs)
-    clear = deconvolve(
-        mixed, RayCaster(vertices, faces), vertices, faces, photographs, lambda number, some: np.full(len(some), level)
-    )
+    clear = deconvolve(mixed, Mesh(vertices, faces), photographs, lambda number, some: np.full(len(some), level))
     np.testing.assert_allclose(clear.brightness, mixed.brightness, atol=1e-5)
 
 
@@ -85,6 +80,6 @@ def test_only_the_vertices_that_are_looked_at_are_asked_for() -> None:
         asked.append(some)
         return np.full(len(some), 0.5)
 
-    deconvolve(read(away, both, photographs), RayCaster(away, both), away, both, photographs, shown, threads=1)
+    deconvolve(read(away, both, photographs), Mesh(away, both), photographs, shown, threads=1)
     assert len(asked) == len(photographs)
     assert all(len(vertices) / 2 < len(some) < 1.2 * len(vertices) for some in asked)

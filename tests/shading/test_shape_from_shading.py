@@ -1,4 +1,4 @@
-"""Shading by a flash and by mirrored surroundings, on a ball with ripples that the starting mesh lacks."""
+"""Shading by a flash and by an environment map, on a ball with ripples that the starting mesh lacks."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ import trimesh
 
 from mgsr.data.camera import Camera
 from mgsr.data.scene import View
-from mgsr.geometry.contours import find_contour
-from mgsr.geometry.displace import uniform_laplacian
-from mgsr.geometry.raycast import RayCaster, pixel_rays
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.shading.environment_fit import fit_environment_map, look_up
 from mgsr.shading.environment_normals import normals_from_environment
+from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
 from mgsr.shading.observations import linear_photographs, observe_photographs
-from mgsr.shading.shape_from_shading import Light, ShadingPass, ShadingResult, shape_from_shading
-from tests.mesh.shapes import ball, cameras_around, silhouettes_of
+from mgsr.shading.photo_set import PhotoSet
+from mgsr.shading.shape_from_shading import ShadingPass, shape_from_shading
+from tests.mesh.shapes import as_mesh, ball, cameras_around, silhouettes_of
 
 RADIUS = 0.7
 SIDE = 128
@@ -87,8 +87,8 @@ def photographs(
     aside: how far to the right of the lens and below it the eye is put, as a lamp may be; rays: along a pixel's side,
     whose mean it shows.
     """
-    normals, views = vertex_normals(mesh.vertices, mesh.faces), []
-    caster = RayCaster(mesh.vertices, mesh.faces)
+    normals, views = Mesh(mesh.vertices, mesh.faces).normals, []
+    caster = as_mesh(mesh).caster
     for index, camera in enumerate(cameras_around(40, side=side)):
         y, x = (np.mgrid[: side * rays, : side * rays] + 0.5) / rays
         hits = caster.cast_pixels(camera, np.stack([x, y], axis=-1))
@@ -121,70 +121,74 @@ def refine(
     aside: tuple[float, float] = (0, 0),
     start: trimesh.Trimesh | None = None,
     work: ShadingPass = FINE,
-) -> ShadingResult:
+) -> tuple[Mesh, LightEstimate]:
     """Refine the start, or else the smooth ball, by photographs of the rippled one."""
-    start, views = start or ball(RADIUS), photographs(rippled(), shade, aside)
-    contours = [find_contour(one) for one in silhouettes_of(rippled(), [view.camera for view in views])]
-    passes = {light: (work,) for light in Light}
-    return shape_from_shading(start.vertices, start.faces, views, contours, max_ratio=0.85, passes=passes)
+    return refined_by(photographs(rippled(), shade, aside), rippled(), start or ball(RADIUS), work)
+
+
+def refined_by(
+    views: list[View], truth: trimesh.Trimesh, start: trimesh.Trimesh, work: ShadingPass
+) -> tuple[Mesh, LightEstimate]:
+    """Refine the start by photographs of the truth, and its silhouettes."""
+    photos = PhotoSet(views, silhouettes_of(truth, [view.camera for view in views]))
+    light = estimate_light(as_mesh(start), photos, 0.85, LightEstimate())
+    return shape_from_shading(as_mesh(start), photos, light, {kind: (work,) for kind in LightKind}), light
 
 
 def tilt_error(vertices: np.ndarray, truth: trimesh.Trimesh) -> float:
     """Return the mean angle in degrees between the vertex normals of both."""
-    found, true = (vertex_normals(places, truth.faces) for places in (vertices, truth.vertices))
+    found, true = (Mesh(places, truth.faces).normals for places in (vertices, truth.vertices))
     return float(np.degrees(np.arccos(np.clip((found * true).sum(1), -1, 1))).mean())
 
 
 @pytest.mark.parametrize(
     ("shade", "aside", "light"),
-    [(flash, (0, 0), Light.FLASH), (flash, (0.2, -0.3), Light.FLASH), (glossy, (0, 0), Light.ENVIRONMENT)],
+    [(flash, (0, 0), LightKind.FLASH), (flash, (0.2, -0.3), LightKind.FLASH), (glossy, (0, 0), LightKind.ENVIRONMENT)],
 )
-def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: Light) -> None:
+def test_ripples_come_out(shade: Shade, aside: tuple[float, float], light: LightKind) -> None:
     truth, smooth = rippled(), ball(RADIUS)
-    refined = refine(shade, aside)
-    assert refined.light is light
+    refined, found = refine(shade, aside)
+    assert found.kind is light
     assert tilt_error(smooth.vertices, truth) > 2.5
     assert tilt_error(refined.vertices, truth) < 0.75 * tilt_error(smooth.vertices, truth)
     radii = [np.linalg.norm(places, axis=1) for places in (truth.vertices, smooth.vertices, refined.vertices)]
-    before, after = (np.abs(found - radii[0]).mean() for found in radii[1:])
+    before, after = (np.abs(each - radii[0]).mean() for each in radii[1:])
     assert after < 0.9 * before
 
 
 def test_the_truth_stays_where_it_is_also_on_a_coarse_mesh() -> None:
     truth = rippled()
-    refined = refine(glossy, start=truth, work=ShadingPass(edge=6.0, rounds=4, reach=60.0))
+    refined, _ = refine(glossy, start=truth, work=ShadingPass(edge=6.0, rounds=4, reach=60.0))
     outwards = truth.vertices / np.linalg.norm(truth.vertices, axis=1, keepdims=True)
     assert abs(((refined.vertices - truth.vertices) * outwards).sum(1).mean()) < 0.0003
 
 
 def test_the_truth_stays_where_it_is_though_tilted_varnish_mirrors_more() -> None:
     truth = rippled()
-    refined = refine(varnished, start=truth, work=ShadingPass(edge=4.0, rounds=2, reach=240.0))
-    assert refined.light is Light.ENVIRONMENT
+    refined, light = refine(varnished, start=truth, work=ShadingPass(edge=4.0, rounds=2, reach=240.0))
+    assert light.kind is LightKind.ENVIRONMENT
     assert np.linalg.norm(refined.vertices - truth.vertices, axis=1).mean() < 0.005
 
 
 def test_creases_stay_as_deep_as_they_are_though_pixels_flatten_them() -> None:
     truth = grooved()
-    views = photographs(truth, flash, rays=4)
-    contours = [find_contour(one) for one in silhouettes_of(truth, [view.camera for view in views])]
-    passes = {Light.FLASH: (ShadingPass(edge=1.0, rounds=4, reach=20.0),)}
-    refined = shape_from_shading(truth.vertices, truth.faces, views, contours, max_ratio=0.85, passes=passes)
-    assert refined.light is Light.FLASH
+    work = ShadingPass(edge=1.0, rounds=4, reach=20.0)
+    refined, light = refined_by(photographs(truth, flash, rays=4), truth, truth, work)
+    assert light.kind is LightKind.FLASH
     assert tilt_error(refined.vertices, truth) < 0.5
 
 
 def test_matte_paint_under_a_lamp_that_stands_still_changes_nothing() -> None:
-    refined = refine(matte)
-    assert refined.light is Light.UNKNOWN
+    refined, light = refine(matte)
+    assert light.kind is LightKind.UNKNOWN
     np.testing.assert_array_equal(refined.vertices, ball(RADIUS).vertices)
 
 
-def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
+def test_the_map_is_the_environment_up_to_a_constant() -> None:
     mesh = ball(RADIUS)
-    normals = vertex_normals(mesh.vertices, mesh.faces).astype(float)
+    normals = as_mesh(mesh).double_normals
     seen = linear_photographs(photographs(mesh, glossy))
-    observations = observe_photographs(mesh.vertices, mesh.faces, normals, seen, gap=0.01)
+    observations = observe_photographs(as_mesh(mesh), seen, gap=0.01)
     found = fit_environment_map(observations, normals)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -195,13 +199,13 @@ def test_the_map_is_the_surroundings_up_to_a_constant() -> None:
 
 def test_tilted_normals_are_turned_back() -> None:
     mesh = ball(RADIUS)
-    true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
+    true = as_mesh(mesh).double_normals
     seen = linear_photographs(photographs(mesh, glossy))
-    observations = observe_photographs(mesh.vertices, mesh.faces, true, seen, gap=0.01)
+    observations = observe_photographs(as_mesh(mesh), seen, gap=0.01)
     wave = np.sin(8 * mesh.vertices[:, 2] / RADIUS)  # to and fro, so that the map itself stays where it is
     tilted = true + 0.15 * wave[:, None] * [1.0, 0.0, 0.0]
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    still, laplacian = np.zeros(len(true)), uniform_laplacian(mesh.faces, len(true))
+    still, laplacian = np.zeros(len(true)), as_mesh(mesh).laplacian
     explained = normals_from_environment(observations, tilted, laplacian, reach=2.0, still=still, threads=1)
     errors = [np.degrees(np.arccos(np.clip((n * true).sum(1), -1, 1))) for n in (tilted, explained.normals)]
     assert errors[1].mean() < 0.6 * errors[0].mean()
@@ -211,13 +215,11 @@ def test_tilted_normals_are_turned_back() -> None:
 
 def test_what_no_tilt_explains_is_not_trusted() -> None:
     mesh = ball(RADIUS)
-    true = vertex_normals(mesh.vertices, mesh.faces).astype(float)
-    observations = observe_photographs(
-        mesh.vertices, mesh.faces, true, linear_photographs(photographs(mesh, glossy)), gap=0.01
-    )
+    true = as_mesh(mesh).double_normals
+    observations = observe_photographs(as_mesh(mesh), linear_photographs(photographs(mesh, glossy)), gap=0.01)
     odd = mesh.vertices[:, 0] > 0
-    noise = np.random.default_rng(0).normal(least_squares_scale=0.2, size=observations.brightness.shape)
+    noise = np.random.default_rng(0).normal(scale=0.2, size=observations.brightness.shape)
     spoilt = replace(observations, brightness=observations.brightness + odd[:, None] * noise.astype(np.float32))
-    laplacian, still = uniform_laplacian(mesh.faces, len(true)), np.zeros(len(true))
+    laplacian, still = as_mesh(mesh).laplacian, np.zeros(len(true))
     confidence = normals_from_environment(spoilt, true, laplacian, reach=2.0, still=still, threads=1).confidence
     assert confidence[~odd].mean() > 2 * confidence[odd].mean() > 0

@@ -13,13 +13,14 @@ from scipy.spatial import cKDTree
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
-from mgsr.data.scene import PointCloud, Scene, Similarity, View
+from mgsr.data.scene import PointCloud, Scene, Similarity
 from mgsr.data.silhouettes import silhouettes
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
 from mgsr.pipeline.example import find_example
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
-from mgsr.shading.shape_from_shading import Light, ShadingResult
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
 from mgsr.start.starting_points import StartSource, starting_points
 from mgsr.stereo.patch_match import DepthMap
@@ -150,11 +151,9 @@ def off_the_ball(positions: np.ndarray) -> float:
 @pytest.fixture
 def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the surface as stereo or the hull give it."""
-    unknown = Light.UNKNOWN
-    monkeypatch.setattr(
-        masked_surface, "shape_from_shading", lambda vertices, *rest, **more: ShadingResult(vertices, unknown)
-    )
-    monkeypatch.setattr(masked_surface, "refine_photometrically", lambda vertices, *rest, **more: vertices)
+    monkeypatch.setattr(masked_surface, "estimate_light", lambda *given: LightEstimate())
+    for name in ("shape_from_shading", "refine_photometrically"):
+        monkeypatch.setattr(masked_surface, name, lambda mesh, *rest, **more: mesh)
 
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
@@ -166,21 +165,21 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     """
     compared: list[EnvironmentResidual] = []
 
-    def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[EnvironmentResidual]:
-        compared.extend(environment_residuals(surfaces, views))
+    def compare(surfaces: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
+        compared.extend(environment_residuals(surfaces, photos))
         return compared
 
     monkeypatch.setattr(masked_surface, "environment_residuals", compare)
     positions = starting_points(mirror, 2000, seed=0).positions
-    outer, inner = (each.vertices for each in compared)
+    outer, inner = (each.mesh.vertices for each in compared)
     assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"
     assert compared[0].ratio < 0.8 * compared[1].ratio
     assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
 
 
-def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Triangles:
+def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Mesh:
     """Find, in place of stereo, a surface 0.07 inside the hull's."""
-    return hull_surface(replace(hull, field=hull.field - 0.07))
+    return Mesh(*hull_surface(replace(hull, field=hull.field - 0.07)))
 
 
 def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object) -> list[DepthMap]:
@@ -189,7 +188,7 @@ def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object)
 
 
 def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    nothing = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     for name in ("fuse_roughly", "fuse"):
         monkeypatch.setattr(masked_surface, name, lambda *given: nothing)
     user = ball_scene.user_from_scene.to_user(starting_points(ball_scene, 500, seed=0).positions)

@@ -12,6 +12,7 @@ import trimesh
 from mgsr.config import Reflection, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import Cancelled, CheckpointError, TrainingError
+from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
@@ -201,7 +202,7 @@ def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     assert before.light is not None and before.light.reflector is None
     assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_volumes", "mutual"]
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert training.mirror_at(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)))
     after = training.run()
     assert after.light is not None and after.light.reflector is not None
     assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.mirror.iterations
@@ -214,7 +215,7 @@ def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
     training = Training(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", setting))
     before = training.run()
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
-    assert not training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert not training.mirror_at(Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)))
     assert len(training.run().stages) == len(before.stages)
 
 

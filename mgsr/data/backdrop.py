@@ -79,8 +79,8 @@ def _border_and_rest(view: View) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels [P,3] float32 of a photograph's border, and its other pixels, without unknown ones."""
     step = -(-max(view.image.shape[:2]) // SIDE)
     image = view.image[::step, ::step].astype(np.float32)
-    known = np.ones(image.shape[:2], bool) if view.known is None else view.known[::step, ::step]
+    valid = np.ones(image.shape[:2], bool) if view.valid_mask is None else view.valid_mask[::step, ::step]
     width = max(1, round(BORDER * min(image.shape[:2])))
     border = np.ones(image.shape[:2], bool)
     border[width:-width, width:-width] = False
-    return image[border & known], image[~border & known]
+    return image[border & valid], image[~border & valid]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.data.known import known_at
+from mgsr.data.valid_mask import valid_at
 from mgsr.geometry.precision import middle_for_float
 from mgsr.open3d_library import load_open3d
 
@@ -111,7 +111,7 @@ class RayCaster:
         """
         inside, pixels, _ = camera.project_inside(points)
         if known is not None:
-            inside = inside[known_at(known, pixels)]
+            inside = inside[valid_at(known, pixels)]
         seen = np.zeros(len(points), bool)
         seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen

@@ -17,7 +17,7 @@ from mgsr.pipeline.run import run_scene
 from mgsr.training.progress import Progress
 from tests.cli.spheres import write_spheres
 
-SMALL = ["surfels.max_start=1500", "volumes.max_start=1500"]
+SMALL = ["surfels.max_start=1500", "gaussians.max_start=1500"]
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
 def run(scene: Path, out: Path, seconds: float, **options: Any) -> dict[str, Any]:
     """Run with a budget, and return the report."""
     config = make_config(overrides=[*SMALL, f"time_budget={seconds}"])
-    report = run_scene(scene, out, config, "cpu", begun=time.perf_counter(), **options)
+    report = run_scene(scene, out, config, "cpu", started_at=time.perf_counter(), **options)
     found: dict[str, Any] = json.loads(report.read_text())
     return found
 
@@ -53,7 +53,7 @@ def test_runs_end_near_their_budgets(scene: Path, tmp_path: Path) -> None:
         budget = report["time_budget"]
         assert 0.9 <= budget["used"] / seconds <= 1.05
         assert not budget["too_small"] and budget["image_scale"] == 1
-        assert {"warmup_surfels", "warmup_volumes", "mutual", "finish"} == set(report["iterations"])
+        assert {"warmup_surfels", "warmup_gaussians", "mutual", "finish"} == set(report["iterations"])
         assert set(budget["planned"]) == {"before", "train", "mesh", "evaluate", "report"}
         iterations.append(report["iterations"]["mutual"]["iterations"])
     assert iterations[0] < iterations[1]
@@ -67,11 +67,11 @@ def test_a_resumed_run_goes_on_with_its_seconds(scene: Path, tmp_path: Path) -> 
         if event.training is not None and event.training.stage == "warmup_surfels":
             trained.append(event.training)
 
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     with pytest.raises(Cancelled, match="warmup_surfels"):
         run(scene, tmp_path / "out", 12.0, progress=note, should_stop=lambda: bool(trained))
-    before, begun = time.perf_counter() - begun, time.perf_counter()
+    before, started_at = time.perf_counter() - started_at, time.perf_counter()
     report = run(scene, tmp_path / "out", 12.0, resume=True)
-    here = time.perf_counter() - begun
+    here = time.perf_counter() - started_at
     assert report["time_budget"]["used"] > here + 0.5 * before
     assert report["iterations"]["warmup_surfels"]["iterations"] > trained[-1].iteration

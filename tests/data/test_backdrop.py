@@ -41,9 +41,9 @@ def test_unknown_pixels_are_no_border() -> None:
         known = np.ones(view.image.shape[:2], bool)
         known[:, :width] = False
         view.image[:, :width] = 0
-        views.append(replace(view, known=known))
+        views.append(replace(view, valid_mask=known))
     assert plain_backdrop(views) == pytest.approx([value / 255 for value in GREY], abs=3 / 255)
-    assert plain_backdrop([replace(view, known=np.zeros_like(view.known)) for view in views]) is None
+    assert plain_backdrop([replace(view, valid_mask=np.zeros_like(view.valid_mask)) for view in views]) is None
 
 
 def test_settings_and_masks_go_before() -> None:

@@ -61,7 +61,7 @@ def test_the_table_of_settings_has_every_one_with_its_default() -> None:
 
 def test_comments_that_go_on_belong_to_their_setting() -> None:
     table = settings_markdown()
-    assert "there the soft edges of splats" in table and "or the light counts as unknown" in table
+    assert "there the soft edges of splats" in table and "map, leaves at most this share" in table
     assert "count Positions move slowly" not in table
 
 
@@ -115,7 +115,7 @@ def test_the_example_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     """On a small capture, and with so few iterations that it is soon over."""
     photos = write_spheres(tmp_path / "photos", size=48, train=12, test=2)
     (photos / "mesh_gt.ply").unlink()
-    few = {"warmup.surfel_iterations": "30", "warmup.volume_iterations": "30", "mutual.iterations": "20"}
+    few = {"warmup.surfel_iterations": "30", "warmup.gaussian_iterations": "30", "mutual.iterations": "20"}
     monkeypatch.setitem(PRESETS, "draft", PRESETS["draft"] | few | {"mesh.poisson_depth": "5"})
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}

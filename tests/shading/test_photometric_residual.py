@@ -77,6 +77,6 @@ def test_a_surface_without_holes_stays_whole() -> None:
     assert removed == 0 and len(found.faces) == len(ball().faces)
 
 
-@pytest.mark.parametrize("kept", [replace(CONFIG, max_photometric_residual=None), replace(CONFIG, close_holes=True)])
+@pytest.mark.parametrize("kept", [replace(CONFIG, photometric_residual=None), replace(CONFIG, close_holes=True)])
 def test_all_is_kept_where_asked_for(past_the_hole: list[View], kept: MeshConfig) -> None:
     assert refined(past_the_hole, kept)[2] == 0

@@ -18,7 +18,7 @@ class BilateralFilter(MeshStep):
     options: BilateralOptions = field(default_factory=BilateralOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        return bool(context.config.smoothing_angle)
+        return bool(context.config.bilateral_angle)
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        return StepResult(bilateral_normal_filter(mesh, context.config.smoothing_angle or 0.0, self.options), light)
+        return StepResult(bilateral_normal_filter(mesh, context.config.bilateral_angle or 0.0, self.options), light)

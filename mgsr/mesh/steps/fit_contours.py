@@ -18,8 +18,8 @@ class FitContours(MeshStep):
     options: ContourOptions = field(default_factory=ContourOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        return bool(context.photos.silhouettes) and context.config.contour_smoothing is not None
+        return bool(context.photos.silhouettes) and context.config.silhouette_smoothing is not None
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        smoothing = context.config.contour_smoothing or 0.0
+        smoothing = context.config.silhouette_smoothing or 0.0
         return StepResult(fit_contours(mesh, context.photos.contours, smoothing, self.options), light)

@@ -32,7 +32,7 @@ class PhotometricRefinement(MeshStep):
 
     def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
         held = (facts.masked or facts.learned) and config.photometric_reach is not None
-        if config.shading_ratio is None or not held:
+        if config.max_light_residual is None or not held:
             return 0.0
         if facts.flash:
             return 16.5 * reading_size(facts, config)

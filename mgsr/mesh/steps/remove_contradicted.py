@@ -17,7 +17,7 @@ from mgsr.shading.photometric_residual import ResidualOptions, photometric_resid
 class RemoveContradicted(MeshStep):
     """Remove patches with a large photometric residual under a flash.
 
-    In such a patch the residual is everywhere above a share of `mesh.max_photometric_residual`, and somewhere above it.
+    In such a patch the residual is everywhere above a share of `mesh.photometric_residual`, and somewhere above it.
     """
 
     name = "remove_contradicted"
@@ -28,11 +28,11 @@ class RemoveContradicted(MeshStep):
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
         config = context.config
-        wanted = config.max_photometric_residual is not None and not config.close_holes
+        wanted = config.photometric_residual is not None and not config.close_holes
         return light.kind is LightKind.FLASH and wanted and context.go_on()
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        most = context.config.max_photometric_residual
+        most = context.config.photometric_residual
         assert light.model is not None and most is not None
         residual = photometric_residual(mesh, context.photos, light.model, self.options)[mesh.faces].max(axis=1)
         areas = np.linalg.norm(mesh.face_crosses, axis=1) / 2

@@ -36,19 +36,19 @@ class ShapeFromShading(MeshStep):
         return "shape_from_shading" if self.turn == 1 else f"shape_from_shading_{self.turn}"
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        if not context.photos.views or context.config.shading_ratio is None:
+        if not context.photos.views or context.config.max_light_residual is None:
             return False
         return self.turn == 1 or (light.kind is LightKind.FLASH and context.go_on())
 
     def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
-        if config.shading_ratio is None:
+        if config.max_light_residual is None:
             return 0.0
         if facts.flash:
             return 10.0 * self.rounds * reading_size(facts, config)
         return 2.0 * reading_size(facts, config) if facts.shiny and self.turn == 1 else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        light = estimate_light(mesh, context.photos, context.config.shading_ratio or 0.0, light)
+        light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light)
         passes = {LightKind.FLASH: (ShadingPass(self.edge, self.rounds, self.reach),)}
         mesh = shape_from_shading(mesh, context.photos, light, passes, go_on=context.go_on, options=self.options)
         return StepResult(mesh, light, {"light": str(light.kind)})

@@ -19,12 +19,12 @@ class SmoothLowFrequency(MeshStep):
     options: LowFrequencyOptions = field(default_factory=LowFrequencyOptions)
 
     def applies(self, context: StepContext, light: LightEstimate) -> bool:
-        wanted = bool(context.config.low_frequency_angle and context.photos.views)
+        wanted = bool(context.config.regression_angle and context.photos.views)
         return wanted and light.kind is not LightKind.FLASH
 
     def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
-        return 2.5 * surface_cells(facts, config) ** 2 if config.low_frequency_angle and not facts.flash else 0.0
+        return 2.5 * surface_cells(facts, config) ** 2 if config.regression_angle and not facts.flash else 0.0
 
     def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
-        angle = context.config.low_frequency_angle or 0.0
+        angle = context.config.regression_angle or 0.0
         return StepResult(smooth_low_frequency(mesh, context.photos.pixel_on(mesh), angle, self.options), light)

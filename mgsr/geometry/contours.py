@@ -59,7 +59,7 @@ def find_contour(silhouette: Silhouette) -> SilhouetteContour:
     rows, columns = np.nonzero(near)
     slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
     steep = np.linalg.norm(slopes, axis=1)
-    clear = steep > 0.5  # elsewhere two outlines meet: a thin part, a corner
+    clear = steep > 0.5  # elsewhere two contours meet: a thin part, a corner
     inwards = slopes[clear] / steep[clear, None]
     centers = np.stack([columns[clear], rows[clear]], axis=1) + 0.5
     return SilhouetteContour(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)

@@ -39,7 +39,7 @@ class ReconstructedMesh(Mesh):
     steps: Mapping[str, StepReport] = field(default_factory=dict)
     textured: TexturedMesh | None = None
 
-    def told(self, light: LightKind, start_kept: bool, steps: Mapping[str, StepReport]) -> ReconstructedMesh:
-        """Return the mesh with what a report tells of how it was made."""
+    def with_report(self, light: LightKind, start_kept: bool, steps: Mapping[str, StepReport]) -> ReconstructedMesh:
+        """Return the mesh with what a report says of how it was made."""
         mesh = replace(self, light=light, start_kept=start_kept, steps=steps)
         return mesh.with_normals(self.normals)

@@ -16,7 +16,7 @@ from mgsr.mesh.pixels import PixelRules
 from mgsr.mesh.points import OrientedPoints
 from mgsr.mesh.views import SurfaceView
 
-PRIOR_WEIGHT = 0.02  # of the place of a vertex of which no view tells, where a view's is 1
+PRIOR_WEIGHT = 0.02  # of the place of a vertex that no view confirms, where a view's is 1
 CONFIDENCE = 0.1  # in the normal of such a vertex, where a view's is 1
 MIN_COSINE = 0.3  # between the normals of a vertex and of the views' surface there
 

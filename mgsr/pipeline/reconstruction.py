@@ -159,7 +159,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
-        mesh=read_mesh(folder).told(light, start_kept, steps),
+        mesh=read_mesh(folder).with_report(light, start_kept, steps),
         model=read_models(folder, Similarity(offset=origin)),
         flash=read_lighting(folder),
         report=report,

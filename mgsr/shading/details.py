@@ -30,7 +30,7 @@ BLUR = 1.0  # pixels; of the photographs, against their noise
 DETAIL = 3.0  # pixels; of a wider blur, which is taken off: what is coarser is the light's
 MIN_COS = 0.3  # of the tilt; what is seen more grazing is left out
 MIN_OBSERVATIONS = 4  # photographs that see a vertex, or they tell nothing of it
-OUTLIER = 3.0  # deviations past which a reading says nothing of the mix
+MAX_DEVIATIONS = 3.0  # of the residual; observations past this do not count for the mix
 GREY = np.full(3, 1 / 3)  # the mix of the channels that is their mean
 CLEARER = 1.5  # times the grey's; what another mix must tell at least
 
@@ -117,10 +117,10 @@ def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) ->
 
 
 def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
-    """Find the channel weights [3] whose detail tells most about where the surface lies.
+    """Find the channel weights [3] whose detail locates the surface best.
 
     The mix is steepest against the residual: the leading eigenvector of the slopes' covariance against that of the
-    residual. Unless it tells CLEARER times as much as the mean of the channels, the latter is returned.
+    residual. Unless it is CLEARER times as informative as the mean of the channels, the latter is returned.
     """
     single = [mix_channels(views, channel, threads) for channel in np.eye(3)]
     channels = [read_details(surface, photographs, light, threads) for photographs in single]
@@ -128,7 +128,7 @@ def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, 
     residual = np.stack([centered(channel.mixed, weights)[weights > 0] for channel in channels])
     change = np.stack([centered(channel.change, weights)[weights > 0] for channel in channels])
     residual_energy = np.abs(GREY @ residual)
-    usual = residual_energy <= OUTLIER * 1.4826 * np.median(residual_energy) if weights.any() else []
+    usual = residual_energy <= MAX_DEVIATIONS * 1.4826 * np.median(residual_energy) if weights.any() else []
     weighed = weights[weights > 0] * usual
     noise, steep = ((weighed * part) @ part.T for part in (residual, change))
     noise += (1e-6 * np.trace(noise) + 1e-12) * np.eye(3)

@@ -18,18 +18,18 @@ from mgsr.shading.observations import Observations
 
 HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
 CELLS = 64  # a side of the table, which looks a direction up to 2 degrees
-POINTS = 6000  # whose readings make the map
-SMOOTHNESS = 0.002  # weight of the map's squared steps beside the readings
+POINTS = 6000  # whose observations make the map
+SMOOTHNESS = 0.002  # weight of the map's squared steps beside the observations
 ROUNDS = 3  # of least squares with new weights
-OUTLIER = 3.0  # deviations at which a reading counts half
+OUTLIER = 3.0  # deviations at which an observation counts half
 
 
 @dataclass(frozen=True)
 class FittedEnvironmentMap:
-    """An environment map fitted to readings.
+    """An environment map fitted to observations.
 
-    light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the readings from it, in linear light; ratio: of that
-    to their deviation from one brightness a point.
+    light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the observations from it, in linear light; ratio: of
+    that to their deviation from one brightness a point.
     """
 
     light: np.ndarray
@@ -62,9 +62,9 @@ def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> n
 
 
 def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
-    """Fit the environment map that explains the readings best on a surface with normals [P,3], by robust least squares.
+    """Fit the environment map that best explains the observations of a surface with normals [P,3].
 
-    At most POINTS points are used, drawn with `seed`.
+    By robust least squares, from at most POINTS points, drawn with `seed`.
     """
     points, seen = _well_read(observations, seed)
     view_directions, brightness, weights = (
@@ -121,7 +121,7 @@ class _Equations:
 
 
 def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of some points that at least three photographs see, and which of their readings count.
+    """Return the indices of some points that at least three photographs see, and which of their observations count.
 
     The latter are [points,K] bool.
     """

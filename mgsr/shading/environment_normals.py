@@ -16,11 +16,11 @@ from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_m
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
 
-LIMIT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
-OUTLIER = 3.0  # deviations at which a reading counts half
-OWN = 0.08  # cost of a tilt by 10 degrees, in mean costs of the readings
-KNOWN = 4.0  # degrees; a normal that is known to this is half trusted
-CHUNK = 1000  # points at a time, so that their readings stay in the cache
+MAX_TILT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
+OUTLIER = 3.0  # deviations at which an observation counts half
+TILT_COST = 0.08  # cost of a tilt by 10 degrees, in mean costs of the observations
+HALF_CONFIDENCE = 4.0  # degrees; deviation of a normal in which the confidence is a half
+CHUNK = 1000  # points at a time, so that their observations stay in the cache
 
 
 def normals_from_environment(
@@ -33,24 +33,26 @@ def normals_from_environment(
 ) -> TargetNormals:
     """Estimate the normals of a mesh's vertices from one environment map that they all mirror.
 
-    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`uniform_laplacian`). reach: edges over which the
-    readings of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
+    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`Mesh.laplacian`). reach: edges over which the
+    observations of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
     """
     own = mean_normals(normals, laplacian, rounds=1)
     environment = fit_environment_map(observations, own)
-    tilts = np.tan(np.radians(np.arange(-LIMIT, LIMIT + STEP / 2, STEP)))
+    tilts = np.tan(np.radians(np.arange(-MAX_TILT, MAX_TILT + STEP / 2, STEP)))
     first, second = tangents(own)
     costs = _costs(observations, environment, np.stack([first, second, own], axis=1), tilts, threads)
     costs = diffuse(costs, laplacian, reach)
     squares = tilts[:, None] ** 2 + tilts[None] ** 2
-    costs += OWN * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
+    costs += TILT_COST * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
     across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
     change = across[:, None] * first + along[:, None] * second
     target = normals + (1 - still)[:, None] * change
     target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
     weights = diffuse(observations.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
     variance = 2 * cost / np.maximum(weights, 1e-6) * (STEP**2 / np.maximum(bends, 1e-9)).sum(axis=0)
-    return TargetNormals(target, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + variance / KNOWN**2), 0))
+    return TargetNormals(
+        target, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + variance / HALF_CONFIDENCE**2), 0)
+    )
 
 
 def _costs(

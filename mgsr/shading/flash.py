@@ -1,4 +1,4 @@
-"""Photometric stereo under a flash: how bright a point is, with the lamp beside the lens, tells how it is tilted.
+"""Photometric stereo under a flash: with the lamp beside the lens, brightness depends on the tilt of the surface.
 
 For a matte surface lit from one place, brightness times the squared distance is albedo x cosine of the tilt (Lambert),
 in linear light. Several views of a point give three unknowns, its normal times its albedo, by least squares
@@ -20,10 +20,10 @@ from mgsr.shading.lighting import lamp_light
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
 
-OWN = 0.005  # weight of the surface's own normal beside the photographs'
+PRIOR_WEIGHT = 0.005  # weight of the surface's own normal beside the photographs'
 ROUNDS = 5  # of least squares with new weights
-ABOVE, BELOW = 0.5, 1.5  # deviations at which a reading that is too bright, or too dark, counts half
-KNOWN = 0.03  # radians; a normal that is known to this is half trusted
+ABOVE, BELOW = 0.5, 1.5  # deviations at which an observation that is too bright, or too dark, counts half
+HALF_CONFIDENCE = 0.03  # radians; deviation of a normal in which the confidence is a half
 CHUNK = 4096  # points at a time
 
 
@@ -50,9 +50,9 @@ class Flash:
 def flash_ratio(observations: Observations, normals: np.ndarray) -> float:
     """Return the share of the brightness' deviation that a flash at the lens leaves unexplained.
 
-    normals [P,3]: the surface's at the P points of the readings. It is the median over the points of the deviation from
-    shading by the flash, as a share of the deviation from one brightness a point; infinite without points that enough
-    photographs see.
+    normals [P,3]: the surface's at the P points of the observations. It is the median over the points of the deviation
+    from shading by the flash, as a share of the deviation from one brightness a point; infinite without points that
+    enough photographs see.
     """
     brightness, weights = observations.brightness * observations.distances**2, observations.weights**2
     cosines = np.maximum(np.einsum("pki,pi->pk", observations.view_directions, normals), 0)
@@ -89,7 +89,9 @@ def normals_from_flash(
 
     parts = np.array_split(np.arange(len(points)), -(-len(points) // CHUNK))
     solved, known = (np.concatenate(column) for column in zip(*map_ahead(explain, parts, threads), strict=True))
-    return TargetNormals(solved, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + (known / KNOWN) ** 2), 0))
+    return TargetNormals(
+        solved, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + (known / HALF_CONFIDENCE) ** 2), 0)
+    )
 
 
 def fit_albedo(
@@ -127,7 +129,7 @@ def _solve(
     current, solved = weights, normals
     products = np.stack([lamp_directions[..., i] * lamp_directions[..., j] for i, j in _PAIRS], axis=1)
     for _ in range(ROUNDS):
-        own = OWN * current.sum(axis=1)
+        own = PRIOR_WEIGHT * current.sum(axis=1)
         cosines = np.maximum(np.einsum("pki,pi->pk", lamp_directions, solved), 0)
         albedo = least_squares_scale(brightness, cosines + ambient, current)
         lit = brightness - albedo[:, None] * ambient

@@ -1,7 +1,7 @@
 """Calibration of a flash: its place beside the lens and the other light, four numbers for a whole capture.
 
 A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and
-interreflection in hollows, flatten them. All points' readings together tell these apart (Gauss-Newton, each point's
+interreflection in hollows, flatten them. All points' observations together tell these apart (Gauss-Newton, each point's
 albedo being solved for on the way: variable projection, Golub and Pereyra 1973).
 """
 
@@ -18,7 +18,7 @@ from mgsr.shading.flash import Flash, deviation, irls_weights, least_squares_sca
 from mgsr.shading.observations import Observations
 from mgsr.shading.target_normals import MIN_OBSERVATIONS
 
-POINTS = 3000  # whose readings tell of the light
+POINTS = 3000  # whose observations tell of the light
 STEPS = 40  # at most
 STILL = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
 ROUNDS = 4  # of new weights in a step
@@ -34,7 +34,7 @@ def fit_flash(
     occlusion: AmbientOcclusion,
     start: Flash,
 ) -> Flash:
-    """Fit the flash that explains the readings of a surface's points [P,3] with normals [P,3].
+    """Fit the flash that explains the observations of a surface's points [P,3] with normals [P,3].
 
     cameras: those of the photographs; start: where the search begins, returned where too few photographs see the
     points.

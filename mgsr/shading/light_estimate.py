@@ -12,9 +12,9 @@ from mgsr.shading.light_models import EnvironmentLight, FlashLight, LightModel, 
 from mgsr.shading.photo_set import Observer, PhotoSet
 
 # The share of what differs between the photographs that an environment map may leave unexplained on a surface that is
-# known roughly; one that leaves more tells nothing.
+# known roughly; a map that leaves more is not believed.
 MAX_ENVIRONMENT_RATIO = 0.85
-EDGE = 2.0  # pixels; edges of the mesh on which the light models are compared
+COMPARED_EDGE = 2.0  # pixels; edges of the mesh on which the light models are compared
 
 
 class LightKind(StrEnum):
@@ -47,7 +47,7 @@ def estimate_light(mesh: Mesh, photos: PhotoSet, max_ratio: float, known: LightE
     Where that is more than the share `max_ratio`, the light is unknown. known: the estimate so far.
     """
     observer = Observer(photos.linear, photos.pixel_on(mesh), photos.threads)
-    coarse, searches = coarser(mesh, EDGE * observer.pixel), known.searches + 1
+    coarse, searches = coarser(mesh, COMPARED_EDGE * observer.pixel), known.searches + 1
     observations = observer.observe(coarse)
     by_flash = flash_ratio(observations, coarse.double_normals)
     by_environment = fit_mirrored_environment(observations, coarse.double_normals).ratio

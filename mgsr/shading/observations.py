@@ -19,7 +19,7 @@ from mgsr.parallel import map_ahead
 MIN_COS = 0.25  # of the tilt; what is seen more grazing is left out
 SOLID = 0.97  # of alpha; pixels under it mix object and background
 CLIPPED = 0.98  # of the brightest channel; pixels above it hide how bright they were
-KEPT = 24  # readings of a point, those that see it most frontal
+KEPT = 24  # observations of a point, those that see it most frontal
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Observations:
         return (self.weights > 0).sum(axis=1)
 
     def at(self, points: np.ndarray) -> Observations:
-        """Return the readings of some of the points, by their indices."""
+        """Return the observations of some of the points, by their indices."""
         return Observations(*(array[points] for array in _arrays(self)))
 
     def frontal(self, least: float) -> Observations:
-        """Return the same readings, but those under a cosine of the tilt of `least` count as unseen."""
+        """Return the same observations, but those under a cosine of the tilt of `least` count as unseen."""
         return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
 
 

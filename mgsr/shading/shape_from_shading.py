@@ -1,4 +1,4 @@
-"""Shape from shading: a surface is bent to the normals that the photographs' shading tells.
+"""Shape from shading: a surface is bent to the normals that explain the photographs' shading.
 
 Normals know the small shape best and positions the large (Nehab and others 2005), and the masks' contours hold the
 surface where they touch it. Where no light model explains the photographs, the surface stays.
@@ -35,7 +35,7 @@ class ShadingOptions:
 class ShadingPass:
     """Rounds of reading the photographs and bending the surface, with edges of about `edge` pixels.
 
-    Shape larger than `reach` pixels stays as it is, but for what the contours say. fairing: degrees; noise up to this
+    Shape larger than `reach` pixels stays as it is, except where contours move it. fairing: degrees; noise up to this
     is smoothed before and after the rounds (`bilateral_normal_filter`); 0: none.
     """
 

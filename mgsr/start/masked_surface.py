@@ -33,9 +33,9 @@ from mgsr.stereo.photographs import StereoPhotographs, stereo_photographs
 # The residual under an environment map on the hull, as a share of that on the surface that stereo finds, under which
 # the surface is a mirror.
 CLEARLY = 0.9
-# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep hollows need many
-# rounds, and what is mirrored tells little of a hull's steps, which are smoothed away in between. It tells more of the
-# small shape once parallax has put the large one right.
+# A hull's large shape is wrong too, so shading may change more of it than of a trained surface. Deep concavities
+# need many rounds. An environment map says little about a hull's steps, which are smoothed away in between, and more
+# about the small shape once photometric refinement has corrected the large one.
 FAR_PASSES = {
     LightKind.FLASH: (ShadingPass(edge=2.0, rounds=6, reach=160.0), ShadingPass(edge=1.5, rounds=3, reach=60.0)),
     LightKind.ENVIRONMENT: (

@@ -34,7 +34,7 @@ MIN_POINTS = 500
 # so many.
 BACKGROUND, BALL = 0.25, 1.25
 
-# And the share of all points that lie where only the surroundings are, if there are so many.
+# The share of all points that are background points, if there are so many.
 AROUND = 0.25
 
 # A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
@@ -85,14 +85,15 @@ def starting_points(
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
-    progress: told of the share of the work that is done, 0..1; background: the setting, which tells whether a plain
+    progress: told of the share of the work that is done, 0..1; background: the setting, which says whether a plain
     backdrop is looked for.
 
-    With masks: `count` points on the surface that stereo, shading and parallax find inside the visual hull, spread
-    evenly. It is nearer to the truth than the capture's own points (COLMAP).
-    Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
-    plain places too, a quarter of them behind it, none on a plain backdrop, and up to a quarter on surroundings where
-    neither has any; `count` points anywhere in the ball where there are hardly any.
+    With masks: `count` points, evenly on the surface that stereo, shading and photometric refinement find inside the
+    visual hull. It is nearer to the truth than the capture's own points (COLMAP).
+
+    Without masks: at most `count` of the capture's own points and those of stereo in and behind the unit ball. A
+    quarter lies behind the ball, none on a plain backdrop, and up to a quarter are background points where neither has
+    any. Where there are hardly any points, `count` points lie anywhere in the ball.
     """
     generator = np.random.default_rng(seed)
     if scene.masked:

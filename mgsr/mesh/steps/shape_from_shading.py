@@ -18,7 +18,7 @@ from mgsr.shading.shape_from_shading import ShadingOptions, ShadingPass, shape_f
 
 @dataclass(frozen=True)
 class ShapeFromShading(MeshStep):
-    """Estimate the light, and under a flash bend the surface to the normals that its shading tells.
+    """Estimate the light, and under a flash bend the surface to the normals that explain its shading.
 
     The light is estimated anew in each turn, as it is known better on a better surface. A turn after the first needs a
     flash.

@@ -13,7 +13,7 @@ from mgsr.shading.light_estimate import LightEstimate, LightKind
 
 @dataclass(frozen=True)
 class SmoothLowFrequency(MeshStep):
-    """Smooth shallow waves of a few of the photographs' pixels. Under a flash, shading tells them from shape."""
+    """Smooth shallow waves of a few of the photographs' pixels. Under a flash, shading separates them from shape."""
 
     name = "smooth_low_frequency"
     options: LowFrequencyOptions = field(default_factory=LowFrequencyOptions)

@@ -186,22 +186,21 @@ def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputC
 
     The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
     """
-    arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
+    scaled = mesh.in_frame(mesh.vertices * output.scale)
     up = _up(scene, output)
     with atomic_write(out / MESH) as path:
-        write_ply(path, *arrays, unit=output.scale)
+        write_ply(path, scaled, mesh.colors, output.scale)
     with atomic_write(out / MESH_GLB) as path:
-        write_glb(path, *arrays, up=up)
+        write_glb(path, scaled, mesh.colors, up)
     for name in (MESH_OBJ, MESH_TEXTURED):
         (out / name).unlink(missing_ok=True)
     if output.obj:
         with atomic_write(out / MESH_OBJ) as path:
-            write_obj(path, *arrays)
+            write_obj(path, scaled, mesh.colors)
     if mesh.textured is not None:
-        textured = mesh.textured
-        picture = (textured.faces, textured.normals, textured.uvs, textured.picture)
+        textured = mesh.textured.in_frame(mesh.textured.vertices * output.scale)
         with atomic_write(out / MESH_TEXTURED) as path:
-            write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
+            write_textured_glb(path, textured, textured.uvs, textured.picture, up)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:

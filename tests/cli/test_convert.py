@@ -19,7 +19,7 @@ from mgsr.export.splats import write_splats
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.result_files import write_mesh
 from tests.data.captures import BallCapture
-from tests.export.test_mesh_files import ball
+from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import splats
 
 RUN = CliRunner()
@@ -35,7 +35,7 @@ def test_splats(tmp_path: Path, name: str) -> None:
 
 
 def test_meshes_with_options(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     for up in ("y", "z", "-y", "-z"):
         given = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb"), "--up", up, "--scale", "1000"]
         result = RUN.invoke(app, given)
@@ -71,7 +71,7 @@ def test_scenes(tmp_path: Path) -> None:
 
 
 def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     result = RUN.invoke(app, ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")])
     assert (
         result.exit_code == 2
@@ -95,7 +95,7 @@ def test_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, targe
     here = tmp_path / "here.ply"
     (here / "photos.ply").mkdir(parents=True)
     (here / "photos.ply" / "a.jpg").write_text("kept")
-    write_ply(here / "a.ply", *ball())
+    write_ply(here / "a.ply", *mesh_and_colors(*ball()))
     monkeypatch.chdir(here)
     result = RUN.invoke(app, ["convert", "a.ply", "../here.ply" if target == "here.ply" else target])
     assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output

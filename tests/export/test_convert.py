@@ -16,14 +16,15 @@ from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import load_splats, write_splats
-from tests.export.test_mesh_files import ball
+from mgsr.geometry.mesh import Mesh
+from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import PLY_STEPS, SPZ_STEPS, check_close, splats
 
 
 @pytest.mark.parametrize("offset", [0.0, 5e6])
 def test_obj_holds_what_was_given(tmp_path, offset):
     vertices, faces, normals, colors = ball(offset)
-    write_obj(tmp_path / "a.obj", vertices, faces, normals, colors)
+    write_obj(tmp_path / "a.obj", *mesh_and_colors(vertices, faces, normals, colors))
     mesh = trimesh.load(tmp_path / "a.obj", process=False, force="mesh", maintain_order=True)
     np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-5)
     np.testing.assert_array_equal(mesh.faces, faces)
@@ -38,7 +39,9 @@ def test_obj_holds_what_was_given(tmp_path, offset):
 @pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
 def test_meshes(tmp_path, before, after):
     arrays = ball()
-    {".ply": write_ply, ".glb": write_glb, ".obj": write_obj}[before](tmp_path / f"a{before}", *arrays)
+    {".ply": write_ply, ".glb": write_glb, ".obj": write_obj}[before](
+        tmp_path / f"a{before}", *mesh_and_colors(*arrays)
+    )
     assert convert(tmp_path / f"a{before}", tmp_path / f"b{after}", scale=2.0) == "a mesh of 320 faces"
     mesh = trimesh.load(tmp_path / f"b{after}", process=False, force="mesh")
     np.testing.assert_allclose(mesh.vertices, 2 * arrays[0], atol=1e-5)
@@ -53,14 +56,14 @@ def test_vertices_take_the_colours_of_a_picture(tmp_path, after):
     uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]]) * 0.9 + 0.05
     picture = np.array([[[200, 10, 20], [30, 220, 40]], [[1, 2, 250], [120, 130, 140]]], np.uint8)
     normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
-    write_textured_glb(tmp_path / "a.glb", vertices, faces, normals, uvs, picture)
+    write_textured_glb(tmp_path / "a.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
     convert(tmp_path / "a.glb", tmp_path / f"b{after}")
     expected = picture[[0, 1, 1, 0], [0, 0, 1, 1]] / 255
     np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, expected, atol=1.01 / 255)
 
 
 def test_up(tmp_path):
-    write_ply(tmp_path / "a.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     convert(tmp_path / "a.ply", tmp_path / "b.glb", up=UpAxis.Z)
     given, turned = (
         trimesh.load(tmp_path / "a.ply", process=False),
@@ -98,7 +101,7 @@ def test_splats_keep_what_their_header_says(tmp_path):
 
 
 def test_meshes_keep_their_unit(tmp_path):
-    write_ply(tmp_path / "a.ply", *ball(), unit=0.3)
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()), unit=0.3)
     convert(tmp_path / "a.ply", tmp_path / "b.ply", scale=10)
     assert read_number(tmp_path / "b.ply", UNIT) == 3.0
 
@@ -116,7 +119,7 @@ def test_splats_without_a_number(tmp_path, name, target):
 @pytest.mark.parametrize("scale", [1e-300, 1e39, 1e300])
 def test_scales_that_files_can_not_hold(tmp_path, scale):
     write_splats(tmp_path / "splats.ply", splats())
-    write_ply(tmp_path / "mesh.ply", *ball())
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     for source, target in (
         ("splats.ply", "b.ply"),
         ("splats.ply", "b.spz"),
@@ -149,7 +152,7 @@ def test_the_light_splits_loss_is_told(tmp_path):
 
 def test_refusals(tmp_path):
     write_splats(tmp_path / "splats.ply", splats())
-    write_ply(tmp_path / "mesh.ply", *ball())
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     with pytest.raises(
         ConfigError, match=r"b\.obj: .*splats\.ply is taken as splats, .* \.compressed\.ply, \.ply, \.spz"
     ):

@@ -20,10 +20,10 @@ from mgsr.shading.target_normals import MIN_OBSERVATIONS
 
 POINTS = 3000  # whose observations tell of the light
 STEPS = 40  # at most
-STILL = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
+STEP_TOLERANCE = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
 ROUNDS = 4  # of new weights in a step
 DAMPING = 1e-3  # of a step, where the capture hardly tells of a number (Levenberg and Marquardt)
-FARTHEST = 0.25  # of the distance to the surface; how far off the lens a lamp may be
+MAX_OFFSET = 0.25  # of the distance to the surface; how far off the lens a lamp may be
 
 
 def fit_flash(
@@ -50,9 +50,9 @@ def fit_flash(
     distance = float(np.median(observations.distances))
     for _ in range(STEPS):
         before, values = values, values + _step(*equations.shade(values), brightness, weights)
-        values[:2] *= min(1, FARTHEST * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
+        values[:2] *= min(1, MAX_OFFSET * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
         values[2:] = np.maximum(values[2:], 0)
-        if np.abs(values - before)[:2].max() < STILL * distance:
+        if np.abs(values - before)[:2].max() < STEP_TOLERANCE * distance:
             break
     return Flash(*values.tolist())
 

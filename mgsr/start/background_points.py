@@ -30,10 +30,10 @@ ROUNDS = 40
 
 def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
     """Return background points in directions where photographs show none of the points found [P,3]; maybe none."""
-    looks = [_look(view, found) for view in views[:: -(-len(views) // VIEWS)]]
+    reduced = [_reduced_view(view, found) for view in views[:: -(-len(views) // VIEWS)]]
     directions = _directions(DIRECTIONS)
     inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, LEVELS)
-    tried = [_agreement(looks, directions / each) for each in inverse]
+    tried = [_agreement(reduced, directions / each) for each in inverse]
     disagreement, colors, count = (np.stack(each, axis=1) for each in zip(*tried, strict=True))
     told = count >= SEEN
     kept = told.mean(axis=1) > 0.5
@@ -51,7 +51,7 @@ def background_points(views: Sequence[View], found: np.ndarray) -> PointCloud:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _ReducedView:
     """A reduced photograph: its camera, image [h,w,3] sRGB 0..1, and where [h,w] bool it may show the background."""
 
     camera: Camera
@@ -59,13 +59,13 @@ class _Look:
     open: np.ndarray
 
 
-def _look(view: View, found: np.ndarray) -> _Look:
+def _reduced_view(view: View, found: np.ndarray) -> _ReducedView:
     small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
     free = np.ones(small.image.shape[:2], bool) if small.valid_mask is None else small.valid_mask.copy()
     _, pixels, _ = small.camera.project_inside(found)
     columns, rows = pixels.astype(np.intp).T
     free[rows, columns] = False
-    return _Look(small.camera, small.image / 255.0, free)
+    return _ReducedView(small.camera, small.image / 255.0, free)
 
 
 def _directions(count: int) -> np.ndarray:
@@ -76,14 +76,14 @@ def _directions(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def _agreement(looks: Sequence[_Look], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _agreement(reduced: Sequence[_ReducedView], places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the deviation [D] of the photographs' colours at places [D,3], their mean [D,3], and their number [D]."""
     count, total, squares = np.zeros(len(places)), np.zeros((len(places), 3)), np.zeros((len(places), 3))
-    for look in looks:
-        index, pixels, _ = look.camera.project_inside(places)
+    for view in reduced:
+        index, pixels, _ = view.camera.project_inside(places)
         columns, rows = pixels.astype(np.intp).T
-        free = look.open[rows, columns]
-        index, color = index[free], look.image[rows[free], columns[free]]
+        free = view.open[rows, columns]
+        index, color = index[free], view.image[rows[free], columns[free]]
         count[index] += 1
         total[index] += color
         squares[index] += color * color

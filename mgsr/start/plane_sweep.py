@@ -48,7 +48,7 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
     progress: told of the share of the work that is done, 0..1.
     """
-    looks = [_look(view) for view in views]
+    looks = [_swept_view(view) for view in views]
     maps = []
     with one_torch_thread():
         for found in map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None):
@@ -65,7 +65,7 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
 
 @dataclass(frozen=True)
-class _Look:
+class _SweptView:
     """A view as it is compared.
 
     camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; known [h,w] float32: 1 where the photograph shows a
@@ -78,7 +78,7 @@ class _Look:
     known: Tensor | None
 
 
-def _look(view: View) -> _Look:
+def _swept_view(view: View) -> _SweptView:
     camera, image, known = view.camera, view.image.astype(np.float32), view.valid_mask
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
@@ -86,10 +86,10 @@ def _look(view: View) -> _Look:
         image, known = valid_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
     image = filled(image, known)
     shown = None if known is None else torch.from_numpy(known.astype(np.float32))
-    return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
+    return _SweptView(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
 
 
-def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
+def _depth_map(looks: Sequence[_SweptView], index: int) -> np.ndarray:
     """Return the depth map of one view, camera z [h,w], infinite where the neighbours do not agree."""
     look = looks[index]
     beside = neighbours([each.camera for each in looks], index, NEIGHBOURS, APART, FARTHEST)
@@ -108,7 +108,7 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     return np.where(clear.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
 
 
-def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
+def _correlations(look: _SweptView, other: _SweptView, inverse: Tensor) -> Tensor:
     """Return how well `other` correlates with `look`, [D,h,w], on planes at inverse depths [D]; -1 where unseen."""
     camera, neighbour = look.camera, other.camera
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -182,7 +182,7 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
     return middle[0] + step.clamp(-0.5, 0.5), clear
 
 
-def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
+def _confirmed(index: int, looks: Sequence[_SweptView], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
     """Return a view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
     depth = maps[index]
     positions = _positions(looks[index].camera, depth)
@@ -201,7 +201,7 @@ def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], l
     return kept
 
 
-def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
+def _filled(looks: Sequence[_SweptView], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
     """Return points of the filled depth maps that lie away from the points found [P,3] already."""
     cloud = _cloud(looks, [_confirmed(index, looks, whole, CONFIRMED_FILLED) for index in range(len(looks))])
     cloud = cloud.rows(_thinned(cloud.positions, SPACING_FILLED))
@@ -210,14 +210,14 @@ def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarr
     return cloud.rows(cKDTree(_drawn_in(found)).query(_drawn_in(cloud.positions))[0] > SPACING_FILLED)
 
 
-def _continued(look: _Look, depth: np.ndarray) -> np.ndarray:
+def _continued(look: _SweptView, depth: np.ndarray) -> np.ndarray:
     """Return the depth map with what `fill_depth` adds; infinite where there is still none."""
     inverse = fill_depth(1 / depth, look.image)
     there = np.isfinite(inverse) if look.known is None else np.isfinite(inverse) & (look.known.numpy() > 0)
     return np.where(there, 1 / inverse, np.inf)
 
 
-def _cloud(looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> PointCloud:
+def _cloud(looks: Sequence[_SweptView], maps: Sequence[np.ndarray]) -> PointCloud:
     """Return the points of all views' depth maps, view by view, with their pixels' colours."""
     positions = [_positions(look.camera, depth) for look, depth in zip(looks, maps, strict=True)]
     colors = [look.image[np.isfinite(depth)] for look, depth in zip(looks, maps, strict=True)]

@@ -35,13 +35,13 @@ MIN_POINTS = 500
 BACKGROUND, BALL = 0.25, 1.25
 
 # The share of all points that are background points, if there are so many.
-AROUND = 0.25
+BACKGROUND_POINTS = 0.25
 
 # A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
-LONELY = 8.0
+MAX_SPACING = 8.0
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
-FARTHEST = 50.0
+MAX_DISTANCE = 50.0
 
 
 class StartSource(StrEnum):
@@ -123,7 +123,7 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
 
 def _own_points(points: PointCloud) -> PointCloud:
     """Return the capture's points that are finite and near enough."""
-    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
+    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < MAX_DISTANCE).all(axis=1)
     return points.rows(good)
 
 
@@ -142,10 +142,10 @@ def _unmasked_points(
     points = without_backdrop(points, last)
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
-    points = _in_company(points)
+    points = _without_isolated(points)
     generator = np.random.default_rng(seed)
     around = points.rows(np.zeros(0, np.intp)) if last.plain else background_points(scene.train, points.positions)
-    around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
+    around = around.rows(np.sort(_some(np.arange(len(around)), round(BACKGROUND_POINTS * count), generator)))
     count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
@@ -154,13 +154,13 @@ def _unmasked_points(
     return StartingPoints(kept.positions, kept.colors, source)
 
 
-def _in_company(points: PointCloud) -> PointCloud:
+def _without_isolated(points: PointCloud) -> PointCloud:
     """Return the points without those in the ball that stand alone, whose splats would hang there as huge disks."""
     inside = np.linalg.norm(points.positions, axis=1) <= BALL
     if not inside.any():
         return points
     spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
-    kept = ~inside | (spacing <= LONELY * np.median(spacing[inside]))
+    kept = ~inside | (spacing <= MAX_SPACING * np.median(spacing[inside]))
     return points.rows(kept)
 
 

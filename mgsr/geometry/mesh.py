@@ -36,7 +36,8 @@ class Mesh:
         """Return unit vertex normals [V,3] float32: area-weighted means over the faces; 0 without a face."""
         crosses, corners, count = self.face_crosses, self.faces.ravel(), len(self.vertices)
         sums = np.stack([np.bincount(corners, np.repeat(crosses[:, axis], 3), count) for axis in range(3)], axis=1)
-        return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
+        lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+        return np.asarray((sums / np.maximum(lengths, 1e-20)).astype(np.float32))
 
     @cached_property
     def double_normals(self) -> np.ndarray:

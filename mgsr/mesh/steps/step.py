@@ -132,7 +132,7 @@ def rendered_pixels(facts: SceneFacts, config: MeshConfig) -> float:
 def surface_cells(facts: SceneFacts, config: MeshConfig) -> float:
     """Return the number of faces along a side of the extracted surface, as a share of 256."""
     across = SHOWN * (rendered_pixels(facts, config) / facts.views) ** 0.5
-    return min(2**config.poisson_depth, across) / 256
+    return float(min(2**config.poisson_depth, across) / 256)
 
 
 def reading_size(facts: SceneFacts, config: MeshConfig) -> float:

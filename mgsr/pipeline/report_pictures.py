@@ -26,7 +26,7 @@ from mgsr.report.pictures import (
     normal_picture,
     premultiplied_picture,
 )
-from mgsr.report.shading import MeshPainter, TriangleMesh, surface_pictures, up_direction
+from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures, up_direction
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class SurfaceDrawings:
 
 def draw_surface(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
     """Draw the surface for the report; mesh and truth are in the user's frame."""
-    shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+    shown = PaintedMesh(mesh.vertices, mesh.faces, mesh.colors).with_normals(mesh.normals)
     painter = MeshPainter(shown)
     to_user = scene.user_from_scene.camera_to_user
     views = [painter.shaded(to_user(view.camera)) for view in scene.test[:MOST_VIEWS]]
     front = to_user((scene.test or scene.train)[0].camera).center
-    true_mesh = None if truth is None else TriangleMesh(truth.mesh.vertices, truth.mesh.faces)
+    true_mesh = None if truth is None else truth.mesh
     return SurfaceDrawings(surface_pictures(shown, _up(scene), front, true_mesh), views)
 
 

@@ -33,7 +33,6 @@ from benchmarks.gpu_check.wheels import fetch_wheels
 from benchmarks.packed_scenes import Packed, pack, read, unpack
 from mgsr.bench.scores import report_scores
 from mgsr.config import Config, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.mirrored_light import StoredLight, write_mirrored_light
@@ -148,7 +147,7 @@ def report(progress: Progress) -> None:
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
     """Return seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
-    background = backdrop(scene, config.train.background).color
+    background = scene.backdrop(config.train.background).color
     surfels = None if result.surfels is None else result.surfels.to(device)
     volumes = None if result.volumes is None else result.volumes.to(device)
     light = None if result.light is None else result.light.to(device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -107,6 +108,35 @@ def test_the_worker_shares_only_the_contract_with_the_service(path: Path) -> Non
 @pytest.mark.parametrize("path", sources("worker"), ids=lambda path: str(path.relative_to(ROOT)))
 def test_the_worker_knows_nothing_of_the_command_line(path: Path) -> None:
     assert not [name for name in imports(path) if name.startswith("mgsr.cli")]
+
+
+def imported_at_once(path: Path) -> set[str]:
+    """Return the modules of mgsr that a file imports while it is being imported, or for its annotations alone."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    late = {
+        node
+        for function in ast.walk(tree)
+        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
+        for node in ast.walk(function)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node not in late:
+            modules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES.keys()
+            found |= modules or {node.module} & MODULES.keys()
+    return found
+
+
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in sources("mgsr")}
+
+
+def test_no_modules_import_each_other() -> None:
+    """Check that modules import each other in no circle, however long, not even for their annotations."""
+    graph = {name: imported_at_once(path) for name, path in MODULES.items()}
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(f"imports in a circle: {' <- '.join(error.args[1])}")
 
 
 def test_every_part_has_its_row() -> None:

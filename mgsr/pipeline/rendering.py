@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
-from mgsr.data.backdrop import Color, backdrop
+from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
@@ -102,7 +102,7 @@ def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
 
     They show the transmitted colour, so without highlights, where there is a light split and `mesh.color` asks for it.
     """
-    behind = backdrop(scene, config.train.background).color
+    behind = scene.backdrop(config.train.background).color
     return replace(
         scene,
         train=[_as_photograph(models, view, config, behind) for view in scene.train],
@@ -127,7 +127,7 @@ def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
     There the branches' opacity needs to cover nothing but the object. Without masks and backdrop, the scene stays as it
     is.
     """
-    if not backdrop(scene, config.train.background).plain:
+    if not scene.backdrop(config.train.background).plain:
         return scene
     with torch.no_grad():
         masks = [to_uint8(255 * _opacity(models, view.camera)) for view in scene.train]

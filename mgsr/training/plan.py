@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 
 from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, volume_settings
-from mgsr.data.backdrop import Backdrop, Color, backdrop
+from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.carried import carried, faintest
 from mgsr.densify.clearance import Clearance
@@ -98,7 +98,7 @@ def make_plan(
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    behind = backdrop(scene, config.train.background)
+    behind = scene.backdrop(config.train.background)
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     parts = make_parts(scene, start, config, reflection, tried, device)

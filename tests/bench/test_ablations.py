@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.bench.ablations import FINDINGS, NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
+from benchmarks.evidence.ablations import FINDINGS
+from mgsr.bench.ablations import NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
 from mgsr.bench.cells import matrix, of_row, read_variants
 from mgsr.bench.results import Row
 from mgsr.config import ABLATIONS, Branches, Reflection, make_config

@@ -12,7 +12,6 @@ import torch
 from scipy.ndimage import binary_dilation
 
 from mgsr.config import Config, DataConfig, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
@@ -90,7 +89,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     assert mesh.textured is not None
     yield "texture", mesh.textured.picture
     rendered = list(render_views(models, scene.test, config))
-    behind = backdrop(scene, config.train.background).color
+    behind = scene.backdrop(config.train.background).color
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
@@ -17,7 +18,6 @@ from mgsr.data.scene import PointCloud, Scene, Similarity, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.triangles import Triangles
 from mgsr.open3d_library import load_open3d
-from mgsr.pipeline.example import find_example
 from mgsr.shading.refine import Light, Refined
 from mgsr.shading.unexplained import Unexplained, leave_unexplained
 from mgsr.start import masked_surface

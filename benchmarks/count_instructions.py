@@ -96,7 +96,7 @@ def read_kernels(cubin: Path, args: argparse.Namespace) -> dict[str, Kernel]:
 
 def our_kernels(folder: Path, args: argparse.Namespace) -> dict[str, Kernel]:
     found: dict[str, Kernel] = {}
-    for family in ("volumes", "surfels"):
+    for family in ("gaussians", "surfels"):
         cubin = folder / f"{family}.cubin"
         cubin.write_bytes(compile_family(family, args.arch))
         found |= read_kernels(cubin, args)
@@ -150,7 +150,7 @@ def compile_gsplat(source: Path, way: str, folder: Path, args: argparse.Namespac
 def our_row(kernels: dict[str, Kernel], kind: str, counts: Counter[str]) -> Row:
     """Return the instructions of our kernels: of blending, and of preparing pixels and walking back."""
     useful = counts["useful"] / counts["steps"]
-    blend, back, pixels = (kernels[f"volumes_{part}_{kind}"] for part in ("blend", "backward", "pixels"))
+    blend, back, pixels = (kernels[f"gaussians_{part}_{kind}"] for part in ("blend", "backward", "pixels"))
     kernel, batch, bucket, _ = blend.nest
     forward = counts["warps"] * kernel.at(1) + counts["batches"] * batch.at(1) + counts["buckets"] * bucket.at(1)
     kernel, patch, chunk, _ = back.nest

@@ -34,10 +34,10 @@ from benchmarks.packed_scenes import Packed, pack, read, unpack
 from mgsr.bench.scores import report_scores
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene
+from mgsr.export.environment_map import StoredEnvironmentMap, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
-from mgsr.export.mirrored_light import StoredLight, write_mirrored_light
 from mgsr.export.splats import write_splats
-from mgsr.training.evaluate import mean_psnr, surfel_picture, volume_picture
+from mgsr.training.evaluate import gaussian_picture, mean_psnr, surfel_picture
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from mgsr.training.views import prepare_views
@@ -46,7 +46,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 CPU_ROWS = ROOT / "benchmarks" / "results" / "runs.csv"
 LEARNT = ("splats_2d.ply", "splats_3d.ply", "mirrored_light.npz")
-SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "volumes", "train_seconds")
+SCORES = ("chamfer", "f_score", "normal_error", "psnr", "surfels", "gaussians", "train_seconds")
 
 
 @dataclass(frozen=True)
@@ -117,14 +117,17 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
         (out / name).unlink(missing_ok=True)
     origin = origin_of_frame(scene.user_from_scene)
     frame = about_origin(scene.user_from_scene, 1.0, origin)
-    low_pass = None if trained.volumes is None else trained.volumes.low_pass
-    for name, model, blur in ((LEARNT[0], trained.surfels, None), (LEARNT[1], trained.volumes, low_pass)):
+    low_pass = None if trained.model.gaussians is None else trained.model.gaussians.low_pass
+    for name, model, blur in ((LEARNT[0], trained.model.surfels, None), (LEARNT[1], trained.model.gaussians, low_pass)):
         if model is not None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
-    if trained.light is not None:
-        light = StoredLight(trained.light.maps().numpy(), trained.light.bounce().numpy())
-        write_mirrored_light(out / LEARNT[2], light)
+    light = trained.model.environment_map
+    if light is not None:
+        light = StoredEnvironmentMap(
+            trained.model.environment_map.maps().numpy(), trained.model.environment_map.bounce().numpy()
+        )
+        write_environment_map(out / LEARNT[2], light)
 
 
 def digests(out: Path) -> dict[str, str]:
@@ -148,16 +151,11 @@ def measured(scene: Scene, result: TrainResult, config: Config, device: torch.de
     """Return seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
     background = scene.backdrop(config.train.background).color
-    surfels = None if result.surfels is None else result.surfels.to(device)
-    volumes = None if result.volumes is None else result.volumes.to(device)
-    light = None if result.light is None else result.light.to(device)
-    splats, psnr = {}, {}
-    if surfels is not None:
-        splats["surfels"] = len(surfels)
-        psnr["surfels"] = mean_psnr(surfel_picture(surfels), views, background)
-    if volumes is not None:
-        splats["volumes"] = len(volumes)
-        psnr["volumes"] = mean_psnr(volume_picture(volumes, surfels, light), views, background)
+    model, psnr = result.model.to(device), {}
+    if model.surfels is not None:
+        psnr["surfels"] = mean_psnr(surfel_picture(model.surfels), views, background)
+    if model.gaussians is not None:
+        psnr["gaussians"] = mean_psnr(gaussian_picture(model), views, background)
     return {
         "scene": scene.name,
         "preset": config.preset,
@@ -166,8 +164,8 @@ def measured(scene: Scene, result: TrainResult, config: Config, device: torch.de
         "photographs": len(scene.train),
         "seconds": result.seconds,
         "stages": {stage.name: [stage.iterations, stage.seconds, stage.stop_reason] for stage in result.stages},
-        "splats": splats,
-        "reflection": {"chosen": result.reflection, "tried": result.tried},
+        "splats": model.counts,
+        "reflection": {"chosen": model.reflection, "tried": result.tried},
         "psnr": psnr,
         "incidents": result.incidents,
     }

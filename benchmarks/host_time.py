@@ -135,7 +135,7 @@ def main() -> None:
     parser.add_argument("--operations", action="store_true", help="name the last stage's operations")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    config = make_config("high", overrides=[f"reflection={arguments.reflection}", "mirror.iterations=0"])
+    config = make_config("high", overrides=[f"reflection={arguments.reflection}", "environment_map.iterations=0"])
     plan = make_plan(ball_scene(SIDE, train=3, test=1, masked=True), ball_points(SPLATS), config)
     if arguments.profile:
         profile(plan, config, arguments.iterations)

@@ -26,7 +26,7 @@ from benchmarks.evidence.kernels import AS_IT_IS, KernelRow, kernel_table, read_
 from benchmarks.evidence.kernels import CHOICES as CHOICES_FILE
 
 ROOT = Path(__file__).parents[1]
-RASTERIZERS = ("_volumes", "_surfels")
+RASTERIZERS = ("_gaussians", "_surfels")
 COMMON = "mgsr/native/kernels/common/"
 TILE = "constexpr int kTile = 16;"
 TERMS = "kTerms[] = {9.6755410e-3f, 5.5507131e-2f, 2.4022120e-1f, 6.9314694e-1f, 1.0000001f};"

@@ -30,22 +30,22 @@ from mgsr.data.camera import Camera
 from mgsr.native import _image, runtime
 from mgsr.ops.adam import FusedAdam
 from mgsr.ops.depth_normals import depth_to_normals
+from mgsr.ops.environment_map import look_up_environment_map
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.harmonics import harmonics_to_rgb
 from mgsr.ops.image_loss import image_loss
-from mgsr.ops.mirrored import look_up_mirrored
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
 from mgsr.ops.tv import edge_aware_tv
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 from tests.ops.splat_scenes import camera as small_camera
 from tests.ops.splat_scenes import random_splats
 from tests.oracles import adam as adam_oracle
 from tests.oracles import depth_normals as normals_oracle
+from tests.oracles import environment_map as environment_map_oracle
+from tests.oracles import gaussians as gaussians_oracle
 from tests.oracles import harmonics as harmonics_oracle
 from tests.oracles import image_loss as loss_oracle
-from tests.oracles import mirrored as mirrored_oracle
 from tests.oracles import surfels as surfels_oracle
 from tests.oracles import tv as tv_oracle
-from tests.oracles import volumes as volumes_oracle
 
 Compute = Callable[..., list[Tensor]]
 ADAM_STEPS, ADAM_RATE = 10, 1e-3
@@ -111,8 +111,8 @@ def raster_cases(path: Path) -> list[Case]:
     view = Camera(data["K"].astype(float), data["viewmat"].astype(float), int(data["width"]), int(data["height"]))
     background = torch.tensor(data["background"])
     light = (opacities, colors, opacities)
-    single = Problem((means, quats, scales, opacities, colors, background), volumes_of(view), 5)
-    dual = Problem((means, quats, scales, opacities, colors, *light, background), volumes_of(view), 8)
+    single = Problem((means, quats, scales, opacities, colors, background), gaussians_of(view), 5)
+    dual = Problem((means, quats, scales, opacities, colors, *light, background), gaussians_of(view), 8)
     found = path.with_name(f"ref_{path.name}")
     reference = [torch.tensor(np.load(found)["img"])] if found.is_file() else []
     told = f"image: reference of {path.stem}; gradients: {SMALL}" if reference else SMALL
@@ -121,9 +121,9 @@ def raster_cases(path: Path) -> list[Case]:
     small_light = (small["opacities"].flip(0), small["colors"].flip(0), small["opacities"])
     black = torch.zeros(3, dtype=torch.float64)
     one, both = (
-        Problem((*small_inputs, *extra, black), volumes_of(small_view), 5 + len(extra)) for extra in ((), small_light)
+        Problem((*small_inputs, *extra, black), gaussians_of(small_view), 5 + len(extra)) for extra in ((), small_light)
     )
-    oracle = volumes_oracle_of(small_view)
+    oracle = gaussians_oracle_of(small_view)
     cases = [
         Case("3D, one colour", path.stem, single, one, oracle, told, reference),
         Case("3D, both lights", path.stem, dual, both, oracle, SMALL),
@@ -137,7 +137,7 @@ def raster_cases(path: Path) -> list[Case]:
     return cases
 
 
-def volumes_of(view: Camera) -> Compute:
+def gaussians_of(view: Camera) -> Compute:
     """Return a function that renders Gaussians: colour alone from five inputs and a background.
 
     With a reflected light of three more inputs, it returns every output.
@@ -146,18 +146,18 @@ def volumes_of(view: Camera) -> Compute:
     def compute(*inputs: Tensor) -> list[Tensor]:
         *splats, background = inputs
         if len(splats) == 5:
-            return [rasterize_volumes(*splats, view, background, None, VolumeOptions(depth=False)).color]
-        out = rasterize_volumes(*splats[:5], view, background, Reflected(*splats[5:]))
+            return [rasterize_gaussians(*splats, view, background, None, GaussianOptions(depth=False)).color]
+        out = rasterize_gaussians(*splats[:5], view, background, Reflected(*splats[5:]))
         assert out.depth is not None and out.reflected is not None and out.weight is not None
         return [out.color, out.depth, out.reflected, out.weight]
 
     return compute
 
 
-def volumes_oracle_of(view: Camera) -> Compute:
+def gaussians_oracle_of(view: Camera) -> Compute:
     def compute(*inputs: Tensor) -> list[Tensor]:
         *splats, background = inputs
-        out = volumes_oracle.render(*splats[:5], view, background, splats[5:] or None)
+        out = gaussians_oracle.render(*splats[:5], view, background, splats[5:] or None)
         return [out.color] if len(splats) == 5 else [out.color, out.depth, out.reflected, out.weight]
 
     return compute
@@ -205,12 +205,12 @@ def image_cases(side: int) -> list[Case]:
         _same("TV of depth", text, (depth, second), 1, lambda a, b: [edge_aware_tv(a, b)],
               lambda a, b: [tv_oracle.edge_aware_tv(a, b)], None),
         _same("depth to normals", text, (depth,), 1, lambda a: [depth_to_normals(a, view)], normals, normals),
-        mirrored_case(view, text),
+        environment_map_case(view, text),
     ]  # fmt: skip
 
 
-def mirrored_case(view: Camera, text: str) -> Case:
-    """Return the case of mirrored light: smooth maps of 64 texels a side, and a ball's normals in every pixel."""
+def environment_map_case(view: Camera, text: str) -> Case:
+    """Return the case of the environment map: smooth maps of 64 texels a side, and a ball's normals in every pixel."""
     angles = torch.linspace(0, 9, 64)
     waves = 0.5 + 0.25 * (torch.sin(angles)[:, None, None] + torch.cos(angles[:, None] + torch.arange(3)))
     rows, columns = (torch.arange(side) + 0.5 - side / 2 for side in (view.height, view.width))
@@ -219,12 +219,12 @@ def mirrored_case(view: Camera, text: str) -> Case:
     K, pose = torch.from_numpy(view.K), torch.from_numpy(view.cam_from_world)
 
     def plain(maps: Tensor, normals: Tensor) -> list[Tensor]:
-        return [mirrored_oracle.look_up_mirrored(maps, normals, K.to(maps), pose.to(maps))]
+        return [environment_map_oracle.look_up_environment_map(maps, normals, K.to(maps), pose.to(maps))]
 
     def ours(maps: Tensor, normals: Tensor) -> list[Tensor]:
-        return [look_up_mirrored(maps, normals, view)]
+        return [look_up_environment_map(maps, normals, view)]
 
-    return _same("mirrored light", text, (torch.stack([waves, waves.flip(0)]), normals), 2, ours, plain, plain)
+    return _same("environment map", text, (torch.stack([waves, waves.flip(0)]), normals), 2, ours, plain, plain)
 
 
 def torch_loss(a: Tensor, b: Tensor) -> list[Tensor]:

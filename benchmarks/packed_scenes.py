@@ -21,7 +21,7 @@ from PIL import Image
 from mgsr.config import Config
 from mgsr.data.camera import Camera
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.training.parts import StartingPoints
+from mgsr.training.train_state import StartingPoints
 
 BALL = "ball"
 PARTS = ("train", "test")
@@ -122,8 +122,8 @@ def packed_or_ball(name: str, config: Config) -> Packed:
 def _view_arrays(views: Sequence[View], masked: bool) -> dict[str, np.ndarray]:
     planes: dict[str, list[np.ndarray | None]] = {
         "pictures": [_picture(view, masked) for view in views],
-        "lit": [view.lit for view in views],
-        "known": [None if view.known is None else view.known.astype(np.uint8) for view in views],
+        "lit": [view.irradiance for view in views],
+        "known": [None if view.valid_mask is None else view.valid_mask.astype(np.uint8) for view in views],
     }
     arrays = {
         "names": np.array([view.name for view in views], np.str_),

@@ -27,8 +27,8 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.surfels import rasterize_surfels
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 
 try:
     import gsplat
@@ -101,17 +101,17 @@ def our_modes(scene: Scene) -> dict[str, Render]:
     means, quats, scales, opacities, colors = scene.leaves
     view = (scene.camera, scene.background)
 
-    def volumes() -> list[Tensor]:
-        return [rasterize_volumes(*scene.leaves, *view, None, VolumeOptions(depth=False)).color]
+    def gaussians() -> list[Tensor]:
+        return [rasterize_gaussians(*scene.leaves, *view, None, GaussianOptions(depth=False)).color]
 
     def surfels() -> list[Tensor]:
         return [rasterize_surfels(means, quats, scales[:, :2].contiguous(), opacities, colors, *view).color]
 
     def dual() -> list[Tensor]:
-        out = rasterize_volumes(*scene.leaves, *view, scene.reflected)
+        out = rasterize_gaussians(*scene.leaves, *view, scene.reflected)
         return [out.color, out.reflected, out.weight, out.depth]
 
-    return {"3d": volumes, "2d": surfels, "dual": dual}
+    return {"3d": gaussians, "2d": surfels, "dual": dual}
 
 
 def gsplat_modes(scene: Scene) -> dict[str, Render]:
@@ -123,16 +123,16 @@ def gsplat_modes(scene: Scene) -> dict[str, Render]:
     K = torch.tensor(scene.camera.K, dtype=torch.float32, device=device)[None]
     size = {"width": scene.camera.width, "height": scene.camera.height, "packed": False}
 
-    def volumes(opacities: Tensor = opacities, colors: Tensor = colors) -> Tensor:
+    def gaussians(opacities: Tensor = opacities, colors: Tensor = colors) -> Tensor:
         return gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
 
     def surfels() -> list[Tensor]:
         return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors[None], pose, K, **size)[0]]
 
     def twice() -> list[Tensor]:
-        return [volumes(), volumes(scene.reflected.opacities, scene.reflected.colors)]
+        return [gaussians(), gaussians(scene.reflected.opacities, scene.reflected.colors)]
 
-    return {"gsplat 3d": lambda: [volumes()], "gsplat 2d": surfels, "gsplat 3d twice": twice}
+    return {"gsplat 3d": lambda: [gaussians()], "gsplat 2d": surfels, "gsplat 3d twice": twice}
 
 
 def time_once(render: Render, device: torch.device) -> tuple[float, float]:

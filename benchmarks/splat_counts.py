@@ -21,9 +21,9 @@ from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.config import Growth, make_config
 from mgsr.data.scene import Scene
-from mgsr.training.evaluate import mean_psnr, volume_picture
-from mgsr.training.parts import StartingPoints
+from mgsr.training.evaluate import gaussian_picture, mean_psnr
 from mgsr.training.run import Training
+from mgsr.training.train_state import StartingPoints
 from mgsr.training.views import prepare_views
 
 CAPS = (5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 400_000)
@@ -90,16 +90,16 @@ def read_scene(path: Path, side: int) -> tuple[Scene, StartingPoints]:
 def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, device: torch.device) -> CountRow:
     """Train with the method 3dgs but for its growth, and score the test views."""
     overrides = [
-        f"volumes.densify.by={by}",
-        f"volumes.densify.max_count={cap}",
-        f"volumes.max_start={min(START, cap // 2)}",
+        f"gaussians.densify.by={by}",
+        f"gaussians.densify.max_count={cap}",
+        f"gaussians.max_start={min(START, cap // 2)}",
     ]
     config = make_config("standard", "3dgs", overrides=overrides)
     result = Training(scene, start, config, device=device).run()
-    assert result.volumes is not None
-    volumes = result.volumes.to(device)
+    model = result.model.to(device)
+    assert model.gaussians is not None
     views = prepare_views(scene.test, scene.masked, device=device)
-    psnr = mean_psnr(volume_picture(volumes, None, None), views, scene.backdrop(config.train.background).color)
+    psnr = mean_psnr(gaussian_picture(model), views, scene.backdrop(config.train.background).color)
     side = max(max(view.camera.width, view.camera.height) for view in scene.train)
     name = torch.cuda.get_device_name() if device.type == "cuda" else "cpu"
     return CountRow(
@@ -108,7 +108,7 @@ def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, device: 
         len(scene.train),
         str(by),
         cap,
-        len(volumes),
+        len(model.gaussians),
         psnr,
         result.seconds,
         name,

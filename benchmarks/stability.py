@@ -36,7 +36,7 @@ HEADER = ("scene", "3D dB", "worst", "2D dB", "worst", "surface", "worst", "fail
 class Outcome:
     """One training; psnr and surface are NaN where it failed."""
 
-    volumes_psnr: float
+    gaussians_psnr: float
     surfels_psnr: float
     surface: float
     failed: bool
@@ -45,8 +45,8 @@ class Outcome:
 
 
 def settings(seed: int) -> Config:
-    overrides = ["warmup.surfel_iterations=150", "warmup.volume_iterations=150", "mutual.iterations=100"]
-    overrides += [f"{branch}.densify.every=25" for branch in ("surfels", "volumes")]
+    overrides = ["warmup.surfel_iterations=150", "warmup.gaussian_iterations=150", "mutual.iterations=100"]
+    overrides += [f"{branch}.densify.every=25" for branch in ("surfels", "gaussians")]
     overrides += ["curve_every=100000", "curve_views=3", "stop_rule=none"]
     return make_config("draft", "mgsr", seed, overrides)
 
@@ -58,13 +58,13 @@ def run(name: str, seed: int) -> Outcome:
     except TrainingError as error:
         print(f"{name}, seed {seed}: {error}")
         return Outcome(np.nan, np.nan, np.nan, True, 0, time.process_time() - begun)
-    assert result.surfels is not None
+    assert result.model.surfels is not None
     row = result.curve[-1]
-    assert row.psnr_volumes is not None and row.psnr_surfels is not None
-    points = np.concatenate([depth_points(result.surfels, view.camera) for view in scene.test])
+    assert row.psnr_gaussians is not None and row.psnr_surfels is not None
+    points = np.concatenate([depth_points(result.model.surfels, view.camera) for view in scene.test])
     failed, seconds = not _finite(result), time.process_time() - begun
     error = surface_error(name, points)
-    return Outcome(row.psnr_volumes, row.psnr_surfels, error, failed, len(result.incidents), seconds)
+    return Outcome(row.psnr_gaussians, row.psnr_surfels, error, failed, len(result.incidents), seconds)
 
 
 def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
@@ -78,19 +78,19 @@ def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
 
 
 def _finite(result: TrainResult) -> bool:
-    models = [model for model in (result.surfels, result.volumes) if model is not None]
+    models = [model for model in (result.model.surfels, result.model.gaussians) if model is not None]
     return all(bool(torch.isfinite(t).all()) for model in models for t in model.parameters().values())
 
 
 def summary(name: str, outcomes: list[Outcome]) -> tuple[str, ...]:
-    volumes, surfels, surface = (
+    gaussians, surfels, surface = (
         np.array([getattr(outcome, field) for outcome in outcomes])
-        for field in ("volumes_psnr", "surfels_psnr", "surface")
+        for field in ("gaussians_psnr", "surfels_psnr", "surface")
     )
     return (
         name,
-        f"{volumes.mean():.2f} ± {volumes.std():.2f}",
-        f"{volumes.min():.2f}",
+        f"{gaussians.mean():.2f} ± {gaussians.std():.2f}",
+        f"{gaussians.min():.2f}",
         f"{surfels.mean():.2f} ± {surfels.std():.2f}",
         f"{surfels.min():.2f}",
         f"{surface.mean():.1f} ± {surface.std():.1f}",

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from benchmarks.rasterizers import Scene
-from mgsr.native.cuda import tiles, volumes
+from mgsr.native.cuda import gaussians, tiles
 from mgsr.native.cuda.tiles import BUCKET, TILE, TILE_PIXELS
-from mgsr.ops.volumes import VolumeOptions
+from mgsr.ops.gaussians import GaussianOptions
 from tests.cuda_shim.launcher import ShimLauncher
 
 MIN_ALPHA, MAX_ALPHA, MIN_LIGHT = np.float32(1 / 255), np.float32(0.999), np.float32(1e-4)
@@ -76,12 +76,12 @@ class View:
 
 def project(scene: Scene, dual: bool) -> View:
     """Return a scene's splats and lists, as the CUDA kernels make them (on this machine's processor)."""
-    launcher, options, camera = ShimLauncher(), VolumeOptions(), scene.camera
+    launcher, options, camera = ShimLauncher(), GaussianOptions(), scene.camera
     reflected = tuple(scene.reflected) if dual else (None, None, None)
     given = [None if t is None else t.detach() for t in (*scene.leaves, *reflected)]
     view = (camera.K, camera.cam_from_world, camera.width, camera.height, options.near, options.low_pass, 0)
-    struct = volumes.splats_struct(given, view)
-    projected = tiles.project(launcher, "volumes", volumes.ProjectParams, struct, torch.empty(len(scene.leaves[0])))
+    struct = gaussians.splats_struct(given, view)
+    projected = tiles.project(launcher, "gaussians", gaussians.ProjectParams, struct, torch.empty(len(scene.leaves[0])))
     lists = tiles.list_tiles(launcher, projected, projected.whole)
     records = projected.records.numpy()
     whole = np.ascontiguousarray(records[:, :1]).view(np.int16)

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
         TensorError,
         TrainingError,
     )
-    from mgsr.gaussians.mirrored import MirroredLight
+    from mgsr.gaussians.environment_map import EnvironmentMap
+    from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
-    from mgsr.gaussians.volumes import VolumeModel
     from mgsr.mesh.surface import Mesh
     from mgsr.pipeline.novel_view import Rendering, render
     from mgsr.pipeline.progress import Event
@@ -46,13 +46,14 @@ __all__ = [
     "Config",
     "ConfigError",
     "DataConfig",
+    "EnvironmentMap",
     "Event",
+    "GaussianModel",
     "GpuError",
     "LostCardError",
     "Mesh",
     "MeshError",
     "MgsrError",
-    "MirroredLight",
     "MissingPhotoError",
     "Reconstruction",
     "Rendering",
@@ -62,7 +63,6 @@ __all__ = [
     "TensorError",
     "TrainingError",
     "View",
-    "VolumeModel",
     "__version__",
     "load_result",
     "load_scene",
@@ -78,13 +78,13 @@ _MODULES = {
     "DataConfig": "mgsr.config",
     "Event": "mgsr.pipeline.progress",
     "Mesh": "mgsr.mesh.surface",
-    "MirroredLight": "mgsr.gaussians.mirrored",
+    "EnvironmentMap": "mgsr.gaussians.environment_map",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.pipeline.novel_view",
     "Scene": "mgsr.data.scene",
     "SurfelModel": "mgsr.gaussians.surfels",
     "View": "mgsr.data.scene",
-    "VolumeModel": "mgsr.gaussians.volumes",
+    "GaussianModel": "mgsr.gaussians.gaussians",
     "load_result": "mgsr.pipeline.reconstruction",
     "load_scene": "mgsr.data.readers",
     "make_config": "mgsr.config",

@@ -100,7 +100,7 @@ class MeshConfig:
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    shading_ratio: float | None = 0.85  # a flash on the camera, or mirrored surroundings, count as known where they
+    shading_ratio: float | None = 0.85  # a flash on the camera, or an environment map, counts as known where they
     # leave at most this share of what one brightness a point leaves; the mesh then heeds them; none is off, for
     # parallax too
     parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
@@ -149,19 +149,19 @@ class Branches(StrEnum):
 
     BOTH = "both"
     SURFELS = "surfels"
-    VOLUMES = "volumes"
+    GAUSSIANS = "gaussians"
 
 
 class StopRule(StrEnum):
     """When a warm-up ends before its iterations are spent.
 
-    epoch: the mean loss over all views hardly falls from one span of epochs to the next. held_back: the PSNR of a
+    epoch: the mean loss over all views hardly falls from one span of epochs to the next. validation: the PSNR of a
     few training views that the warm-up never sees stops rising. paper: the last 100 losses lie within a range
     (they come from different views, so this compares unlike things). none: never.
     """
 
     EPOCH = "epoch"
-    HELD_BACK = "held_back"
+    VALIDATION = "validation"
     PAPER = "paper"
     NONE = "none"
 
@@ -252,18 +252,18 @@ class DensifyConfig:
     split_shrink: float = 1.6  # a split divides the scales by this
     prune_above: float = 0.1  # splats longer than this times the extent go
     max_count: int = 40_000  # splats; none are added beyond them
-    drop_carrying: float = 0.06  # share of the light; splats that together carry less go after the warm-up; masked
-    # scenes only: in others a few huge ones in the background carry most of it
+    prune_contribution: float = 0.06  # share of all contributions; splats that together contribute less go after the
+    # warm-up; masked scenes only: in others a few huge ones in the background contribute most
 
 
 @dataclass(frozen=True)
-class VolumeDensifyConfig(DensifyConfig):
+class GaussianDensifyConfig(DensifyConfig):
     """How the 3D branch gains and loses Gaussians: as DensifyConfig says, or by the errors of its renderings."""
 
     by: Growth = Growth.ERROR
     tolerance: float = 0.04  # mean over 3 x 3 pixels of the difference, sRGB 0..1, from which it counts as visible
     growth: float = 0.5  # largest share of the count that is added in one round
-    replace: float = 0.1  # largest share of the count that is replaced in one round: those that carry least light
+    replace: float = 0.1  # largest share of the count that is replaced in one round: those that contribute least
     growth_views: int = 8  # training views that are rendered in one round
     new_opacity: float = 0.6  # of Gaussians that are added by errors
     scale_rate: float = 2e-2  # learning rate of log-scales, in place of rates.scale, where errors tell
@@ -271,7 +271,7 @@ class VolumeDensifyConfig(DensifyConfig):
     unmasked_count: int = 20_000  # max_count where the gradient tells because there are no masks
     prune_opacity: float = 0.005
     max_count: int = 1_000_000
-    drop_carrying: float = 0.01
+    prune_contribution: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -299,10 +299,10 @@ class SurfelConfig:
 
 
 class Reflection(StrEnum):
-    """What the 3D branch adds to the transmitted light. auto: a trial decides (see TrialConfig).
+    """What the 3D branch adds to the transmitted light. auto: model selection decides (see ModelSelectionConfig).
 
     off: nothing (3DGS). own: each splat's reflected colour, times its weight (the paper's). shared: two maps, the same
-    for all splats, of the light that the 2D branch's surface mirrors. both: the maps added to the splats' own.
+    for all splats, of the environment that the 2D branch's surface reflects. both: the maps added to the splats' own.
     """
 
     AUTO = "auto"
@@ -313,7 +313,7 @@ class Reflection(StrEnum):
 
 
 @dataclass(frozen=True)
-class VolumeConfig:
+class GaussianConfig:
     """The 3D branch: rendering and the light split."""
 
     reflection: Reflection = Reflection.AUTO
@@ -330,12 +330,12 @@ class VolumeConfig:
     reflected_cost: float = 0.15  # on the mean of W * C_ref: what the transmitted light can explain, it must
     alpha_weight: float = 0.1  # alpha against the mask; masked scenes only
     rates: RatesConfig = field(default_factory=RatesConfig)
-    densify: VolumeDensifyConfig = field(default_factory=VolumeDensifyConfig)
+    densify: GaussianDensifyConfig = field(default_factory=GaussianDensifyConfig)
 
 
 @dataclass(frozen=True)
-class MirrorConfig:
-    """The maps of the light that the surface mirrors (see Reflection)."""
+class EnvironmentMapConfig:
+    """The environment maps that the surface reflects (see Reflection)."""
 
     side: int = 64  # texels along a map's side
     start: float = 0.007  # the maps' light, 0..1
@@ -343,24 +343,24 @@ class MirrorConfig:
     fade_from: float = 0.5  # fraction of the run after which the rate begins to fade
     final: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
-    iterations: int = 300  # of the 3D branch and the light after the surface was made, which then mirrors instead of
+    iterations: int = 300  # of the 3D branch and the maps after the surface was made, which then reflects instead of
     # the 2D branch; masked scenes only; 0 is never
-    weight_hold: float = 5e-7  # pull of each splat's reflection weight to its start
+    weight_prior: float = 5e-7  # pull of each splat's reflection weight to its start
 
 
 @dataclass(frozen=True)
-class TrialConfig:
+class ModelSelectionConfig:
     """The 3D branch warms up without any reflection. Then each of off and shared, or of off and own where no surface
-    mirrors, goes on from there for a while, and off stays unless the other renders photographs kept from training
+    reflects, goes on from there for a while, and off stays unless the other renders photographs kept from training
     better; lower degrees of the transmitted colour's harmonics stay as long as they are no worse.
 
     Without iterations, or with too few photographs, the start decides: off where brightness does not change from view
-    to view as mirrored light does, shared where it does, both where that is not known.
+    to view as reflected light does, shared where it does, both where that is not known.
     """
 
     start: float = 0.5  # fraction of the 3D branch's warm-up that comes before
-    iterations: int = 150  # of each; 0 is no trial
-    views: int = 6  # training photographs kept from the warm-up until the trial is over; at most a quarter
+    iterations: int = 150  # of each; 0 is no selection
+    views: int = 6  # training photographs kept from the warm-up until the selection is over; at most a quarter
     gain: float = 0.1  # dB that a less simple one must render better
 
 
@@ -369,17 +369,17 @@ class WarmupConfig:
     """Each branch alone (supplement, Algorithm 1)."""
 
     surfel_iterations: int = 800  # at most
-    volume_iterations: int = 2000  # at most
-    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never the trial's
+    gaussian_iterations: int = 2000  # at most
+    coarse: float = 0.4  # fraction of the iterations on photographs of half the size; never those of model selection
     coarse_side: int = 400  # pixels; photographs whose shorter side is smaller are not made smaller still
     stop_rule: StopRule = StopRule.EPOCH
     stop_after: float = 0.75  # fraction of the iterations before which no branch stops
     epoch_span: int = 5  # epochs that are averaged and compared with as many before them
     epoch_gain: float = 0.002  # relative fall of the loss under which a branch has converged
-    held_back_views: int = 3  # training views kept out of the warm-up under the rule held_back
-    held_back_every: int = 100  # iterations between looks at them
-    held_back_patience: int = 4  # looks without a gain
-    held_back_gain: float = 0.05  # dB
+    validation_views: int = 3  # training views kept out of the warm-up under the rule validation
+    validation_every: int = 100  # iterations between looks at them
+    validation_patience: int = 4  # looks without a gain
+    validation_gain: float = 0.05  # dB
     paper_range: float = 0.01  # of the last 100 losses
 
 
@@ -390,7 +390,7 @@ class MutualConfig:
     iterations: int = 1600
     iterations_factor: float = 1.0  # times `iterations`; Models G to J
     surfel_weight: float = 0.5  # of L_2D in the total
-    volume_weight: float = 0.5  # of L_3D in the total
+    gaussian_weight: float = 0.5  # of L_3D in the total
     depth_weight: float = 0.01  # of L_depth in the total
     photo_weight: float = 0.3  # lambda_6: the photograph's share in the 2D branch's target; the rest is C_tran's
     teaching: Teaching = Teaching.BOTH_WAYS
@@ -427,9 +427,9 @@ class TrainConfig:
     warmup: WarmupConfig = field(default_factory=WarmupConfig)
     mutual: MutualConfig = field(default_factory=MutualConfig)
     surfels: SurfelConfig = field(default_factory=SurfelConfig)
-    volumes: VolumeConfig = field(default_factory=VolumeConfig)
-    mirror: MirrorConfig = field(default_factory=MirrorConfig)
-    trial: TrialConfig = field(default_factory=TrialConfig)
+    gaussians: GaussianConfig = field(default_factory=GaussianConfig)
+    environment_map: EnvironmentMapConfig = field(default_factory=EnvironmentMapConfig)
+    model_selection: ModelSelectionConfig = field(default_factory=ModelSelectionConfig)
     watch: WatchConfig = field(default_factory=WatchConfig)
 
 
@@ -453,18 +453,18 @@ class Config:
 PRESETS: dict[str, dict[str, str]] = {
     "draft": {  # 25 to 50 seconds
         "warmup.surfel_iterations": "250",
-        "warmup.volume_iterations": "300",
+        "warmup.gaussian_iterations": "300",
         "mutual.iterations": "200",
-        "trial.iterations": "0",
-        "mirror.iterations": "100",
+        "model_selection.iterations": "0",
+        "environment_map.iterations": "100",
         "surfels.max_start": "9000",
         "surfels.start_scale": "0.5",
-        "volumes.max_start": "5000",
-        "volumes.sh_degree": "1",  # to which a trial comes, where there is time for one
+        "gaussians.max_start": "5000",
+        "gaussians.sh_degree": "1",  # to which model selection comes, where there is time for it
         "surfels.densify.max_count": "10000",
-        "volumes.densify.unmasked_count": "8000",
-        "surfels.densify.drop_carrying": "0",  # so short a mutual phase does not mend what goes
-        "volumes.densify.drop_carrying": "0",
+        "gaussians.densify.unmasked_count": "8000",
+        "surfels.densify.prune_contribution": "0",  # so short a mutual phase does not mend what goes
+        "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
         "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
@@ -473,9 +473,9 @@ PRESETS: dict[str, dict[str, str]] = {
     "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
         "surfels.max_start": "32000",
         "surfels.densify.max_count": "40000",
-        "volumes.max_start": "20000",
-        "volumes.densify.tolerance": "0.02",
-        "volumes.densify.unmasked_count": "40000",
+        "gaussians.max_start": "20000",
+        "gaussians.densify.tolerance": "0.02",
+        "gaussians.densify.unmasked_count": "40000",
     },
 }
 
@@ -483,22 +483,22 @@ METHODS: dict[str, dict[str, str]] = {
     "mgsr": {},
     "2dgs": {"branches": "surfels", "flash": "off"},
     "3dgs": {
-        "branches": "volumes",
+        "branches": "gaussians",
         "reflection": "off",
         "flash": "off",
-        "volumes.sh_degree": "3",
+        "gaussians.sh_degree": "3",
         "transmitted_tv_weight": "0",
-        "volumes.densify.by": "gradient",
-        "volumes.densify.drop_carrying": "0",
+        "gaussians.densify.by": "gradient",
+        "gaussians.densify.prune_contribution": "0",
     },
 }
 
 # The supplement's rows. E, I and M are the method itself; the published weights of C, D and F are not known.
 ABLATIONS: dict[str, dict[str, str]] = {
-    "A": {"branches": "volumes", "reflection": "own", "flash": "off"},
+    "A": {"branches": "gaussians", "reflection": "own", "flash": "off"},
     "B": {"branches": "surfels", "flash": "off"},
-    "C": {"surfel_weight": "0.25", "volume_weight": "0.75"},
-    "D": {"surfel_weight": "0.75", "volume_weight": "0.25"},
+    "C": {"surfel_weight": "0.25", "gaussian_weight": "0.75"},
+    "D": {"surfel_weight": "0.75", "gaussian_weight": "0.25"},
     "E": {},
     "F": {"mutual.depth_weight": "0.1"},
     "G": {"iterations_factor": "0.25"},
@@ -509,6 +509,22 @@ ABLATIONS: dict[str, dict[str, str]] = {
     "L": {"stop_rule": "none"},
     "M": {},
     "N": {"tv": "off"},
+}
+
+
+# Names, or groups, of settings that other versions have, and what they are called here.
+RENAMED: dict[str, str] = {
+    "volumes": "gaussians",
+    "volume_iterations": "gaussian_iterations",
+    "volume_weight": "gaussian_weight",
+    "trial": "model_selection",
+    "drop_carrying": "prune_contribution",
+    "held_back_views": "validation_views",
+    "held_back_every": "validation_every",
+    "held_back_patience": "validation_patience",
+    "held_back_gain": "validation_gain",
+    "mirror": "environment_map",
+    "weight_hold": "weight_prior",
 }
 
 
@@ -578,15 +594,15 @@ def field_types(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def volume_settings(volumes: VolumeConfig, masked: bool) -> VolumeConfig:
+def gaussian_settings(gaussians: GaussianConfig, masked: bool) -> GaussianConfig:
     """Return the 3D branch's settings as they hold for a scene with or without masks (see Growth)."""
-    densify = volumes.densify
+    densify = gaussians.densify
     if densify.by is Growth.GRADIENT:
-        return volumes
+        return gaussians
     if masked:
-        return replace(volumes, rates=replace(volumes.rates, scale=densify.scale_rate, beta2=densify.beta2))
+        return replace(gaussians, rates=replace(gaussians.rates, scale=densify.scale_rate, beta2=densify.beta2))
     most = min(densify.max_count, densify.unmasked_count)
-    return replace(volumes, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
+    return replace(gaussians, densify=replace(densify, by=Growth.GRADIENT, max_count=most))
 
 
 def validate(config: Config) -> None:
@@ -600,34 +616,36 @@ def validate(config: Config) -> None:
     object_box(config.data.object_box)
     for path, degree in (
         ("train.surfels.sh_degree", train.surfels.sh_degree),
-        ("train.volumes.sh_degree", train.volumes.sh_degree),
-        ("train.volumes.reflected_sh_degree", train.volumes.reflected_sh_degree),
+        ("train.gaussians.sh_degree", train.gaussians.sh_degree),
+        ("train.gaussians.reflected_sh_degree", train.gaussians.reflected_sh_degree),
     ):
         if degree > 3:
             raise ConfigError(f"{path}: expected 0 to 3, got {degree}")
-    between = ("surfels.start_opacity", "volumes.start_opacity", "volumes.start_weight", "mirror.start")
-    for path in (*between, "volumes.densify.new_opacity"):
+    between = ("surfels.start_opacity", "gaussians.start_opacity", "gaussians.start_weight", "environment_map.start")
+    for path in (*between, "gaussians.densify.new_opacity"):
         if not 0 < _value(config, "train." + path) < 1:
             raise ConfigError(f"train.{path}: expected a value between 0 and 1, got {_value(config, 'train.' + path)}")
-    if train.branches is not Branches.BOTH and train.volumes.reflection in (Reflection.SHARED, Reflection.BOTH):
-        kind = train.volumes.reflection
-        raise ConfigError(f"train.volumes.reflection={kind}: needs both branches, got train.branches={train.branches}")
-    if train.warmup.coarse > train.trial.start:
+    if train.branches is not Branches.BOTH and train.gaussians.reflection in (Reflection.SHARED, Reflection.BOTH):
+        kind = train.gaussians.reflection
         raise ConfigError(
-            f"train.warmup.coarse: expected at most train.trial.start ({train.trial.start}), since a trial looks at "
-            f"whole photographs; got {train.warmup.coarse}"
+            f"train.gaussians.reflection={kind}: needs both branches, got train.branches={train.branches}"
         )
-    if train.trial.start > train.warmup.stop_after:
+    if train.warmup.coarse > train.model_selection.start:
         raise ConfigError(
-            f"train.trial.start: expected at most train.warmup.stop_after ({train.warmup.stop_after}), before which no "
-            f"warm-up ends; got {train.trial.start}"
+            f"train.warmup.coarse: expected at most train.model_selection.start ({train.model_selection.start}), since "
+            f"model selection looks at whole photographs; got {train.warmup.coarse}"
+        )
+    if train.model_selection.start > train.warmup.stop_after:
+        raise ConfigError(
+            f"train.model_selection.start: expected at most train.warmup.stop_after ({train.warmup.stop_after}), "
+            f"before which no warm-up ends; got {train.model_selection.start}"
         )
     for path in field_types(config):
         if ".rates." in path and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0, got 0; 1e-12 holds a parameter still")
         if path == "time_budget" and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected more than 0 seconds, got 0")
-        if path.endswith("drop_carrying") and _value(config, path) >= 1:
+        if path.endswith("prune_contribution") and _value(config, path) >= 1:
             raise ConfigError(f"{path}: expected a share below 1, got {_value(config, path):g}")
         if path.endswith(("every", "epoch_span")) and _value(config, path) == 0:
             raise ConfigError(f"{path}: expected at least 1, got 0")
@@ -676,6 +694,9 @@ def _find_path(key: str, paths: list[str]) -> str:
         return hits[0]
     if hits:
         raise ConfigError(f"option {key!r} is ambiguous: say one of {', '.join(hits)}")
+    renamed = ".".join(RENAMED.get(part, part) for part in parts)
+    if renamed != key:
+        raise ConfigError(f"option {key!r} does not exist: write {renamed!r}")
     names = {".".join(path.split(".")[-len(parts) :]): path for path in paths}
     near = [names[name] for name in difflib.get_close_matches(key, names, n=3, cutoff=0.5)]
     hint = f"; did you mean {', '.join(near)}?" if near else f"; top sections are {', '.join(_sections(paths))}"

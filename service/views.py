@@ -31,7 +31,7 @@ _EXAMPLE: JsonDict = {
     "training_seconds": 142.5,
     "losses": {"l1": 0.02, "ssim": 0.05},
     "psnr": 29.4,
-    "splats": {"surfels": 12000, "volumes": 9000},
+    "splats": {"surfels": 12000, "gaussians": 9000},
     "previews": {"render": 1200, "normals": 1200},
     "curve": [{"seconds": 20.0, "stage": "warmup_surfels", "iteration": 250, "loss": 0.12, "psnr": 24.1}],
     "queue_position": None,

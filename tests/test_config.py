@@ -23,7 +23,7 @@ def test_bare_and_dotted_keys() -> None:
     config = make_config(overrides=["masks=off", "surfels.densify.every=50", "train.mutual.depth_weight=0.2"])
     assert config.data.masks is Masks.OFF
     assert config.train.surfels.densify.every == 50
-    assert config.train.volumes.densify.every != 50
+    assert config.train.gaussians.densify.every != 50
     assert config.train.mutual.depth_weight == 0.2
 
 
@@ -53,12 +53,12 @@ def test_every_ablation_row_is_valid(row: str) -> None:
 
 
 def test_ablation_rows_mean_what_the_paper_says() -> None:
-    assert make_config(overrides=ablation_overrides("A")).train.branches is Branches.VOLUMES
-    assert make_config(overrides=ablation_overrides("A")).train.volumes.reflection is Reflection.OWN
+    assert make_config(overrides=ablation_overrides("A")).train.branches is Branches.GAUSSIANS
+    assert make_config(overrides=ablation_overrides("A")).train.gaussians.reflection is Reflection.OWN
     assert make_config(overrides=ablation_overrides("K")).train.mutual.teaching is Teaching.ONE_WAY
     assert make_config(overrides=ablation_overrides("L")).train.warmup.stop_rule is StopRule.NONE
     assert not make_config(overrides=ablation_overrides("N")).train.tv
-    assert make_config(method="3dgs").train.volumes.reflection is Reflection.OFF
+    assert make_config(method="3dgs").train.gaussians.reflection is Reflection.OFF
 
 
 @pytest.mark.parametrize(
@@ -67,6 +67,7 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("maks=off", "data.masks"),
         ("mutal.iterations=3", "train.mutual.iterations"),
         ("every=3", "ambiguous"),
+        ("volumes.max_start=9", "write 'gaussians.max_start'"),
         ("masks=perhaps", "auto, object, ignore, off"),
         ("mutual.iterations=many", "a whole number"),
         ("tv=perhaps", "on or off"),
@@ -76,7 +77,7 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("smoothing_angle=nan", "a finite number"),
         ("smoothing_angle=inf", "a finite number"),
         ("surfels.sh_degree=4", "0 to 3"),
-        ("surfels.densify.drop_carrying=1", "share below 1"),
+        ("surfels.densify.prune_contribution=1", "share below 1"),
         ("start_weight=1", "between 0 and 1"),
         ("report_every=0", "at least 1"),
         ("surfels.rates.position=0", "more than 0"),
@@ -88,8 +89,8 @@ def test_errors_name_the_cure(override: str, part: str) -> None:
 
 
 def test_what_the_surface_mirrors_needs_a_surface() -> None:
-    with pytest.raises(ConfigError, match=r"needs both branches, got train\.branches=volumes"):
-        make_config(overrides=["branches=volumes", "reflection=shared"])
+    with pytest.raises(ConfigError, match=r"needs both branches, got train\.branches=gaussians"):
+        make_config(overrides=["branches=gaussians", "reflection=shared"])
 
 
 def test_unknown_names() -> None:

@@ -20,17 +20,17 @@ from tests.cli.spheres import held_out_camera, write_spheres
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = {
     *("load_scene", "reconstruct", "load_result", "render", "make_config", "__version__"),
-    *("Reconstruction", "Rendering", "Mesh", "SurfelModel", "VolumeModel", "MirroredLight", "Event"),
+    *("Reconstruction", "Rendering", "Mesh", "SurfelModel", "GaussianModel", "EnvironmentMap", "Event"),
     *("Scene", "View", "Camera", "Config", "DataConfig"),
     *("MgsrError", "SceneError", "MissingPhotoError", "ArchiveError", "ConfigError", "TensorError", "TrainingError"),
     *("MeshError", "CheckpointError", "GpuError", "LostCardError", "Cancelled"),
 }
 FEW = {
     "surfel_iterations": 40,
-    "volume_iterations": 40,
+    "gaussian_iterations": 40,
     "mutual.iterations": 30,
     "surfels.max_start": 1000,
-    "volumes.max_start": 1000,
+    "gaussians.max_start": 1000,
     "poisson_depth": 5,
 }
 SEED = 3
@@ -120,7 +120,7 @@ def test_a_result_is_what_its_files_say(result: mgsr.Reconstruction) -> None:
     again = mgsr.load_result(str(result.paths.folder))
     report = json.loads(result.paths.report.read_text())
     assert len(result.mesh.faces) == report["mesh"]["faces"] and len(again.mesh.faces) == len(result.mesh.faces)
-    assert {"surfels": len(result.surfels), "volumes": len(result.gaussians)} == report["gaussians"]
+    assert {"surfels": len(result.surfels), "gaussians": len(result.gaussians)} == report["gaussians"]
     assert result.report.psnr_test == report["psnr_test"] and not result.origin.any()
     # The largest sphere is about the frame's origin, with a radius of 0.6; the splats of the surface lie on the three.
     assert np.abs(result.mesh.vertices).max() < 1.1 and np.abs(result.surfels.means.numpy()).max() < 1.3

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 
 from mgsr import __version__, config
-from mgsr.config import METHODS, PRESETS, Config, field_types
+from mgsr.config import METHODS, PRESETS, RENAMED, Config, field_types
 from service import contract
 from worker.comments import field_comments
 
@@ -21,7 +21,7 @@ LIBRARY = Path(contract.__file__).with_name("library.json")
 
 
 def describe_library() -> dict[str, Any]:
-    """Return version, presets, methods, and a JSON schema of every setting.
+    """Return version, presets, methods, renamed settings, and a JSON schema of every setting.
 
     A schema has the setting's meaning, from the comments of mgsr/config.py, and its default in the preset standard.
     """
@@ -31,7 +31,8 @@ def describe_library() -> dict[str, Any]:
         for path, kind in field_types(defaults).items()
         if path not in ("preset", "method", "seed")
     }
-    return {"version": __version__, "presets": PRESETS, "methods": METHODS, "settings": settings}
+    tables = {"presets": PRESETS, "methods": METHODS, "renamed": RENAMED}
+    return {"version": __version__, **tables, "settings": settings}
 
 
 def as_text(library: dict[str, Any]) -> str:

@@ -38,9 +38,9 @@ def need_section(rows: Sequence[Row], behind: Sequence[Row], ordered: Sequence[s
 
 
 def _models(runs: Sequence[Row]) -> str:
-    head = ["scene", "surfels", "volumes", "splats, MiB", "faces", "most memory, MiB", "seconds"]
+    head = ["scene", "surfels", "gaussians", "splats, MiB", "faces", "most memory, MiB", "seconds"]
     cells = [
-        [row.scene, str(row.surfels), str(row.volumes), number(row.model_mib, ".1f"), str(row.faces),
+        [row.scene, str(row.surfels), str(row.gaussians), number(row.model_mib, ".1f"), str(row.faces),
          number(row.memory_mib, ".0f"), _seconds(row)]
         for row in runs
     ]  # fmt: skip

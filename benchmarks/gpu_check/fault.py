@@ -22,7 +22,7 @@ from mgsr.config import make_config
 from mgsr.native.cuda.launcher import cuda_launcher
 from mgsr.training.run import Training
 
-KERNEL = ("volumes", "volumes_project")
+KERNEL = ("gaussians", "gaussians_project")
 NOBODYS = 0x4000  # an address that is mapped nowhere, and as a count of splats enough for some threads to read it
 GOOD_ITERATIONS = 20
 LIMIT = 50.0  # seconds

@@ -17,7 +17,9 @@ from benchmarks.gpu_check.results import tell
 SECTIONS = ("SpeedOfLight", "LaunchStats", "Occupancy", "WarpStateStats", "MemoryWorkloadAnalysis")
 # Of our own kernels, those that take most of an iteration, as ncu's --kernel-name has them.
 WATCHED = (
-    "regex:^(volumes_(project|blend_dual|backward_dual)|surfels_(blend|backward)_plain|image_loss|image_loss_gradient)$"
+    "regex:^("
+    "gaussians_(project|blend_dual|backward_dual)|surfels_(blend|backward)_plain|image_loss|image_loss_gradient"
+    ")$"
 )
 KERNEL = re.compile(r"^  (\w+) \(\d+, \d+, \d+\)x\(\d+, \d+, \d+\)")
 METRIC = re.compile(r"^    (\S.*?)\s{2,}(\S+)\s+([\d.,]+)$")

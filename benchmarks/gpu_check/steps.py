@@ -17,8 +17,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PART_LIMIT = 540.0
 PAPERS, BALL = "nefertiti_hdr_800", "ball"  # the object of the paper's size, and what stands in for it
 # More splats than an object needs.
-LARGER = ("surfels.densify.max_count=150000", "volumes.densify.max_count=300000")
-MEMCHECKED = ("volumes", "surfels", "image")
+LARGER = ("surfels.densify.max_count=150000", "gaussians.densify.max_count=300000")
+MEMCHECKED = ("gaussians", "surfels", "image")
 
 
 def parts() -> dict[int, list[Step]]:

@@ -46,14 +46,17 @@ PAPER_ROWS = (
 PAPER_CHOICES = (
     AblationRow("paper-photo", "photograph's share in the 2D target 0.5 (ours 0.3)", "mgsr", ("photo_weight=0.5",)),
     AblationRow(
-        "paper-light", "each splat has its own reflection (ours what a trial finds)", "mgsr", ("reflection=own",)
+        "paper-light",
+        "each splat has its own reflection (ours what model selection finds)",
+        "mgsr",
+        ("reflection=own",),
     ),
     AblationRow("paper-flash", "colours as a flash shows them (ours as under even light)", "mgsr", ("flash=off",)),
     AblationRow(
         "paper-rates",
         "rates do not fade (ours do in the second half)",
         "mgsr",
-        ("surfels.rates.final=1", "volumes.rates.final=1"),
+        ("surfels.rates.final=1", "gaussians.rates.final=1"),
     ),
     AblationRow("paper-depth-tv", "TV of the 2D depth 1 (ours 0.1)", "mgsr", ("surfels.depth_tv_weight=1",)),
     AblationRow("paper-tran-tv", "TV of the transmitted image 1 (ours 0.05)", "mgsr", ("transmitted_tv_weight=1",)),
@@ -94,29 +97,29 @@ PAPER_CHOICES = (
 # Where a run takes no more than its scene needs: the run that takes more.
 NEED_ROWS = (
     AblationRow(
-        "need-light", "mirrored light, and a reflection of each splat's own, everywhere", "mgsr", ("reflection=both",)
+        "need-light", "environment map, and a reflection of each splat's own, everywhere", "mgsr", ("reflection=both",)
     ),
     AblationRow(
         "need-colors",
         "those, and colours of degree 3 in both branches",
         "mgsr",
-        ("reflection=both", "volumes.sh_degree=3", "surfels.sh_degree=3"),
+        ("reflection=both", "gaussians.sh_degree=3", "surfels.sh_degree=3"),
     ),
     AblationRow(
         "need-carrying",
         "splats that carry next to nothing stay",
         "mgsr",
-        ("surfels.densify.drop_carrying=0", "volumes.densify.drop_carrying=0"),
+        ("surfels.densify.prune_contribution=0", "gaussians.densify.prune_contribution=0"),
     ),
     AblationRow(
         "need-count",
         "splats that carry next to nothing stay, and densification has no limit, as in 3DGS",
         "mgsr",
         (
-            "surfels.densify.drop_carrying=0",
-            "volumes.densify.drop_carrying=0",
+            "surfels.densify.prune_contribution=0",
+            "gaussians.densify.prune_contribution=0",
             "surfels.densify.max_count=200000",
-            "volumes.densify.max_count=200000",
+            "gaussians.densify.max_count=200000",
         ),
     ),
     AblationRow("need-pixels", "pixels far outside the masks count too", "mgsr", ("crop_margin=none",)),

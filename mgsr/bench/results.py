@@ -54,7 +54,7 @@ class Row:
     split_psnr: float | None = None
     split_gain: float | None = None
     surfels: int | None = None
-    volumes: int | None = None
+    gaussians: int | None = None
     faces: int | None = None
     model_mib: float | None = None
     memory_mib: float | None = None
@@ -74,7 +74,7 @@ class Row:
     @property
     def splats(self) -> int | None:
         """Return the number of Gaussians of both branches."""
-        return None if self.surfels is None or self.volumes is None else self.surfels + self.volumes
+        return None if self.surfels is None or self.gaussians is None else self.surfels + self.gaussians
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def finished_row(
     seconds, splats = report["seconds"], report["gaussians"]
     measured = json.loads((folder / MEASURED).read_text())
     figures: dict[str, Any] = {f"{step}_seconds": seconds.get(step) for step in ("start", "train", "mesh")}
-    figures |= {name: splats.get(name, 0) for name in ("surfels", "volumes")} | scores
+    figures |= {name: splats.get(name, 0) for name in ("surfels", "gaussians")} | scores
     return Row(
         **_identity(cell),
         **figures,

@@ -18,7 +18,7 @@ COLUMNS = (
     ("normal error", "normal_error", ".2f"),
     ("split gain", "split_gain", ".2f"),
     ("surfels", "surfels", "d"),
-    ("volumes", "volumes", "d"),
+    ("gaussians", "gaussians", "d"),
     ("faces", "faces", "d"),
     ("model MiB", "model_mib", ".1f"),
     ("memory MiB", "memory_mib", ".0f"),

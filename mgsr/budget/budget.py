@@ -21,14 +21,14 @@ from mgsr.budget.line import HIGHEST, JUST_ABOVE_DRAFT, LOWEST, Line
 from mgsr.config import (
     Branches,
     Config,
+    GaussianConfig,
     Growth,
     MeshConfig,
     Reflection,
     SurfelConfig,
-    VolumeConfig,
-    volume_settings,
+    gaussian_settings,
 )
-from mgsr.training.pace import FINISH, StageLength
+from mgsr.training.stage_scheduler import FINISH, StageLength
 
 AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
 UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
@@ -38,7 +38,7 @@ SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be ch
 LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
 PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
 RECENT = 5  # looks by which the present speed is told
-THROWN_AWAY = 3  # candidates of a trial that lead nowhere; one more where a lower degree of colour is as good
+THROWN_AWAY = 3  # candidates of a model selection that lead nowhere; one more where a lower degree of colour is as good
 
 
 class TimeBudget:
@@ -141,7 +141,7 @@ class TimeBudget:
         if stage.iterations - stage.iteration > PERIOD and stage.iteration % PERIOD:
             return stage.iterations
         if self._recent and stage.iteration > self._recent[-1][1] + PERIOD:
-            self._recent.clear()  # a trial lay between, whose iterations were done several times
+            self._recent.clear()  # a model selection lay between, whose iterations were done several times
         self._recent.append((now, stage.iteration))
         each = self._present(stage.name, splats)
         left = self._end(stages, index) - now
@@ -301,28 +301,30 @@ def _iterations(config: Config, stage: str) -> int:
     train = config.train
     if stage == "warmup_surfels":
         return train.warmup.surfel_iterations
-    if stage == "warmup_volumes":
-        return train.warmup.volume_iterations
+    if stage == "warmup_gaussians":
+        return train.warmup.gaussian_iterations
     return round(train.mutual.iterations * train.mutual.iterations_factor)
 
 
 def _work(config: Config, stage: str) -> int:
-    """Return the iterations of a stage, with those of a trial's candidates that are thrown away."""
+    """Return the iterations of a stage, with those of a selection's candidates that are thrown away."""
     iterations, train = _iterations(config, stage), config.train
-    if stage != "warmup_volumes" or train.volumes.reflection is not Reflection.AUTO:
+    if stage != "warmup_gaussians" or train.gaussians.reflection is not Reflection.AUTO:
         return iterations
-    return iterations + THROWN_AWAY * min(train.trial.iterations, round((1 - train.trial.start) * iterations))
+    return iterations + THROWN_AWAY * min(
+        train.model_selection.iterations, round((1 - train.model_selection.start) * iterations)
+    )
 
 
 def _splats(stage: str, facts: Facts, config: Config) -> dict[str, int]:
     """Return the number of splats by branch, in the middle of a stage."""
-    volumes = volume_settings(config.train.volumes, facts.masked)
-    branches: dict[str, SurfelConfig | VolumeConfig] = {"surfels": config.train.surfels, "volumes": volumes}
+    gaussians = gaussian_settings(config.train.gaussians, facts.masked)
+    branches: dict[str, SurfelConfig | GaussianConfig] = {"surfels": config.train.surfels, "gaussians": gaussians}
     if config.train.branches is not Branches.BOTH:
         branches = {config.train.branches.value: branches[config.train.branches.value]}
     most = {name: branch.densify.max_count for name, branch in branches.items()}
-    if "volumes" in most and volumes.densify.by is Growth.ERROR:
-        most["volumes"] = min(most["volumes"], costs.usual_count(volumes.max_start, facts))
+    if "gaussians" in most and gaussians.densify.by is Growth.ERROR:
+        most["gaussians"] = min(most["gaussians"], costs.usual_count(gaussians.max_start, facts))
     if not stage.startswith("warmup"):
         return most
     return {name: (branch.max_start + most[name]) // 2 for name, branch in branches.items()}
@@ -339,5 +341,5 @@ def _reference_training(facts: Facts, config: Config) -> float:
 def _stages(config: Config) -> tuple[str, ...]:
     """Return the stages that a run with these settings has."""
     if config.train.branches is Branches.BOTH:
-        return ("warmup_surfels", "warmup_volumes", "mutual")
-    return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_volumes", "alone")
+        return ("warmup_surfels", "warmup_gaussians", "mutual")
+    return ("warmup_surfels" if config.train.branches is Branches.SURFELS else "warmup_gaussians", "alone")

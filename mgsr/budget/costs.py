@@ -66,12 +66,12 @@ def start_cost(facts: Facts) -> float:
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
     """Return the seconds that one iteration of a stage of training takes, with so many splats in each branch."""
-    flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "volumes"))
+    flat, full = (splats.get(name, 0) / 10_000 for name in ("surfels", "gaussians"))
     surfels = 0.0045 + 0.011 * facts.size + 0.0025 * flat
-    volumes = 0.0045 + 0.015 * facts.size + 0.0035 * full
+    gaussians = 0.0045 + 0.015 * facts.size + 0.0035 * full
     if stage == "mutual":
-        return 1.15 * (surfels + volumes)
-    return surfels if stage == "warmup_surfels" or not full else volumes
+        return 1.15 * (surfels + gaussians)
+    return surfels if stage == "warmup_surfels" or not full else gaussians
 
 
 def usual_count(start: int, facts: Facts) -> int:

@@ -63,12 +63,12 @@ def plain_backdrop(photographs: Sequence[tuple[np.ndarray, np.ndarray | None]]) 
     return red, green, blue
 
 
-def _border_and_rest(pixels: np.ndarray, known: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _border_and_rest(pixels: np.ndarray, valid_mask: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels [P,3] float32 of a photograph's border, and its other pixels, without unknown ones."""
     step = -(-max(pixels.shape[:2]) // SIDE)
     image = pixels[::step, ::step].astype(np.float32)
-    known = np.ones(image.shape[:2], bool) if known is None else known[::step, ::step]
+    valid = np.ones(image.shape[:2], bool) if valid_mask is None else valid_mask[::step, ::step]
     width = max(1, round(BORDER * min(image.shape[:2])))
     border = np.ones(image.shape[:2], bool)
     border[width:-width, width:-width] = False
-    return image[border & known], image[~border & known]
+    return image[border & valid], image[~border & valid]

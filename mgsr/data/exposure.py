@@ -70,12 +70,12 @@ def brightness_jumps(views: Sequence[View]) -> float:
 def _mean_light(view: View) -> float:
     """Return the mean linear light over the object, or over the whole photograph without a mask.
 
-    It is 0 where nothing is known.
+    It is 0 where nothing is valid.
     """
     step = max(1, max(view.image.shape[:2]) // ENOUGH)
     some = (slice(None, None, step),) * 2
     light = srgb_to_linear(np.arange(256) / 255)[view.image[some]].mean(axis=-1)
     weight = np.ones(light.shape) if view.alpha is None else view.alpha[some].astype(np.float64)
-    if view.known is not None:
-        weight = weight * view.known[some]
+    if view.valid_mask is not None:
+        weight = weight * view.valid_mask[some]
     return float((light * weight).sum() / max(weight.sum(), 1e-6))

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.data.camera import Camera
-from mgsr.data.known import known_at
 from mgsr.data.silhouettes import Silhouette
+from mgsr.data.valid_mask import valid_at
 from mgsr.errors import SceneError
 from mgsr.parallel import map_ahead
 
@@ -111,8 +111,8 @@ def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.
         distance[outside] = np.minimum(distance[outside], 0)  # behind the camera it has the wrong sign
         distance[outside] -= _beyond(camera, points[outside], pixels[outside], depth[outside])
         return np.ones_like(tells), distance
-    if outline.known is not None:
-        tells[tells] = known_at(outline.known, pixels[tells])
+    if outline.valid_mask is not None:
+        tells[tells] = valid_at(outline.valid_mask, pixels[tells])
     return tells, distance
 
 

@@ -162,17 +162,17 @@ def _resampled(
     """
     premultiply = view.alpha is not None
     layers = [stack(view, premultiply), *[mask[..., None] for mask in masks if mask is not None]]
-    camera, known = view.camera, None
+    camera, valid = view.camera, None
     shrink = tools.config.max_side / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
         layers = [reduce_area(layer, camera.width, camera.height) for layer in layers]
     if photo.lens is not None:
         how = tools.undistort(photo.lens, camera.K, camera.width, camera.height, photo.source)
-        layers, known = [resample(layer, how) for layer in layers], how.known
+        layers, valid = [resample(layer, how) for layer in layers], how.valid_mask
         camera = replace(camera, K=how.K, width=layers[0].shape[1], height=layers[0].shape[0])
     rest = iter(to_uint8(layer[..., 0]) for layer in layers[1:])
-    resampled = replace(unstack(view.name, camera, layers[0], premultiply), known=known)
+    resampled = replace(unstack(view.name, camera, layers[0], premultiply), valid_mask=valid)
     return resampled, [None if mask is None else next(rest) for mask in masks]
 
 

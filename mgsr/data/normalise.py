@@ -9,9 +9,9 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mgsr.data.camera import Camera
 from mgsr.data.hull import carve
-from mgsr.data.known import whole_part
 from mgsr.data.scene import PointCloud, Similarity, View
 from mgsr.data.silhouettes import Silhouette
+from mgsr.data.valid_mask import whole_part
 from mgsr.errors import SceneError
 
 # Voxels a side of the grid that finds the object; it only has to give a centre and a radius to a per cent or two.
@@ -116,7 +116,7 @@ def _box(view: View) -> tuple[np.ndarray, float]:
     The mask must not be empty.
     """
     assert view.alpha is not None, "called for masked scenes only"
-    inside = view.alpha > 127 if view.known is None else (view.alpha > 127) & view.known
+    inside = view.alpha > 127 if view.valid_mask is None else (view.alpha > 127) & view.valid_mask
     rows, cols = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     K = view.camera.K
     x = (np.array([cols[0], cols[-1] + 1]) - K[0, 2]) / K[0, 0]

@@ -65,7 +65,9 @@ def load_scene(
     agreeing, odd = agreeing_masks(views.train, outlines)
     train_views = list(compress(views.train, agreeing))
     # What is ignored is in view all the same.
-    in_view = [replace(view, known=None) for view in train_views] if views.ignoring and not outlines else train_views
+    in_view = (
+        [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not outlines else train_views
+    )
     frame = normalisation(in_view, capture.points, list(compress(outlines, agreeing)))
     if outlines and views.use is MaskUse.OBJECT and config.masks is Masks.AUTO:
         masks = [view.alpha for view in train_views if view.alpha is not None]

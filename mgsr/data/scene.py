@@ -21,17 +21,18 @@ class View:
     """One photograph with its camera.
 
     name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
-    None without a mask. known [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
-    alpha mean nothing at other pixels (see `known.py`). lit [H,W] uint8: the light that a flash on the camera throws on
-    each pixel's surface, as 255 light^(1/2.4), light relative to its maximum; None where no flash is known.
+    None without a mask. valid_mask [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
+    alpha mean nothing at other pixels (see `valid_mask.py`). irradiance [H,W] uint8: the light that a flash on the
+    camera throws on each pixel's surface, as 255 light^(1/2.4), light relative to its maximum; None where no flash is
+    known.
     """
 
     name: str
     camera: Camera
     image: np.ndarray
     alpha: np.ndarray | None = None
-    known: np.ndarray | None = None
-    lit: np.ndarray | None = None
+    valid_mask: np.ndarray | None = None
+    irradiance: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class Scene:
 
         None without one, and for masked scenes, which need none.
         """
-        return None if self.masked else plain_backdrop([(view.image, view.known) for view in self.train])
+        return None if self.masked else plain_backdrop([(view.image, view.valid_mask) for view in self.train])
 
     def backdrop(self, kind: Background) -> Backdrop:
         """Choose what is behind the splats from the background setting, the masks and the photographs."""

@@ -11,10 +11,10 @@ from scipy import ndimage
 
 from mgsr.config import Masks
 from mgsr.data.images import composite_on_white
-from mgsr.data.known import whole_part
 from mgsr.data.loading import LoadedView
 from mgsr.data.mask_use import MaskUse, find_mask_use
 from mgsr.data.scene import View
+from mgsr.data.valid_mask import whole_part
 from mgsr.errors import SceneError
 
 
@@ -105,12 +105,12 @@ def _without(view: View, ignored: np.ndarray) -> View:
     """
     if not ignored.any():
         return view
-    known = ~ndimage.binary_dilation(ignored, np.ones((3, 3), bool))
-    return replace(view, known=known if view.known is None else known & view.known)
+    valid = ~ndimage.binary_dilation(ignored, np.ones((3, 3), bool))
+    return replace(view, valid_mask=valid if view.valid_mask is None else valid & view.valid_mask)
 
 
 def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[LoadedView], tuple[str, ...]]:
-    """Return the views of which something is known, and a note on the others.
+    """Return the views with valid pixels, and a note on the others.
 
     Raises SceneError where most are ignored.
     """
@@ -125,11 +125,11 @@ def _not_ignored_whole(train: list[LoadedView], ignoring: bool) -> tuple[list[Lo
 
 
 def _shows(view: View) -> bool:
-    return view.known is None or bool(view.known.any())
+    return view.valid_mask is None or bool(view.valid_mask.any())
 
 
 def _note_of_ignored(train: Sequence[View]) -> tuple[str, ...]:
-    share = np.mean([0.0 if view.known is None else 1 - view.known.mean() for view in train])
+    share = np.mean([0.0 if view.valid_mask is None else 1 - view.valid_mask.mean() for view in train])
     return (
         f"the masks say what to ignore, {share:.1%} of the training photographs, which is left out; "
         "masks=object takes their white for the object",
@@ -190,14 +190,14 @@ def _empty(view: View) -> bool:
 
 
 def _brightest(view: View) -> int:
-    """Return the largest value of the mask over the known pixels."""
+    """Return the largest value of the mask over the valid pixels."""
     alpha = _alpha(view)
-    return int((alpha if view.known is None else alpha[view.known]).max(initial=0))
+    return int((alpha if view.valid_mask is None else alpha[view.valid_mask]).max(initial=0))
 
 
 def _solid(view: View) -> bool:
-    """Return whether no known pixel lies off the object, as far as the view says."""
+    """Return whether no valid pixel lies off the object, as far as the view says."""
     if view.alpha is None:
         return True
-    shown = view.alpha if view.known is None else view.alpha[view.known]
+    shown = view.alpha if view.valid_mask is None else view.alpha[view.valid_mask]
     return bool(shown.min(initial=255) == 255)

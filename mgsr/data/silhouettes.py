@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
-from mgsr.data.known import known_mean
 from mgsr.data.scene import View
+from mgsr.data.valid_mask import valid_mean
 from mgsr.parallel import map_ahead
 
 # A mask that stays this share of the image's larger side away from the border shows its object whole. Masks of objects
@@ -24,18 +24,18 @@ FREE_BORDER = 0.02
 class Silhouette:
     """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera.
 
-    known [h,w] bool: the pixels that say where the object is and isn't; None if all do.
+    valid_mask [h,w] bool: the pixels that say where the object is and isn't; None if all do.
     """
 
     camera: Camera
     distance: np.ndarray
-    known: np.ndarray | None = None
+    valid_mask: np.ndarray | None = None
 
     @cached_property
     def whole(self) -> bool:
-        """Return whether the mask keeps clear of the known region's border, so that the object lies wholly inside."""
+        """Return whether the mask keeps clear of the valid region's border, so that the object lies wholly inside."""
         inside = self.distance > 0
-        shown = np.pad(np.ones_like(inside) if self.known is None else self.known, 1)
+        shown = np.pad(np.ones_like(inside) if self.valid_mask is None else self.valid_mask, 1)
         to_border = ndimage.distance_transform_edt(shown)[1:-1, 1:-1]
         return bool(inside.any() and to_border[inside].min() > FREE_BORDER * max(inside.shape))
 
@@ -46,30 +46,30 @@ def silhouettes(views: Sequence[View], max_side: int) -> list[Silhouette]:
     return list(map_ahead(lambda item: _silhouette(*item, max_side), masked, None))
 
 
-def signed_distance(alpha: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
+def signed_distance(alpha: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray:
     """Return the signed distance [h,w] float32, pixels, to a mask's outline at alpha 0.5, positive inside.
 
     alpha: [h,w] 0..1. On the outline's own pixels alpha, the share of the pixel that is covered, gives the fraction.
-    known: [h,w] bool or None. No outline lies where known pixels end, as none lies at an image's border; unknown pixels
-    continue the nearest known one.
+    valid: [h,w] bool or None. No outline lies where valid pixels end, as none lies at an image's border; invalid pixels
+    continue the nearest valid one.
     """
     inside = alpha >= 0.5
-    known_in, known_out = (inside, ~inside) if known is None else (inside & known, ~inside & known)
-    if not known_in.any() or not known_out.any():
-        return np.full(alpha.shape, -1e3 if known_out.any() else 1e3, dtype=np.float32)
-    within = ndimage.distance_transform_edt(~known_out) - 0.5
-    beyond = ndimage.distance_transform_edt(~known_in) - 0.5
+    valid_in, valid_out = (inside, ~inside) if valid is None else (inside & valid, ~inside & valid)
+    if not valid_in.any() or not valid_out.any():
+        return np.full(alpha.shape, -1e3 if valid_out.any() else 1e3, dtype=np.float32)
+    within = ndimage.distance_transform_edt(~valid_out) - 0.5
+    beyond = ndimage.distance_transform_edt(~valid_in) - 0.5
     soft = (alpha > 0.02) & (alpha < 0.98)
-    if known is not None:
-        inside, soft = within > beyond, soft & known
+    if valid is not None:
+        inside, soft = within > beyond, soft & valid
     distance = np.where(inside, within, -beyond)
     return np.where(soft & (np.abs(distance) < 1), alpha - 0.5, distance).astype(np.float32)
 
 
 def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
-    camera, alpha, known = view.camera, mask.astype(np.float32)[..., None], view.known
+    camera, alpha, valid = view.camera, mask.astype(np.float32)[..., None], view.valid_mask
     shrink = max_side / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        alpha, known = known_mean(alpha, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
-    return Silhouette(camera, signed_distance(alpha[..., 0] / 255, known), known)
+        alpha, valid = valid_mean(alpha, valid, lambda pixels: reduce_area(pixels, camera.width, camera.height))
+    return Silhouette(camera, signed_distance(alpha[..., 0] / 255, valid), valid)

@@ -9,8 +9,8 @@ import numpy as np
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
-from mgsr.data.known import known_mean
 from mgsr.data.scene import View
+from mgsr.data.valid_mask import valid_mean
 
 
 def stack(view: View, premultiply: bool) -> np.ndarray:
@@ -42,11 +42,11 @@ def unstack(name: str, camera: Camera, pixels: np.ndarray, premultiplied: bool) 
 def averaged(view: View, camera: Camera, mean: Callable[[np.ndarray], np.ndarray]) -> View:
     """Return the view as a smaller `camera` has it, by area means.
 
-    mean: maps [H,W,C] to [h,w,C] float. Colours are weighted by alpha, and unknown pixels do not count.
+    mean: maps [H,W,C] to [h,w,C] float. Colours are weighted by alpha, and invalid pixels do not count.
     """
-    pixels, known = known_mean(stack(view, premultiply=True), view.known, mean)
-    lit = None if view.lit is None else _bytes(mean(view.lit[..., None])[..., 0])
-    return replace(unstack(view.name, camera, pixels, premultiplied=True), known=known, lit=lit)
+    pixels, valid = valid_mean(stack(view, premultiply=True), view.valid_mask, mean)
+    irradiance = None if view.irradiance is None else _bytes(mean(view.irradiance[..., None])[..., 0])
+    return replace(unstack(view.name, camera, pixels, premultiplied=True), valid_mask=valid, irradiance=irradiance)
 
 
 def _bytes(pixels: np.ndarray) -> np.ndarray:

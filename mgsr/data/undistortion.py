@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsr.data.images import to_uint8
-from mgsr.data.known import largest_rectangle
 from mgsr.data.lens import AnyLens
 from mgsr.data.pixels import PixelStore
+from mgsr.data.valid_mask import largest_rectangle
 from mgsr.errors import SceneError
 
 # The maps of a 2-megapixel camera take 16 MB; captures with a camera for each photograph must not pile them up.
@@ -26,11 +26,11 @@ _BAND = 32
 
 # The half angle, degrees, that is kept of wide lenses: a pinhole spreads a fisheye's pixel at 60 degrees over 7 of its
 # own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image of 2.5 times as
-# many, four fifths of them known; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
+# many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
 HALF_ANGLE = 60.0
 
 # A rectangle that every photograph fills is cheaper than a mask: nothing has to be left out in training. It is taken
-# where it holds this share of the known pixels. With phones and plain lenses it holds 98 to 99 of 100, with action
+# where it holds this share of the valid pixels. With phones and plain lenses it holds 98 to 99 of 100, with action
 # cameras 92 and with fisheyes 80.
 WHOLE_ENOUGH = 0.97
 
@@ -46,14 +46,14 @@ class Undistortion:
     """How to resample one photograph.
 
     map_x, map_y [h,w] float32: each pixel's place in the photograph, counted from the middle of the first pixel as
-    OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. known [h,w] bool: the pixels that the
-    photograph shows; None for all. The maps mean nothing at other pixels.
+    OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. valid_mask [h,w] bool: the pixels that
+    the photograph shows; None for all. The maps mean nothing at other pixels.
     """
 
     map_x: np.ndarray
     map_y: np.ndarray
     K: np.ndarray
-    known: np.ndarray | None = None
+    valid_mask: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -90,25 +90,25 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
     photograph = _Photograph(lens, K, width, height)
     frame = _frame(photograph)
     map_x, map_y = np.empty((2, frame.height, frame.width), np.float32)
-    known = np.empty((frame.height, frame.width), bool)
+    valid = np.empty((frame.height, frame.width), bool)
     for band in _bands(frame.height):
-        map_x[band], map_y[band], known[band] = _mapped(photograph, frame, band)
-    if not known.all():
-        known = _around(K[:2, 2] - (frame.left, frame.top), known)
-    rows, cols = _kept(known)
+        map_x[band], map_y[band], valid[band] = _mapped(photograph, frame, band)
+    if not valid.all():
+        valid = _around(K[:2, 2] - (frame.left, frame.top), valid)
+    rows, cols = _kept(valid)
     if rows.stop - rows.start < 2 or cols.stop - cols.start < 2:
         raise SceneError(f"{source}: the lens distortion {lens} leaves no usable image; check its numbers")
     pinhole = K.copy()
     pinhole[:2, 2] -= frame.left + cols.start, frame.top + rows.start
-    map_x, map_y, known = (np.ascontiguousarray(image[rows, cols]) for image in (map_x, map_y, known))
-    if known.all():
+    map_x, map_y, valid = (np.ascontiguousarray(image[rows, cols]) for image in (map_x, map_y, valid))
+    if valid.all():
         return Undistortion(map_x, map_y, pinhole)
-    map_x[~known] = map_y[~known] = 0  # they may be no numbers
-    return Undistortion(map_x, map_y, pinhole, known)
+    map_x[~valid] = map_y[~valid] = 0  # they may be no numbers
+    return Undistortion(map_x, map_y, pinhole, valid)
 
 
 class Undistorter:
-    """Undistortions, each made once for all photographs of a camera. A store holds their known masks.
+    """Undistortions, each made once for all photographs of a camera. A store holds their valid masks.
 
     Many threads may use it at once.
     """
@@ -134,10 +134,10 @@ class Undistorter:
         return result.result()
 
     def _held(self, how: Undistortion) -> Undistortion:
-        """Return the undistortion with `known` held by the store, as views keep it longer than the maps."""
-        if how.known is None:
+        """Return the undistortion with `valid_mask` held by the store, as views keep it longer than the maps."""
+        if how.valid_mask is None:
             return how
-        return replace(how, known=self._pixels.hold(how.known.view(np.uint8)).view(bool))
+        return replace(how, valid_mask=self._pixels.hold(how.valid_mask.view(np.uint8)).view(bool))
 
 
 def resample(image: np.ndarray, how: Undistortion) -> np.ndarray:
@@ -220,16 +220,16 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
     return shown & (pieces == pieces[row, col])
 
 
-def _kept(known: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns of a rectangle without unknown pixels if it holds nearly all known ones.
+def _kept(valid: np.ndarray) -> tuple[slice, slice]:
+    """Return rows and columns of a rectangle without invalid pixels if it holds nearly all valid ones.
 
-    Otherwise they bound all known pixels.
+    Otherwise they bound all valid pixels.
     """
-    rows, columns = largest_rectangle(known)
-    inner = known[rows, columns]
-    if inner.all() and inner.size >= WHOLE_ENOUGH * known.sum():
+    rows, columns = largest_rectangle(valid)
+    inner = valid[rows, columns]
+    if inner.all() and inner.size >= WHOLE_ENOUGH * valid.sum():
         return rows, columns
-    along, across = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    along, across = (np.flatnonzero(valid.any(axis=axis)) for axis in (1, 0))
     if not len(along):
         return slice(0, 0), slice(0, 0)
     return slice(int(along[0]), int(along[-1]) + 1), slice(int(across[0]), int(across[-1]) + 1)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mgsr.config import VolumeDensifyConfig
+from mgsr.config import GaussianDensifyConfig
 from mgsr.data.camera import Camera
-from mgsr.densify.carried import carried
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.densify.contribution import contributions
+from mgsr.gaussians.gaussians import GaussianModel
 
 SOLID = 0.3  # alpha from which a rendered depth is taken for a surface's
 HIDDEN = 3.0  # pixels' sizes by which a point may lie off the rendered surface of a view that sees it
@@ -68,7 +68,7 @@ def visible_error(view: RenderedView, tolerance: float) -> Tensor:
     return error * ((error > tolerance) & (view.alpha > SOLID))
 
 
-def planned_changes(error: Sequence[Tensor], count: int, config: VolumeDensifyConfig) -> tuple[int, int]:
+def planned_changes(error: Sequence[Tensor], count: int, config: GaussianDensifyConfig) -> tuple[int, int]:
     """Return how many of `count` Gaussians to replace, and how many to add beyond them.
 
     error: of some views, [H,W] each (`visible_error`). Each number is at most the mean number of differing pixels in a
@@ -124,9 +124,9 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
     return (points.lacking * view.lacking.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 
-def without_least_carrying(model: VolumeModel, views: Sequence[RenderedView], count: int) -> Tensor:
+def without_least_contributing(model: GaussianModel, views: Sequence[RenderedView], count: int) -> Tensor:
     """Return ascending indices [N - count] int64 of all Gaussians but the `count` that contribute least."""
-    light = carried(model, [view.camera for view in views])
+    light = contributions(model, [view.camera for view in views])
     return light.argsort(stable=True)[count:].sort().values
 
 

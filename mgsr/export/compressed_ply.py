@@ -60,7 +60,7 @@ def write_compressed_ply(path: Path, splats: Splats, origin: np.ndarray | None =
 
 
 def load_compressed_ply(path: Path) -> Splats:
-    """Load the splats of such a file, as volumes, float32.
+    """Load the splats of such a file, as Gaussians, float32.
 
     Positions are about the origin that the header names (`ply_notes.read_origin`). Raises SceneError naming the file
     for others.

@@ -15,7 +15,7 @@ import numpy as np
 from mgsr.export.far_origin import no_origin, origin_text, read_origin_text
 
 UNIT = "unit"  # what the lengths are multiplied with against the capture's
-LOW_PASS = "low_pass"  # px^2, see `VolumeModel`
+LOW_PASS = "low_pass"  # px^2, see `GaussianModel`
 ORIGIN = "origin"  # what is added to positions for those of the frame, in the file's unit
 # What a file means that does not say: other programs' splats are drawn with 3DGS's low-pass.
 _UNSAID = {UNIT: 1.0, LOW_PASS: 0.3}

@@ -22,7 +22,7 @@ from mgsr.errors import MgsrError, SceneError
 class RenderedView:
     """One view's images, float; images that are None are not written.
 
-    color, transmitted and even [H,W,3]: sRGB 0..1, not premultiplied (`straight_color`). alpha [H,W] 0..1. reflected
+    color, transmitted and unlit [H,W,3]: sRGB 0..1, not premultiplied (`straight_color`). alpha [H,W] 0..1. reflected
     [H,W,3] sRGB. weight [H,W] 0..1. depth [H,W]: camera z in the user's unit, 0 where nothing is. normal [H,W,3]: world
     frame, of any length.
     """
@@ -34,7 +34,7 @@ class RenderedView:
     weight: np.ndarray | None = None
     depth: np.ndarray | None = None
     normal: np.ndarray | None = None
-    even: np.ndarray | None = None
+    unlit: np.ndarray | None = None
 
 
 def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -58,7 +58,7 @@ def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
     """
     images: dict[str, np.ndarray] = {"": _rgba(view.color, view.alpha)}
     notes: dict[str, str] = {}
-    for suffix, color in (("_transmitted", view.transmitted), ("_even", view.even)):
+    for suffix, color in (("_transmitted", view.transmitted), ("_even", view.unlit)):
         if color is not None:
             images[suffix] = _rgba(color, view.alpha)
     if view.reflected is not None:

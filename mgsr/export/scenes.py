@@ -15,8 +15,8 @@ from plyfile import PlyData, PlyElement
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.camera import Camera
-from mgsr.data.known import whole_part
 from mgsr.data.scene import Scene, View
+from mgsr.data.valid_mask import whole_part
 from mgsr.errors import MgsrError
 
 _OPENGL = np.diag([1.0, -1, -1, 1])
@@ -74,9 +74,9 @@ def _file_names(scene: Scene) -> list[str]:
 
 
 def _with_ignoring_mask(view: View) -> View:
-    """Return the view with a mask that is black on unknown pixels, and off the object where it has a silhouette."""
-    known = np.ones(view.image.shape[:2], bool) if view.known is None else view.known
-    mask = known * np.uint8(255)
+    """Return the view with a mask that is black on invalid pixels, and off the object where it has a silhouette."""
+    valid = np.ones(view.image.shape[:2], bool) if view.valid_mask is None else view.valid_mask
+    mask = valid * np.uint8(255)
     return replace(view, alpha=mask if view.alpha is None else np.minimum(view.alpha, mask))
 
 

@@ -57,7 +57,7 @@ def write_splats(
     opacity_logits [N], sh [N,K,3] with K 1, 4, 9 or 16; with the light split also refl_opacity_logits [N],
     weight_logits [N], refl_sh [N,K',3]. file_from_scene maps positions to those in the file; without it they stay. The
     header states the rest: unit, the factor of the user's lengths; low_pass, px^2, of the 3D branch (see
-    `VolumeModel`); origin [3], in the file's unit, the origin of the file's positions, None for the frame's own.
+    `GaussianModel`); origin [3], in the file's unit, the origin of the file's positions, None for the frame's own.
 
     Raises SceneError for arrays that are missing, not known or of the wrong shape.
     """
@@ -66,7 +66,7 @@ def write_splats(
     rows = np.empty(len(splats["means"]), [(name, "<f4") for name in columns])
     for name, values in columns.items():
         rows[name] = values
-    kind = "surfels" if splats["log_scales"].shape[1] == 2 else "volumes"
+    kind = "surfels" if splats["log_scales"].shape[1] == 2 else "gaussians"
     comments = [f"mgsr kind {kind}", f"mgsr sh_coefficients {splats['sh'].shape[1]}"]
     comments += number_comments(unit=unit, low_pass=low_pass) + origin_comments(origin)
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments).write(str(path))
@@ -77,7 +77,7 @@ def load_splats(path: Path) -> Splats:
 
     They are about the origin that its header names (`ply_notes.read_origin`).
 
-    Files of other programs are read too: as volumes, with all the coefficients that they have, and with float64 means
+    Files of other programs are read too: as Gaussians, with all the coefficients that they have, and with float64 means
     where they have such and float32 would be too coarse. Raises SceneError for a file that is no such PLY.
     """
     try:

@@ -86,7 +86,7 @@ def write_spz(path: Path, splats: Splats, origin: np.ndarray | None = None) -> N
 
 
 def load_spz(path: Path) -> Splats:
-    """Load the splats of a file of version 2 or 3, as volumes, float32.
+    """Load the splats of a file of version 2 or 3, as Gaussians, float32.
 
     Positions are about the origin that it names (`read_spz_origin`). Raises SceneError naming the file for others.
     """

@@ -1,7 +1,8 @@
-"""The finished mesh as the mirroring surface: its normals in each pixel, and where it mirrors itself.
+"""The finished mesh as the reflecting surface: its normals in each pixel, and where it reflects itself.
 
-A normal that is off by a degree moves what is mirrored by two, and the mesh's normals are several times as accurate as
-those of blended splats. Where the mirrored ray meets the mesh again, it is reflected once more: one bounce is followed.
+A normal that is off by a degree moves the reflection by two, and the mesh's normals are several times as accurate as
+those of blended splats. Where the reflected ray meets the mesh again, it is reflected once more: one bounce is
+followed.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
 
 
 @dataclass(frozen=True)
-class Mirroring:
-    """The mirroring surface as a camera sees it.
+class ReflectorView:
+    """The reflecting surface as a camera sees it.
 
-    normals [H,W,3] float16: unit, scene's frame. They are the surface's, or, where the mirrored ray meets the surface
+    normals [H,W,3] float16: unit, scene's frame. They are the surface's, or, where the reflected ray meets the surface
     again, the normal that would reflect the line of sight to where the second bounce leads. Beside the surface they are
     those of its nearest pixel, and zero where there is none.
     near [N], bounced [P] int64: the pixels at most BESIDE off the surface, and those of the second bounce; row x W +
@@ -45,18 +46,18 @@ class Mirroring:
 
 
 class Reflector:
-    """A mesh that mirrors: vertices [V,3] in the scene's frame and outward faces [F,3]."""
+    """A mesh that reflects: vertices [V,3] in the scene's frame and outward faces [F,3]."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.vertices, self.faces = vertices, faces
         self._caster = RayCaster(vertices, faces)
         self._normals = vertex_normals(vertices, faces).astype(np.float64)
-        # How far from the surface mirrored rays begin: facets bend away from the normals between their corners.
+        # How far from the surface reflected rays begin: facets bend away from the normals between their corners.
         self._gap = min(edge_length(vertices, faces), GAP * float(np.ptp(vertices, axis=0).max()))
-        self._kept: dict[tuple[bytes, bytes, int, int, torch.device], Mirroring] = {}
+        self._kept: dict[tuple[bytes, bytes, int, int, torch.device], ReflectorView] = {}
         self._size = 0
 
-    def seen_by(self, camera: Camera, device: torch.device) -> Mirroring:
+    def seen_by(self, camera: Camera, device: torch.device) -> ReflectorView:
         """Return what a camera sees of the surface, on a device.
 
         Results are kept for the next call, up to KEPT bytes in all.
@@ -64,14 +65,14 @@ class Reflector:
         key = (camera.K.tobytes(), camera.cam_from_world.tobytes(), camera.width, camera.height, device)
         seen = self._kept.get(key)
         if seen is None:
-            seen = Mirroring(*(torch.from_numpy(array).to(device) for array in self._trace(camera)))
+            seen = ReflectorView(*(torch.from_numpy(array).to(device) for array in self._trace(camera)))
             if self._size + seen.size <= KEPT:
                 self._kept[key] = seen
                 self._size += seen.size
         return seen
 
     def _trace(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return `Mirroring`'s arrays: normals [H,W,3], near [N] and bounced [P]."""
+        """Return `ReflectorView`'s arrays: normals [H,W,3], near [N] and bounced [P]."""
         middles = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
         hits = self._caster.cast_pixels(camera, middles)
         pixels = np.flatnonzero(hits.mask)
@@ -88,16 +89,16 @@ class Reflector:
         return image[tuple(nearest)].astype(np.float16), np.flatnonzero(away <= BESIDE), pixels[bounced]
 
     def _second(self, points: np.ndarray, normals: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find the points whose mirrored ray meets the surface again, and follow it one bounce further.
+        """Find the points whose reflected ray meets the surface again, and follow it one bounce further.
 
         points, normals, eye [P,3]: places, unit normals and unit directions to the eye. Returns the indices [Q] of
         these points, and the unit vectors [Q,3] halfway between the eye and where the second bounce leads.
         """
-        first = _mirrored(eye, normals)
+        first = _environment_map(eye, normals)
         hits = self._caster.cast_rays(points + self._gap * normals, first)
         bounced = np.flatnonzero(hits.mask)
         _, there = self._at(hits)
-        return bounced, _unit(eye[bounced] + _mirrored(-first[bounced], there))
+        return bounced, _unit(eye[bounced] + _environment_map(-first[bounced], there))
 
     def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
         """Return the places [P,3] and unit normals [P,3] where rays meet the surface."""
@@ -106,7 +107,7 @@ class Reflector:
         return place, _unit(normal)
 
 
-def _mirrored(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
+def _environment_map(towards: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Reflect the unit directions `towards` [P,3] about the unit normals [P,3]."""
     return np.asarray(2 * (towards * normals).sum(axis=1, keepdims=True) * normals - towards)
 

@@ -9,10 +9,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from mgsr.config import SurfelConfig, VolumeConfig
+from mgsr.config import GaussianConfig, SurfelConfig
 from mgsr.errors import TrainingError
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 
 SH_CONSTANT = 0.28209479177387814  # the spherical harmonic of degree 0
 MIN_POINTS = 4  # a spacing needs three neighbours
@@ -46,14 +46,14 @@ def start_surfels(
     )
 
 
-def start_volumes(
+def start_gaussians(
     positions: np.ndarray,
     normals: np.ndarray | None,
     colors: np.ndarray,
-    config: VolumeConfig,
+    config: GaussianConfig,
     generator: torch.Generator,
     split: bool,
-) -> VolumeModel:
+) -> GaussianModel:
     """Build round Gaussians on points, as wide as the points lie apart.
 
     split: whether they have a reflected half of their own. Other arguments and errors are as in `start_surfels`.
@@ -61,14 +61,14 @@ def start_volumes(
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
     sizes = _tensor(spacing * config.start_scale)
-    tensors = round_volumes(_tensor(positions), sizes, _tensor(colors), config.start_opacity, config.sh_degree)
-    model = VolumeModel(**tensors, low_pass=config.low_pass)
+    tensors = round_gaussians(_tensor(positions), sizes, _tensor(colors), config.start_opacity, config.sh_degree)
+    model = GaussianModel(**tensors, low_pass=config.low_pass)
     if not split:
         return model
-    return VolumeModel(**model.parameters(), **reflected_half(model, config), low_pass=config.low_pass)
+    return GaussianModel(**model.parameters(), **reflected_half(model, config), low_pass=config.low_pass)
 
 
-def round_volumes(
+def round_gaussians(
     positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, sh_degree: int
 ) -> dict[str, Tensor]:
     """Return the stored tensors of round Gaussians without a reflected half, on the positions' device.
@@ -85,21 +85,21 @@ def round_volumes(
     }
 
 
-def new_volumes(
-    model: VolumeModel, positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, config: VolumeConfig
+def new_gaussians(
+    model: GaussianModel, positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, config: GaussianConfig
 ) -> dict[str, Tensor]:
     """Return the stored tensors of round Gaussians that can join a model's.
 
     They have the model's harmonics, and a reflected half where the model has one. Other arguments as in
-    `round_volumes`.
+    `round_gaussians`.
     """
-    tensors = round_volumes(positions, sizes, colors, opacity, model.sh_degree)
+    tensors = round_gaussians(positions, sizes, colors, opacity, model.sh_degree)
     if not model.split:
         return tensors
-    return tensors | reflected_half(VolumeModel(**tensors, low_pass=model.low_pass), config)
+    return tensors | reflected_half(GaussianModel(**tensors, low_pass=model.low_pass), config)
 
 
-def reflected_half(model: VolumeModel, config: VolumeConfig) -> dict[str, Tensor]:
+def reflected_half(model: GaussianModel, config: GaussianConfig) -> dict[str, Tensor]:
     """Return the tensors of an initial reflected half for Gaussians without one, by name."""
     count, device = len(model), model.means.device
     reflected = torch.full((count, 3), config.start_reflected, device=device)

@@ -13,8 +13,8 @@ import numpy as np
 from scipy import ndimage
 
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.known import known_inside
 from mgsr.data.silhouettes import Silhouette
+from mgsr.data.valid_mask import valid_inside
 from mgsr.geometry.decimate import coarser
 from mgsr.geometry.displace import edge_length, smooth_displacements, umbrella
 from mgsr.geometry.raycast import RayCaster, interpolation
@@ -48,8 +48,8 @@ def find_outline(silhouette: Silhouette) -> Outline:
     near = np.abs(distance) < 0.5
     near[[0, 1, -2, -1]] = False
     near[:, [0, 1, -2, -1]] = False
-    if silhouette.known is not None:
-        near &= known_inside(silhouette.known, 2)
+    if silhouette.valid_mask is not None:
+        near &= valid_inside(silhouette.valid_mask, 2)
     rows, columns = np.nonzero(near)
     slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
     steep = np.linalg.norm(slopes, axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from mgsr.data.camera import Camera
-from mgsr.data.known import known_at
+from mgsr.data.valid_mask import valid_at
 from mgsr.geometry.precision import middle_for_float
 from mgsr.open3d_library import load_open3d
 
@@ -112,7 +112,7 @@ class RayCaster:
         """
         inside, pixels, _ = camera.project_inside(points)
         if known is not None:
-            inside = inside[known_at(known, pixels)]
+            inside = inside[valid_at(known, pixels)]
         seen = np.zeros(len(points), bool)
         seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen

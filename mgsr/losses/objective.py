@@ -21,7 +21,7 @@ from mgsr.ops.image_loss import image_loss_term
 from mgsr.ops.pixels import product_term
 from mgsr.ops.terms import Term, evaluate
 from mgsr.ops.tv import edge_aware_tv_term
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 
 Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
 
@@ -42,54 +42,56 @@ def surfel_terms(outputs: SurfelOutputs, target: Target, config: TrainConfig, re
     return terms
 
 
-def volume_terms(outputs: VolumeOutputs, target: Target, config: TrainConfig, covered: Tensor | None = None) -> Terms:
+def gaussian_terms(
+    outputs: GaussianOutputs, target: Target, config: TrainConfig, covered: Tensor | None = None
+) -> Terms:
     """Return the terms of L_3D: the photograph, the silhouette, and the transmitted colour's smoothness.
 
     covered [H,W]: what `target.covered` says of the alpha, where that is known already.
     """
-    settings = config.volumes
-    terms: Terms = {"volumes.photo": _photo(outputs.color, target.color, target, config, clip=True)}
-    terms |= _silhouette("volumes", outputs.alpha, target, settings.alpha_weight, config)
+    settings = config.gaussians
+    terms: Terms = {"gaussians.photo": _photo(outputs.color, target.color, target, config, clip=True)}
+    terms |= _silhouette("gaussians", outputs.alpha, target, settings.alpha_weight, config)
     if config.tv and (settings.transmitted_tv_weight or settings.depth_tv_weight):
         covered = target.covered(outputs.alpha) if covered is None else covered
     if config.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
-        inside = None if target.unknown is None else target.known(torch.ones_like(outputs.alpha))
+        inside = None if target.invalid is None else target.valid_weights(torch.ones_like(outputs.alpha))
         inside = inside if target.alpha is None else covered
         tv = edge_aware_tv_term(outputs.transmitted, target.color, mask=inside)
-        terms["volumes.transmitted_tv"] = settings.transmitted_tv_weight * tv
+        terms["gaussians.transmitted_tv"] = settings.transmitted_tv_weight * tv
     if settings.reflected_cost and outputs.own_reflected is not None and outputs.weight is not None:
         # The light is never negative, so its mean is its L1 norm.
         added = product_term(outputs.weight, outputs.own_reflected)
-        terms["volumes.reflected_cost"] = settings.reflected_cost * added
+        terms["gaussians.reflected_cost"] = settings.reflected_cost * added
     if config.tv and settings.depth_tv_weight:
         tv = edge_aware_tv_term(_rendered(outputs.depth), target.color, mask=covered)
-        terms["volumes.depth_tv"] = settings.depth_tv_weight * tv
+        terms["gaussians.depth_tv"] = settings.depth_tv_weight * tv
     return terms
 
 
-def mutual_terms(surfels: SurfelOutputs, volumes: VolumeOutputs, target: Target, config: TrainConfig) -> Terms:
+def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Target, config: TrainConfig) -> Terms:
     """Return the terms of L_total in the mutual phase, times the branches' weights.
 
     The 2D branch's target is the photograph and the 3D branch's transmitted image, which also guides its smoothness;
     the two depths pull at each other. Taught one way, the transmitted image and the surface's depth stay as they are.
     """
     settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
-    transmitted = volumes.transmitted if both else volumes.transmitted.detach()
-    where, on_surfels, on_volumes = target.off_edge, target.covered(surfels.alpha), target.covered(volumes.alpha)
+    transmitted = gaussians.transmitted if both else gaussians.transmitted.detach()
+    where, on_surfels, on_gaussians = target.off_edge, target.covered(surfels.alpha), target.covered(gaussians.alpha)
     of_surfels: Terms = {
         "surfels.photo": settings.photo_weight * _photo(surfels.color, target.color, target, config, where),
         "surfels.transmitted": (1 - settings.photo_weight) * _photo(surfels.color, transmitted, target, config, where),
     }
     of_surfels |= _silhouette("surfels", surfels.alpha, target, config.surfels.alpha_weight, config, where)
-    of_surfels |= surface_terms(surfels, target, volumes.transmitted, on_surfels, config)
+    of_surfels |= surface_terms(surfels, target, gaussians.transmitted, on_surfels, config)
     terms = {name: settings.surfel_weight * term for name, term in of_surfels.items()}
-    for name, term in volume_terms(volumes, target, config, on_volumes).items():
-        terms[name] = settings.volume_weight * term
+    for name, term in gaussian_terms(gaussians, target, config, on_gaussians).items():
+        terms[name] = settings.gaussian_weight * term
     if settings.depth_weight:
-        full_depth, depth = _rendered(volumes.depth), surface_depth(surfels, config)
+        full_depth, depth = _rendered(gaussians.depth), surface_depth(surfels, config)
         unit = depth_unit(settings.depth_unit, full_depth, target.distance)
-        agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_volumes), unit)
+        agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_gaussians), unit)
         terms["mutual.depth"] = settings.depth_weight * agreement
     return terms
 
@@ -123,7 +125,7 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
-    if clip and target.unknown is not None:  # what is put in at unknown pixels must be clipped too
+    if clip and target.invalid is not None:  # what is put in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
     known_sum = target.off_edge_sum if where is target.off_edge else None

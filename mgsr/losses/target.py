@@ -17,7 +17,7 @@ class Target:
 
     color [H,W,3] float32 0..1, composited on the background that the rendering has too; alpha [H,W] float32 0..1, or
     None without masks; camera: whose view it is; region (y0, y1, x0, x1), ends excluded: where the photographic losses
-    look, None for everywhere; unknown [P] int64: the pixels that the photograph does not show, row x W + column, None
+    look, None for everywhere; invalid [P] int64: the pixels that the photograph does not show, row x W + column, None
     if it shows all.
     """
 
@@ -27,25 +27,25 @@ class Target:
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None  # [H,W] float32: 0 near the mask's outline, 1 elsewhere; None without masks
     off_edge_sum: float | None = None  # over all pixels, beside off_edge; None where nobody knows it
-    unknown: Tensor | None = None
+    invalid: Tensor | None = None
 
     def compared(self, rendered: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-        """Return a rendering [H,W,...] and its target with the same values at unknown pixels, for a loss.
+        """Return a rendering [H,W,...] and its target with the same values at invalid pixels, for a loss.
 
-        At unknown pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
+        At invalid pixels both are the rendering, and no gradient flows. So such pixels cost nothing, and windows that
         reach over them see no difference there.
         """
-        if self.unknown is None:
+        if self.invalid is None:
             return rendered, wanted
-        still = rendered.detach().flatten(0, 1).index_select(0, self.unknown)
-        alike = (image.flatten(0, 1).index_copy(0, self.unknown, still).view_as(image) for image in (rendered, wanted))
+        still = rendered.detach().flatten(0, 1).index_select(0, self.invalid)
+        alike = (image.flatten(0, 1).index_copy(0, self.invalid, still).view_as(image) for image in (rendered, wanted))
         return next(alike), next(alike)
 
-    def known(self, weights: Tensor) -> Tensor:
-        """Return the weights [H,W] with 0 at unknown pixels."""
-        if self.unknown is None:
+    def valid_weights(self, weights: Tensor) -> Tensor:
+        """Return the weights [H,W] with 0 at invalid pixels."""
+        if self.invalid is None:
             return weights
-        return weights.flatten().index_fill(0, self.unknown, 0).view_as(weights)
+        return weights.flatten().index_fill(0, self.invalid, 0).view_as(weights)
 
     @property
     def distance(self) -> float:
@@ -55,6 +55,6 @@ class Target:
     def covered(self, alpha: Tensor) -> Tensor:
         """Return the pixels that have a surface, [H,W] float32, 0 or 1; depth and normals mean something only there.
 
-        They are known, over half covered by the rendering's alpha [H,W] and, with masks, by the photograph's.
+        They are valid, over half covered by the rendering's alpha [H,W] and, with masks, by the photograph's.
         """
-        return self.known(covered(alpha, self.alpha))
+        return self.valid_weights(covered(alpha, self.alpha))

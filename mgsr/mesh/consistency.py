@@ -148,4 +148,4 @@ class Hull:
 def _outside(silhouette: Silhouette) -> np.ndarray:
     """Return each pixel's distance to the silhouette, in pixels [h,w]; 0 inside it and where nothing is known."""
     distance = np.maximum(-silhouette.distance, 0)
-    return distance if silhouette.known is None else np.where(silhouette.known, distance, 0)
+    return distance if silhouette.valid_mask is None else np.where(silhouette.valid_mask, distance, 0)

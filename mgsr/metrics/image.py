@@ -41,11 +41,11 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
     return decibels(float(((wanted - np.clip(given * gain, 0, 1)) ** 2).mean()))
 
 
-def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) -> float:
+def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the mean structural similarity of two images [H,W,3] over the channels and the pixels.
 
     The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. Only pixels count whose window
-    lies inside the image, on known pixels [H,W] alone; NaN if there is none. Source: Wang et al. 2004.
+    lies inside the image, on valid pixels [H,W] alone; NaN if there is none. Source: Wang et al. 2004.
     """
 
     def blur(values: np.ndarray) -> np.ndarray:
@@ -56,27 +56,27 @@ def ssim(truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None) 
     var_a, var_b, both = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
     value = (2 * mean_a * mean_b + 1e-4) * (2 * both + 9e-4)
     value /= (mean_a**2 + mean_b**2 + 1e-4) * (var_a + var_b + 9e-4)
-    if known is None:
+    if valid is None:
         return float(value[5:-5, 5:-5].mean())
-    whole = minimum_filter(known, 11, mode="constant", cval=False)
+    whole = minimum_filter(valid, 11, mode="constant", cval=False)
     return float(value[whole].mean()) if whole.any() else float("nan")
 
 
 def image_metrics(
-    truth: np.ndarray, image: np.ndarray, known: np.ndarray | None = None, background: Color = WHITE
+    truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None, background: Color = WHITE
 ) -> dict[str, float]:
     """Return the metrics of an image by name: psnr, ssim and, where the truth has an alpha, psnr_fg and psnr_fg_gain.
 
     The first two are on the background, the others on the object's pixels.
-    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. known [H,W] bool: the pixels that the truth shows,
+    truth, image: RGB or straight-alpha RGBA, float 0..1 or uint8. valid [H,W] bool: the pixels that the truth shows,
     None for all; others count in none of them.
     """
     truth, image = unit(truth), unit(image)
     wanted, given = composited(truth, background), composited(image, background)
-    values = {"psnr": psnr(wanted, given, known), "ssim": ssim(wanted, given, known)}
+    values = {"psnr": psnr(wanted, given, valid), "ssim": ssim(wanted, given, valid)}
     if truth.shape[-1] == 3:
         return values
-    inside = truth[..., 3] > 0.5 if known is None else (truth[..., 3] > 0.5) & known
+    inside = truth[..., 3] > 0.5 if valid is None else (truth[..., 3] > 0.5) & valid
     if inside.any():
         values["psnr_fg"] = psnr(wanted, given, inside)
         values["psnr_fg_gain"] = psnr_after_gain(wanted, given, inside)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import ModuleType
 
 from mgsr.errors import ConfigError
-from mgsr.native import _adam, _fusion, _harmonics, _image, _mirrored, _stereo, _surfels, _volumes
+from mgsr.native import _adam, _environment_map, _fusion, _gaussians, _harmonics, _image, _stereo, _surfels
 
-FAMILIES: tuple[ModuleType, ...] = (_volumes, _surfels, _image, _harmonics, _adam, _mirrored, _stereo, _fusion)
+FAMILIES: tuple[ModuleType, ...] = (_gaussians, _surfels, _image, _harmonics, _adam, _environment_map, _stereo, _fusion)
 
 
 def set_threads(n: int) -> None:

@@ -16,54 +16,56 @@ from mgsr.native.cuda.lights import LightKernels
 OFFSET = 0.055
 
 
-def lit_up(launcher: Launcher | None, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor) -> Tensor:
-    """Return the image [H,W,3], in sRGB, of an object under a flash, from its image `even` [H,W,3] under even light.
+def apply_shading(
+    launcher: Launcher | None, unlit: Tensor, alpha: Tensor, background: Tensor, shading: Tensor
+) -> Tensor:
+    """Return the image [H,W,3], in sRGB, of an object under a flash, from its image `unlit` [H,W,3] under even light.
 
-    alpha [H,W]: of the object; background [3]. lit [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on the
-    object alone. Where that is nearly black, the result may lie below 0.
+    alpha [H,W]: of the object; background [3]. shading [H,W]: the flash's light, 0..1, to the power 1/2.4. It falls on
+    the object alone. Where that is nearly black, the result may lie below 0.
     """
-    image = torch.empty_like(even)
+    image = torch.empty_like(unlit)
     if launcher is not None:
-        LightKernels(launcher).light_up(even, alpha, background, lit, OFFSET, image)
+        LightKernels(launcher).light_up(unlit, alpha, background, shading, OFFSET, image)
         return image
-    lost = lit - 1
+    lost = shading - 1
     for channel in range(3):
         # The object's light^(1/2.4), but for a factor: what lies behind is taken off, and the offset put on.
-        own = even[..., channel] + alpha * (background[channel] + OFFSET) - background[channel]
-        torch.addcmul(even[..., channel], lost, own, out=image[..., channel])
+        own = unlit[..., channel] + alpha * (background[channel] + OFFSET) - background[channel]
+        torch.addcmul(unlit[..., channel], lost, own, out=image[..., channel])
     return image
 
 
-def lit_up_vjp(
-    launcher: Launcher | None, v_image: Tensor, background: Tensor, lit: Tensor, v_alpha: Tensor | None
+def apply_shading_vjp(
+    launcher: Launcher | None, v_image: Tensor, background: Tensor, shading: Tensor, v_alpha: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the gradients of even [H,W,3] and alpha [H,W], from that of the image, v_image [H,W,3].
+    """Return the gradients of unlit [H,W,3] and alpha [H,W], from that of the image, v_image [H,W,3].
 
     v_alpha [H,W]: what is added to the latter.
     """
-    v_even = torch.empty_like(v_image)
+    v_unlit = torch.empty_like(v_image)
     if launcher is not None:
-        total = torch.empty_like(lit)
-        LightKernels(launcher).light_up_vjp(v_image, background, lit, OFFSET, v_alpha, v_even, total)
-        return v_even, total
+        total = torch.empty_like(shading)
+        LightKernels(launcher).light_up_vjp(v_image, background, shading, OFFSET, v_alpha, v_unlit, total)
+        return v_unlit, total
     for channel in range(3):
-        torch.mul(v_image[..., channel], lit, out=v_even[..., channel])
-    own = (lit - 1) * (v_image @ (background + OFFSET))
-    return v_even, own if v_alpha is None else own + v_alpha
+        torch.mul(v_image[..., channel], shading, out=v_unlit[..., channel])
+    own = (shading - 1) * (v_image @ (background + OFFSET))
+    return v_unlit, own if v_alpha is None else own + v_alpha
 
 
 def with_reflection(
-    launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, mirrored: Tensor | None
+    launcher: Launcher | None, transmitted: Tensor, weight: Tensor, own: Tensor | None, environment: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + mirrored.
+    """Return the image C_3D [H,W,3] = transmitted + weight * reflected, and reflected [H,W,3] = own + environment.
 
-    weight [H,W]. Of own and mirrored one may be None.
+    weight [H,W]. Of own and environment one may be None.
     """
     if launcher is not None:
         color, reflected = torch.empty_like(transmitted), torch.empty_like(transmitted)
-        LightKernels(launcher).add_reflection(transmitted, weight, own, mirrored, color, reflected)
+        LightKernels(launcher).add_reflection(transmitted, weight, own, environment, color, reflected)
         return color, reflected
-    parts = [each for each in (own, mirrored) if each is not None]
+    parts = [each for each in (own, environment) if each is not None]
     reflected = parts[0] + parts[1] if len(parts) == 2 else parts[0].detach()  # a tensor of its own, for the graph
     color = torch.empty_like(transmitted)
     for channel in range(3):
@@ -78,21 +80,21 @@ def with_reflection_vjp(
     weight: Tensor,
     before: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the gradients of transmitted, weight, own and mirrored, from that of the image, v_color [H,W,3].
+    """Return the gradients of transmitted, weight, own and environment, from that of the image, v_color [H,W,3].
 
     before: what is added to the first three.
     """
     if launcher is not None:
-        v_transmitted, v_own, v_mirrored = (torch.empty_like(v_color) for _ in range(3))
+        v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))
         v_weight = torch.empty_like(weight)
-        out = (v_transmitted, v_weight, v_own, v_mirrored)
+        out = (v_transmitted, v_weight, v_own, v_environment)
         LightKernels(launcher).add_reflection_vjp(v_color, reflected, weight, before, out)
         return out
-    v_mirrored = torch.empty_like(v_color)
+    v_environment = torch.empty_like(v_color)
     for channel in range(3):
-        torch.mul(v_color[..., channel], weight, out=v_mirrored[..., channel])
-    own = (v_color, (v_color * reflected) @ torch.ones(3), v_mirrored)
+        torch.mul(v_color[..., channel], weight, out=v_environment[..., channel])
+    own = (v_color, (v_color * reflected) @ torch.ones(3), v_environment)
     v_transmitted, v_weight, v_own = (
         each if added is None else each + added for each, added in zip(own, before, strict=True)
     )
-    return v_transmitted, v_weight, v_own, v_mirrored
+    return v_transmitted, v_weight, v_own, v_environment

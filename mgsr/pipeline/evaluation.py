@@ -29,7 +29,7 @@ def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color
     where there are masks; views: each view's values; split comes where the scene has matte test views.
     """
     views = {
-        image.name: image_metrics(photograph(view), rendering(image), view.known, background)
+        image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background)
         for image, view in zip(rendered, scene.test, strict=True)
     }
     scores: dict[str, Any] = {"psnr_test": _mean(views, "psnr"), "ssim_test": _mean(views, "ssim")}
@@ -86,7 +86,7 @@ def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | Non
     pixels, since the matte picture's lens is not undone.
     """
     path = scene.root / MATTE_FOLDER / f"{view.name}.png"
-    if image.transmitted is None or view.known is not None or not path.is_file():
+    if image.transmitted is None or view.valid_mask is not None or not path.is_file():
         return None
     color, alpha = read_image(path, path.name)
     if alpha is None or color.shape != view.image.shape:

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.geometry.triangles import Triangles
 from mgsr.mesh.extract import extract_mesh
 from mgsr.mesh.surface import Mesh
 from mgsr.mesh.texture import texture_mesh
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
 
 
 def make_mesh(
-    models: Models,
+    model: TrainedModel,
     scene: Scene,
     config: Config,
     go_on: Callable[[], bool] = always,
@@ -28,8 +28,8 @@ def make_mesh(
     go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
     the reason, where none comes out.
     """
-    views = surface_views(models, scene, config)
-    outlined = outlined_scene(models, scene, config)
+    views = surface_views(model, scene, config)
+    outlined = outlined_scene(model, scene, config)
     mesh = extract_mesh(views, config.mesh, scene_silhouettes(outlined), outlined.train, go_on=go_on, start=start)
     to_user = scene.user_from_scene.to_user
     textured = None

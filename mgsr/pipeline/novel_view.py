@@ -25,8 +25,8 @@ class Rendering:
     camera z in the capture's unit, 0 where nothing is. normal [H,W,3] unit, in the capture's axes and towards the
     camera, zeros where nothing is. With a light split, color is transmitted + weight * reflected before it is made
     straight: transmitted [H,W,3] straight, without gloss; reflected [H,W,3] sRGB; weight [H,W] 0..1; None without one.
-    even [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known: where one is,
-    the other colours are those under a flash on this camera.
+    unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known: where one
+    is, the other colours are those under a flash on this camera.
     """
 
     color: np.ndarray
@@ -36,7 +36,7 @@ class Rendering:
     transmitted: np.ndarray | None = None
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
-    even: np.ndarray | None = None
+    unlit: np.ndarray | None = None
 
 
 def render(result: Reconstruction, camera: Camera | View) -> Rendering:
@@ -62,8 +62,8 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     else:
         raise ConfigError(f"camera: expected a Camera or a View, got {type(camera).__name__}")
     flash = result.normalised_flash
-    lit = None if flash is None else flash.seen_by(seen_by)
-    images = render_camera(result.normalised_models, seen_by, result.surface_depth, lit)
+    shading = None if flash is None else flash.seen_by(seen_by)
+    images = render_camera(result.normalised_model, seen_by, result.surface_depth, shading)
     shown = straight_view(images, result.normalisation.scale)
     return Rendering(
         color=shown.color.astype(np.float32),
@@ -73,7 +73,7 @@ def render(result: Reconstruction, camera: Camera | View) -> Rendering:
         transmitted=_float32(shown.transmitted),
         reflected=shown.reflected,
         weight=shown.weight,
-        even=_float32(shown.even),
+        unlit=_float32(shown.unlit),
     )
 
 

@@ -15,12 +15,12 @@ from mgsr.config import SurfaceDepth, make_config, override_texts
 from mgsr.data.scene import Scene, Similarity
 from mgsr.errors import ConfigError, MgsrError, in_short
 from mgsr.export.far_origin import origin_of_frame
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.device import pick_device
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.progress import Event, EventCallback
 from mgsr.pipeline.result_files import read_lighting, read_mesh, read_models, read_report
 from mgsr.pipeline.result_paths import ResultPaths
@@ -36,19 +36,17 @@ from mgsr.shading.refine import Light
 class Reconstruction:
     """A finished run's results, in the capture's frame and unit.
 
-    mesh: the surface, whose `textured` is None here: `paths.mesh_textured` has the picture. surfels, gaussians: the 2D
-    and the 3D branch, None for one that the method lacks; their means are about `origin` [3] float64, which is zero
-    unless the capture lies far from its frame's origin: the places in the frame are `means + origin`. light: what a
-    shiny surface mirrors, its reflector also about `origin`; None where that has no use. flash: the lamp beside the
-    lens and the surface that it lights; None where the photographs show none. report: what report.json says.
-    paths: the files. normalisation: frame = scale * normalised + offset, the way from the frame in which the splats
-    were trained and are rendered, where the object lies in the unit ball.
+    mesh: the surface, whose `textured` is None here: `paths.mesh_textured` has the picture. model: the 2D and the 3D
+    branch, and the environment map that a shiny surface reflects, None for each that there is not. Means and the
+    reflector are about `origin` [3] float64, which is zero unless the capture lies far from its frame's origin: the
+    places in the frame are `means + origin`. flash: the lamp beside the lens and the surface that it lights; None where
+    the photographs show none. report: what report.json says. paths: the files. normalisation: frame = scale *
+    normalised + offset, the way from the frame in which the splats were trained and are rendered, where the object lies
+    in the unit ball.
     """
 
     mesh: Mesh
-    surfels: SurfelModel | None
-    gaussians: VolumeModel | None
-    light: MirroredLight | None
+    model: TrainedModel
     flash: Lighting | None
     report: ReportData
     paths: ResultPaths
@@ -56,19 +54,33 @@ class Reconstruction:
     normalisation: Similarity
 
     def to(self, device: str) -> Reconstruction:
-        """Return the same results with the splats and the light on a device: auto, cpu or cuda. It renders there.
+        """Return the same results with the model on a device: auto, cpu or cuda. It renders there.
 
         Raises ConfigError for another name, or a device that torch does not see; GpuError for a card that can't be
         used.
         """
-        models = Models(self.surfels, self.gaussians, self.light).to(pick_device(device).torch)
-        return replace(self, surfels=models.surfels, gaussians=models.volumes, light=models.light)
+        return replace(self, model=self.model.to(pick_device(device).torch))
+
+    @property
+    def surfels(self) -> SurfelModel | None:
+        """Return the 2D branch."""
+        return self.model.surfels
+
+    @property
+    def gaussians(self) -> GaussianModel | None:
+        """Return the 3D branch."""
+        return self.model.gaussians
+
+    @property
+    def environment_map(self) -> EnvironmentMap | None:
+        """Return the environment map that the surface reflects."""
+        return self.model.environment_map
 
     @cached_property
-    def normalised_models(self) -> Models:
-        """The branches and the light in the normalised frame, where they are rendered."""
+    def normalised_model(self) -> TrainedModel:
+        """The model in the normalised frame, where it is rendered."""
         frame = Similarity(self.normalisation.scale, self.normalisation.offset - self.origin)
-        return Models(self.surfels, self.gaussians, self.light).to_scene(frame)
+        return self.model.to_scene(frame)
 
     @cached_property
     def normalised_flash(self) -> Lighting | None:
@@ -144,12 +156,9 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
-    models = read_models(folder, Similarity(offset=origin))
     return Reconstruction(
         mesh=replace(read_mesh(folder), light=light, **known),
-        surfels=models.surfels,
-        gaussians=models.volumes,
-        light=models.light,
+        model=read_models(folder, Similarity(offset=origin)),
         flash=read_lighting(folder),
         report=report,
         paths=ResultPaths(folder),

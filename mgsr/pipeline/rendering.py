@@ -17,14 +17,14 @@ from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
 from mgsr.export.renders import on_background, straight_color
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.cameras import surface_cameras
 from mgsr.mesh.views import SurfaceView
 from mgsr.ops.depth_normals import depth_to_normals
-from mgsr.pipeline.models import Models
 from mgsr.renderers.both import render_both
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.gaussians import render_gaussians
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 
 # Masks are reduced to this side for the surface: their outlines are known to a fraction of a pixel.
 MASK_SIDE = 800
@@ -36,8 +36,8 @@ class ViewImages:
 
     color [H,W,3]; alpha [H,W]; depth [H,W] camera z in the scene's unit, 0 where nothing is; normal [H,W,3] world
     frame, towards the camera, as long as alpha; transmitted [H,W,3], reflected [H,W,3] and weight [H,W], None without
-    a light split; even [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
-    known.
+    a light split; unlit [H,W,3]: the transmitted colour, or the only one, under even light, None where no flash is
+    valid.
     """
 
     name: str
@@ -49,55 +49,55 @@ class ViewImages:
     transmitted: np.ndarray | None = None
     reflected: np.ndarray | None = None
     weight: np.ndarray | None = None
-    even: np.ndarray | None = None
+    unlit: np.ndarray | None = None
 
 
-def render_views(models: Models, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
+def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> Iterator[ViewImages]:
     """Render each view's camera with the branches, one after the other.
 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
     for view in views:
-        yield render_camera(models, view.camera, config.train.surfels.depth, view.lit, view.name)
+        yield render_camera(model, view.camera, config.train.surfels.depth, view.irradiance, view.name)
 
 
 @torch.no_grad()
 def render_camera(
-    models: Models, camera: Camera, depth: SurfaceDepth, lit: np.ndarray | None = None, name: str = ""
+    model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None = None, name: str = ""
 ) -> ViewImages:
     """Render what the branches show to any camera of their frame.
 
-    depth: which one of the 2D branch is the surface; lit [H,W] uint8: what a flash makes of the view (see `View`).
+    depth: which one of the 2D branch is the surface; shading [H,W] uint8: what a flash makes of the view (see `View`).
     """
-    light = None if lit is None else torch.from_numpy(lit).to(models.device) / 255
-    flat, full = _see(models, camera, depth=True, lit=light)
+    light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
+    flat, full = _see(model, camera, depth=True, shading=light)
     images = _surface(flat, full, camera, depth)
     if full is None:
         assert flat is not None
-        even = None if flat.even is None else _numpy(flat.even)
-        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, even=even)
+        unlit = None if flat.unlit is None else _numpy(flat.unlit)
+        return ViewImages(name, camera, _numpy(flat.color), _numpy(flat.alpha), *images, unlit=unlit)
     transmitted = None if full.reflected is None else full.transmitted
-    lights = (transmitted, full.reflected, full.weight, full.even)
+    lights = (transmitted, full.reflected, full.weight, full.unlit)
     shown = (_numpy(full.color), _numpy(full.alpha), *images)
     return ViewImages(name, camera, *shown, *(None if each is None else _numpy(each) for each in lights))
 
 
-def surface_views(models: Models, scene: Scene, config: Config) -> list[SurfaceView]:
+def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[SurfaceView]:
     """Render the views for surface extraction.
 
     They are those of the training cameras, and of those between them that `config.mesh` asks for. What a photograph
     does not show, no loss has seen from there: such pixels are left out.
     """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
-    known = [view.known for view in scene.train] + [None] * (len(cameras) - len(scene.train))
+    valid = [view.valid_mask for view in scene.train] + [None] * (len(cameras) - len(scene.train))
     with torch.no_grad():
         return [
-            _surface_view(models, camera, config, _resized(shown, camera))
-            for camera, shown in zip(cameras, known, strict=True)
+            _surface_view(model, camera, config, _resized(shown, camera))
+            for camera, shown in zip(cameras, valid, strict=True)
         ]
 
 
-def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
+def rendered_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with renders in place of its photographs, and of its masks if it has any.
 
     They show the transmitted colour, so without highlights, where there is a light split and `mesh.color` asks for it.
@@ -105,13 +105,13 @@ def rendered_scene(models: Models, scene: Scene, config: Config) -> Scene:
     behind = scene.backdrop(config.train.background).color
     return replace(
         scene,
-        train=[_as_photograph(models, view, config, behind) for view in scene.train],
-        test=[_as_photograph(models, view, config, behind) for view in scene.test],
+        train=[_as_photograph(model, view, config, behind) for view in scene.train],
+        test=[_as_photograph(model, view, config, behind) for view in scene.test],
     )
 
 
-def _as_photograph(models: Models, view: View, config: Config, behind: Color) -> View:
-    (images,) = render_views(models, [view], config)
+def _as_photograph(model: TrainedModel, view: View, config: Config, behind: Color) -> View:
+    (images,) = render_views(model, [view], config)
     color = images.color
     if images.transmitted is not None and config.mesh.color is MeshColor.TRANSMITTED:
         color = images.transmitted
@@ -121,7 +121,7 @@ def _as_photograph(models: Models, view: View, config: Config, behind: Color) ->
     return replace(view, image=pixels, alpha=to_uint8(images.alpha * 255))
 
 
-def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
+def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with masks: its own, or those that the branches have learned before a plain backdrop.
 
     There the branches' opacity needs to cover nothing but the object. Without masks and backdrop, the scene stays as it
@@ -130,7 +130,7 @@ def outlined_scene(models: Models, scene: Scene, config: Config) -> Scene:
     if not scene.backdrop(config.train.background).plain:
         return scene
     with torch.no_grad():
-        masks = [to_uint8(255 * _opacity(models, view.camera)) for view in scene.train]
+        masks = [to_uint8(255 * _opacity(model, view.camera)) for view in scene.train]
     return with_masks(scene, masks) if leave_borders_free(masks) else scene
 
 
@@ -141,25 +141,25 @@ def scene_silhouettes(scene: Scene) -> list[Silhouette]:
     return silhouettes(scene.train, MASK_SIDE)
 
 
-def _opacity(models: Models, camera: Camera) -> np.ndarray:
+def _opacity(model: TrainedModel, camera: Camera) -> np.ndarray:
     """Return the alpha [H,W] of the branch that renders."""
-    if models.volumes is not None:
-        return _numpy(render_volumes(models.volumes, camera, depth=False).alpha)
-    assert models.surfels is not None
-    return _numpy(render_surfels(models.surfels, camera).alpha)
+    if model.gaussians is not None:
+        return _numpy(render_gaussians(model.gaussians, camera, depth=False).alpha)
+    assert model.surfels is not None
+    return _numpy(render_surfels(model.surfels, camera).alpha)
 
 
-def _resized(known: np.ndarray | None, camera: Camera) -> np.ndarray | None:
-    """Resample known pixels [H,W] bool to a camera of another image size; None stays None."""
-    if known is None:
+def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
+    """Resample valid pixels [H,W] bool to a camera of another image size; None stays None."""
+    if valid is None:
         return None
-    rows = (np.arange(camera.height) + 0.5) * known.shape[0] / camera.height
-    columns = (np.arange(camera.width) + 0.5) * known.shape[1] / camera.width
-    return np.asarray(known[np.ix_(rows.astype(np.intp), columns.astype(np.intp))])
+    rows = (np.arange(camera.height) + 0.5) * valid.shape[0] / camera.height
+    columns = (np.arange(camera.width) + 0.5) * valid.shape[1] / camera.width
+    return np.asarray(valid[np.ix_(rows.astype(np.intp), columns.astype(np.intp))])
 
 
-def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
-    flat, full = _see(models, camera, depth=models.surfels is None)
+def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
+    flat, full = _see(model, camera, depth=model.surfels is None)
     depth, normal = _surface(flat, full, camera, config.train.surfels.depth)
     shape = flat if flat is not None else full
     assert shape is not None
@@ -167,13 +167,13 @@ def _surface_view(models: Models, camera: Camera, config: Config, mask: np.ndarr
 
 
 def _see(
-    models: Models, camera: Camera, depth: bool, lit: Tensor | None = None
-) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    return render_both(models.surfels, models.volumes, models.light, camera, depth=depth, lit=lit)
+    model: TrainedModel, camera: Camera, depth: bool, shading: Tensor | None = None
+) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
+    return render_both(model, camera, depth=depth, shading=shading)
 
 
 def _surface(
-    flat: SurfelOutputs | None, full: VolumeOutputs | None, camera: Camera, kind: SurfaceDepth
+    flat: SurfelOutputs | None, full: GaussianOutputs | None, camera: Camera, kind: SurfaceDepth
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it stands alone."""
     if flat is not None:
@@ -183,7 +183,7 @@ def _surface(
     return _numpy(full.depth), _numpy(depth_to_normals(full.depth, camera, full.alpha))
 
 
-def _surface_color(flat: SurfelOutputs | None, full: VolumeOutputs | None, kind: MeshColor) -> np.ndarray:
+def _surface_color(flat: SurfelOutputs | None, full: GaussianOutputs | None, kind: MeshColor) -> np.ndarray:
     """Return the straight colour [H,W,3], so that the mesh gets no dark rim where the splats thin out."""
     outputs = full if full is not None else flat
     assert outputs is not None

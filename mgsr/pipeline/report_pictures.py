@@ -10,13 +10,13 @@ import numpy as np
 from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import on_background
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.mesh.surface import Mesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import photograph
 from mgsr.pipeline.rendering import ViewImages
+from mgsr.report.environment_map import environment_map_pictures
 from mgsr.report.html import MOST_VIEWS
-from mgsr.report.mirrored import mirrored_pictures
 from mgsr.report.pictures import (
     ReportPictures,
     SurfacePictures,
@@ -56,10 +56,10 @@ def report_pictures(
     psnr: Sequence[float],
     drawn: SurfaceDrawings,
     scene: Scene,
-    light: MirroredLight | None,
+    environment_map: EnvironmentMap | None,
     background: Color,
 ) -> ReportPictures:
-    """Collect the pictures of the report: the first test views, the surface, and the light that it mirrors.
+    """Collect the pictures of the report: the first test views, the surface, and the environment map that it reflects.
 
     psnr: of the test views, dB; background: what lies behind views without masks.
     """
@@ -67,8 +67,8 @@ def report_pictures(
         _view_pictures(images, view, value, shaded, background)
         for images, view, value, shaded in zip(rendered, scene.test, psnr, drawn.views, strict=False)
     ]
-    mirrored = () if light is None else mirrored_pictures(light, _up(scene))
-    return ReportPictures(views, mirrored, drawn.sides)
+    maps = () if environment_map is None else environment_map_pictures(environment_map, _up(scene))
+    return ReportPictures(views, maps, drawn.sides)
 
 
 def _up(scene: Scene) -> np.ndarray:
@@ -78,11 +78,11 @@ def _up(scene: Scene) -> np.ndarray:
 def _shown(view: View) -> np.ndarray:
     """Return the photograph, transparent where it shows nothing."""
     pixels = photograph(view)
-    if view.known is None:
+    if view.valid_mask is None:
         return pixels
     if view.alpha is None:
-        pixels = np.dstack([pixels, np.full(view.known.shape, 255, np.uint8)])
-    return np.where(view.known[..., None], pixels, np.uint8(0))
+        pixels = np.dstack([pixels, np.full(view.valid_mask.shape, 255, np.uint8)])
+    return np.where(view.valid_mask[..., None], pixels, np.uint8(0))
 
 
 def _view_pictures(
@@ -107,5 +107,5 @@ def _view_pictures(
         depth_picture(images.depth, images.alpha),
         shaded,
         psnr,
-        None if images.even is None else light(images.even),
+        None if images.unlit is None else light(images.unlit),
     )

@@ -15,28 +15,29 @@ from mgsr.config import OutputConfig, Up
 from mgsr.data.exposure import evened
 from mgsr.data.scene import Exposures, Scene, Similarity
 from mgsr.errors import MgsrError, in_short
+from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.gltf import Up as UpDirection
 from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
-from mgsr.export.mirrored_light import StoredLight, load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number, read_origin
 from mgsr.export.renders import RenderedView, straight_color, write_view
 from mgsr.export.splats import load_splats, write_splats
-from mgsr.gaussians.mirrored import MirroredLight
+from mgsr.gaussians.environment_map import EnvironmentMap
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.atomic_write import atomic_write
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import ViewImages
 from mgsr.pipeline.result_paths import (
+    ENVIRONMENT_MAP,
     EXPOSURES,
     FLASH,
-    LIGHT,
+    GAUSSIANS,
     MESH,
     MESH_GLB,
     MESH_OBJ,
@@ -45,7 +46,6 @@ from mgsr.pipeline.result_paths import (
     REPORT,
     REPORT_HTML,
     SURFELS,
-    VOLUMES,
 )
 from mgsr.report.data import ReportData
 from mgsr.report.decisions import with_decisions
@@ -123,7 +123,7 @@ def read_lighting(out: Path) -> Lighting | None:
     return load_flash(out / FLASH) if (out / FLASH).is_file() else None
 
 
-def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) -> None:
+def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputConfig) -> None:
     """Write the branches as splat files, and the environment maps.
 
     What is not there leaves no file, also none of an earlier run. Splats are in the output's unit and about the frame's
@@ -131,51 +131,53 @@ def write_models(out: Path, models: Models, scene: Scene, output: OutputConfig) 
     """
     origin = origin_of_frame(scene.user_from_scene, output.scale)
     file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
-    for name, model in ((SURFELS, models.surfels), (VOLUMES, models.volumes)):
-        if model is None:
+    for name, splats in ((SURFELS, model.surfels), (GAUSSIANS, model.gaussians)):
+        if splats is None:
             (out / name).unlink(missing_ok=True)
             continue
-        arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
+        arrays = {key: tensor.numpy() for key, tensor in splats.parameters().items()}
         with atomic_write(out / name) as path:
-            low_pass = model.low_pass if isinstance(model, VolumeModel) else None
+            low_pass = splats.low_pass if isinstance(splats, GaussianModel) else None
             write_splats(path, arrays, file_from_scene, output.scale, low_pass, origin)
-    if models.light is None:
-        (out / LIGHT).unlink(missing_ok=True)
+    if model.environment_map is None:
+        (out / ENVIRONMENT_MAP).unlink(missing_ok=True)
         return
-    with atomic_write(out / LIGHT) as path:
-        write_mirrored_light(path, _stored(models.light, scene), origin_of_frame(scene.user_from_scene))
+    with atomic_write(out / ENVIRONMENT_MAP) as path:
+        write_environment_map(path, _stored(model.environment_map, scene), origin_of_frame(scene.user_from_scene))
 
 
-def read_models(out: Path, user_from_scene: Similarity) -> Models:
+def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
     """Read the branches that a run left in `out`, in the scene's frame.
 
     Raises MgsrError where there are none.
     """
-    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, VOLUMES) if (out / name).exists()}
+    found = {name: _read_tensors(out / name, user_from_scene) for name in (SURFELS, GAUSSIANS) if (out / name).exists()}
     if not found:
-        raise MgsrError(f"{out}: neither {SURFELS} nor {VOLUMES} is there; run `mgsr train SCENE -o {out}` first")
+        raise MgsrError(f"{out}: neither {SURFELS} nor {GAUSSIANS} is there; run `mgsr train SCENE -o {out}` first")
     surfels = SurfelModel(**found[SURFELS]) if SURFELS in found else None
-    volumes = None
-    if VOLUMES in found:
-        volumes = VolumeModel(**found[VOLUMES], low_pass=read_number(out / VOLUMES, LOW_PASS))
-    light = _read_light(out / LIGHT, user_from_scene) if (out / LIGHT).exists() else None
-    return Models(surfels, volumes, light)
+    gaussians = None
+    if GAUSSIANS in found:
+        gaussians = GaussianModel(**found[GAUSSIANS], low_pass=read_number(out / GAUSSIANS, LOW_PASS))
+    environment_map = (
+        _read_environment_map(out / ENVIRONMENT_MAP, user_from_scene) if (out / ENVIRONMENT_MAP).exists() else None
+    )
+    return TrainedModel(surfels, gaussians, environment_map)
 
 
-def _stored(light: MirroredLight, scene: Scene) -> StoredLight:
-    """Return a light in the user's frame."""
-    surface = light.reflector
+def _stored(environment_map: EnvironmentMap, scene: Scene) -> StoredEnvironmentMap:
+    """Return an environment map in the user's frame."""
+    surface = environment_map.reflector
     placed = None if surface is None else (scene.user_from_scene.to_user(surface.vertices), surface.faces)
-    return StoredLight(light.maps().numpy(), light.bounce().numpy(), placed)
+    return StoredEnvironmentMap(environment_map.maps().numpy(), environment_map.bounce().numpy(), placed)
 
 
-def _read_light(path: Path, user_from_scene: Similarity) -> MirroredLight:
-    """Return a file's light in the scene's frame."""
-    stored = load_mirrored_light(path)
+def _read_environment_map(path: Path, user_from_scene: Similarity) -> EnvironmentMap:
+    """Return a file's environment map in the scene's frame."""
+    stored = load_environment_map(path)
     reflector = None
     if stored.surface is not None:
         reflector = Reflector(user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
-    return MirroredLight.of(stored.maps, stored.bounce, reflector)
+    return EnvironmentMap.of(stored.maps, stored.bounce, reflector)
 
 
 def write_mesh(out: Path, mesh: Mesh, scene: Scene, output: OutputConfig) -> None:
@@ -246,12 +248,12 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 def straight_view(view: ViewImages, unit: float) -> RenderedView:
     """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
-    transmitted, even = (
-        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.even)
+    transmitted, unlit = (
+        None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.unlit)
     )
     color = straight_color(view.color, view.alpha)
     light = (transmitted, view.reflected, view.weight)
-    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, even)
+    return RenderedView(color, view.alpha, *light, view.depth * unit, view.normal, unlit)
 
 
 def read_report(out: Path) -> ReportData:

@@ -10,8 +10,8 @@ MESH_GLB = "mesh.glb"
 MESH_OBJ = "mesh.obj"
 MESH_TEXTURED = "mesh_textured.glb"
 SURFELS = "splats_2d.ply"
-VOLUMES = "splats_3d.ply"
-LIGHT = "mirrored_light.npz"
+GAUSSIANS = "splats_3d.ply"
+ENVIRONMENT_MAP = "mirrored_light.npz"
 FLASH = "flash.npz"
 EXPOSURES = "exposures.json"
 OBJECT = "object.json"
@@ -58,12 +58,12 @@ class ResultPaths:
     @property
     def gaussians(self) -> Path:
         """splats_3d.ply, the 3D branch."""
-        return self.folder / VOLUMES
+        return self.folder / GAUSSIANS
 
     @property
-    def light(self) -> Path:
-        """mirrored_light.npz, where a shiny surface mirrors one."""
-        return self.folder / LIGHT
+    def environment_map(self) -> Path:
+        """mirrored_light.npz, where a shiny surface reflects an environment map."""
+        return self.folder / ENVIRONMENT_MAP
 
     @property
     def flash(self) -> Path:

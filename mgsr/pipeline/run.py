@@ -13,6 +13,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import Mesh
 from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
@@ -20,7 +21,6 @@ from mgsr.pipeline import result_files
 from mgsr.pipeline.device import Device, pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.preprocess import as_read, preprocess, take_scene
 from mgsr.pipeline.progress import Event, EventCallback, ignore
 from mgsr.pipeline.rendering import render_views
@@ -78,7 +78,7 @@ def run_scene(
     surface = _make_surface(run, trained)
     if budget is not None:
         budget.learn_surface(step.clock.steps["mesh"], step.clock.steps["evaluate"])
-    if _mirrors(run, training, trained, surface.mesh) or budget is not None:
+    if _set_reflector(run, training, trained, surface.mesh) or budget is not None:
         trained = training.run(before_surface=False)
     return _write_results(run, trained, surface)
 
@@ -115,9 +115,9 @@ class _Run:
     device: Device
     budget: TimeBudget | None = None
 
-    def models(self, trained: TrainResult) -> Models:
-        """Return the branches on the device."""
-        return Models(trained.surfels, trained.volumes, trained.light).to(self.device.torch)
+    def model(self, trained: TrainResult) -> TrainedModel:
+        """Return the trained model on the device."""
+        return trained.model.to(self.device.torch)
 
 
 @dataclass(frozen=True)
@@ -134,34 +134,34 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
     with run.step("mesh", "extracting the surface"):
         begun_on = run.start.surface if run.scene.masked else None
         go_on = always if run.budget is None else run.budget.go_on
-        mesh = make_mesh(run.models(trained), run.scene, run.config, go_on, begun_on)
+        mesh = make_mesh(run.model(trained), run.scene, run.config, go_on, begun_on)
         result_files.write_mesh(run.out, mesh, run.scene, run.config.output)
     with run.step("evaluate", "measuring the surface"):
         truth = find_truth(run.scene)
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _mirrors(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -> bool:
-    """Let the finished mesh mirror the shared light, where that is of use; return whether the light is to be learned
+def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -> bool:
+    """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
     anew for it."""
-    # A mesh of few faces, or too little time to learn the light anew, would mirror worse than the splats.
+    # A mesh of few faces, or too little time to learn the map anew, would reflect worse than the splats.
     fit = run.config.mesh.max_faces is None
     if run.budget is not None:
-        fit = fit and run.budget.room(run.models(trained).counts) >= run.config.train.mirror.iterations
-    return fit and training.mirror_at(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+        fit = fit and run.budget.room(run.model(trained).counts) >= run.config.train.environment_map.iterations
+    return fit and training.set_reflector(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
 
 
 def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     """Render and measure the test views, and write the report; return its path."""
     scene, scores, clock = run.scene, surface.scores, run.step.clock
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
-        rendered = list(render_views(run.models(trained), scene.test, run.config))
+        rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
         behind = scene.backdrop(run.config.train.background).color
         scores = scores | image_scores(rendered, scene, behind)
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
-        pictures = report_pictures(rendered, psnr, surface.drawn, scene, trained.light, behind)
+        pictures = report_pictures(rendered, psnr, surface.drawn, scene, trained.model.environment_map, behind)
     budget = None if run.budget is None else budget_report(run.budget, clock.steps)
     report = run_report(scene, run.start, run.config, run.device, trained, surface.mesh, scores, clock, budget)
     result_files.write_reports(run.out, report, pictures)
@@ -207,12 +207,12 @@ class _Training:
                 checkpoint_path=run.out / CHECKPOINT,
                 resume=resume,
                 device=run.device.torch,
-                pace=run.budget,
+                scheduler=run.budget,
             )
 
-    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
-        """See `Training.mirror_at`."""
-        return self._training.mirror_at(vertices, faces)
+    def set_reflector(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """See `Training.set_reflector`."""
+        return self._training.set_reflector(vertices, faces)
 
     def run(self, before_surface: bool = False) -> TrainResult:
         """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
@@ -221,6 +221,5 @@ class _Training:
             trained = self._training.run(finish=not before_surface)
         self._text = "training goes on"
         with run.step("export", "writing the splats"):
-            models = Models(trained.surfels, trained.volumes, trained.light)
-            result_files.write_models(run.out, models, run.scene, run.config.output)
+            result_files.write_models(run.out, trained.model, run.scene, run.config.output)
         return trained

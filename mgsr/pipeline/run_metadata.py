@@ -20,7 +20,6 @@ from mgsr.geometry.triangles import topology
 from mgsr.mesh.surface import Mesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.steps import StepClock
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
 from mgsr.start.starting_points import StartingPoints
@@ -59,7 +58,7 @@ def run_report(
         iterations={
             stage.name: StageRun(stage.iterations, stage.stop_reason, stage.dropped) for stage in trained.stages
         },
-        gaussians=Models(trained.surfels, trained.volumes).counts,
+        gaussians=trained.model.counts,
         curve=[CurvePoint(psnr=row.psnr, **asdict(row)) for row in trained.curve],
         mesh=MeshFacts(**asdict(counts)),
         peak_memory_mib=peak_memory_mib(),
@@ -70,9 +69,9 @@ def run_report(
             "parallax": mesh.parallax,
             "opened": mesh.opened,
             "start_kept": mesh.start_kept,
-            "reflection": {"chosen": trained.reflection, "tried": trained.tried},
+            "reflection": {"chosen": trained.model.reflection, "tried": trained.tried},
             "sh_degree": {
-                "chosen": None if trained.volumes is None else trained.volumes.sh_degree,
+                "chosen": None if trained.model.gaussians is None else trained.model.gaussians.sh_degree,
                 "tried": {str(degree): psnr for degree, psnr in trained.degrees.items()},
             },
             "settings": asdict(config),
@@ -117,7 +116,7 @@ def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
 def shown_share(scene: Scene) -> float:
     """Return the share of the training images' pixels that photographs show; undoing a strong lens leaves others."""
     pixels = sum(view.camera.width * view.camera.height for view in scene.train)
-    unknown = sum(int((~view.known).sum()) for view in scene.train if view.known is not None)
+    unknown = sum(int((~view.valid_mask).sum()) for view in scene.train if view.valid_mask is not None)
     return 1 - unknown / max(pixels, 1)
 
 
@@ -125,7 +124,7 @@ def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
     begun = {"source": str(start.source), "count": len(start.positions)}
     facts = scene_facts(scene, unit)  # as the written files have it
     flash = start.lighting
-    if flash is not None and scene.train[0].lit is not None:
+    if flash is not None and scene.train[0].irradiance is not None:
         across = scene.user_from_scene.scale * unit
         facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
     return facts | {"starting_points": begun}

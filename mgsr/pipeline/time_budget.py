@@ -17,7 +17,7 @@ from mgsr.metrics.truth import TRUTH
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.steps import StepClock
 from mgsr.start.starting_points import StartingPoints
-from mgsr.training.checkpoint import read_pace
+from mgsr.training.checkpoint import read_schedule
 from mgsr.training.probe import probe
 
 
@@ -28,7 +28,7 @@ def make_budget(
     if config.time_budget is None:
         return None
     budget = TimeBudget(config, clock, on_card=device is not Device.CPU)
-    state = None if checkpoint is None else read_pace(checkpoint)
+    state = None if checkpoint is None else read_schedule(checkpoint)
     if state is not None:
         budget.restore(state)
     return budget
@@ -72,7 +72,7 @@ def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepCl
 def most_points(config: Config, budget: TimeBudget | None) -> int:
     """Return how many starting points may be of use."""
     settings = config if budget is None else budget.line.at(HIGHEST)
-    return max(settings.train.surfels.max_start, settings.train.volumes.max_start)
+    return max(settings.train.surfels.max_start, settings.train.gaussians.max_start)
 
 
 def planned_config(

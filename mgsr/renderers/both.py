@@ -1,36 +1,34 @@
-"""Rendering of both branches from one camera, the 3D branch with the light that the 2D branch's surface mirrors."""
+"""Rendering of both branches from one camera, the 3D branch with what the surface reflects of the environment map."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
-from mgsr.renderers.mirrored import mirrored_light
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.gaussians.trained_model import TrainedModel
+from mgsr.renderers.environment_map import reflected_environment
+from mgsr.renderers.gaussians import render_gaussians
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 
 
 def render_both(
-    surfels: SurfelModel | None,
-    volumes: VolumeModel | None,
-    light: MirroredLight | None,
+    model: TrainedModel,
     camera: Camera,
     background: Tensor | None = None,
     depth: bool = True,
-    lit: Tensor | None = None,
-) -> tuple[SurfelOutputs | None, VolumeOutputs | None]:
-    """Render each branch from one camera; None for one that is not there.
+    shading: Tensor | None = None,
+) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
+    """Render each branch of a model from one camera; None for one that is not there.
 
-    depth: of the 3D branch; off saves its time; lit: as for `render_volumes`.
+    depth: of the 3D branch; off saves its time; shading: as for `render_gaussians`.
     """
-    flat = None if surfels is None else render_surfels(surfels, camera, background, lit=lit)
-    if volumes is None:
+    flat = None if model.surfels is None else render_surfels(model.surfels, camera, background, shading=shading)
+    if model.gaussians is None:
         return flat, None
-    mirrored = None
+    environment, light = None, model.environment_map
     if light is not None and (flat is not None or light.reflector is not None):
-        mirrored = mirrored_light(light, camera, None if flat is None else flat.normal)
-    return flat, render_volumes(volumes, camera, background, depth=depth, mirrored=mirrored, lit=lit)
+        environment = reflected_environment(light, camera, None if flat is None else flat.normal)
+    return flat, render_gaussians(
+        model.gaussians, camera, background, depth=depth, environment=environment, shading=shading
+    )

@@ -18,7 +18,7 @@ class SurfelOutputs:
 
     color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
     where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked
-    for; stats: screen-space figures of each surfel (see mgsr/ops); even [H,W,3]: the colour as it is under even light,
+    for; stats: screen-space figures of each surfel (see mgsr/ops); unlit [H,W,3]: the colour as it is under even light,
     None where no flash lit it.
     """
 
@@ -29,18 +29,18 @@ class SurfelOutputs:
     normal: Tensor
     distortion: Tensor | None
     stats: Any
-    even: Tensor | None = None
+    unlit: Tensor | None = None
 
 
 @dataclass(frozen=True)
-class VolumeOutputs:
+class GaussianOutputs:
     """The 3D branch seen by one camera.
 
     color [H,W,3] = transmitted + weight * reflected; transmitted [H,W,3] with the background; reflected [H,W,3] and
     weight [H,W], None without a light split; own_reflected [H,W,3]: the share of reflected that the splats hold, None
-    without one; mirrored [H,W,3]: the share that is the shared light's, None without one; even [H,W,3]: transmitted as
-    it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if not asked for;
-    alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
+    without one; environment [H,W,3]: the share that the environment map gives, None without one; unlit [H,W,3]:
+    transmitted as it is under even light, None where no flash lit it; depth [H,W] camera z, 0 where nothing is, None if
+    not asked for; alpha [H,W] of the transmitted half; stats: screen-space figures of each Gaussian (see mgsr/ops).
     """
 
     color: Tensor
@@ -51,8 +51,8 @@ class VolumeOutputs:
     alpha: Tensor
     stats: Any
     own_reflected: Tensor | None = None
-    mirrored: Tensor | None = None
-    even: Tensor | None = None
+    environment: Tensor | None = None
+    unlit: Tensor | None = None
 
 
 def camera_center(camera: Camera) -> Tensor:

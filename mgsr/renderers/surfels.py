@@ -15,7 +15,7 @@ from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.ops.activations import activated, activated_vjp
 from mgsr.ops.arrays import once_differentiable, plain
 from mgsr.ops.harmonics import check_degree, harmonics, harmonics_vjp
-from mgsr.ops.lights import lit_up, lit_up_vjp
+from mgsr.ops.lights import apply_shading, apply_shading_vjp
 from mgsr.ops.surfels import SurfelOptions, SurfelPass
 from mgsr.renderers.outputs import SurfelOutputs, camera_center
 
@@ -28,12 +28,12 @@ def render_surfels(
     background: Tensor | None = None,
     degree: int | None = None,
     distortion: bool = False,
-    lit: Tensor | None = None,
+    shading: Tensor | None = None,
 ) -> SurfelOutputs:
     """Render the surfels from any camera, at its size.
 
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
-    stored; lit [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
+    stored; shading [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
     light. Gradients flow to the model's tensors where these ask for them.
 
     Raises TensorError for a model whose tensors don't fit together.
@@ -50,10 +50,10 @@ def render_surfels(
         model.means.new_zeros(3) if background is None else plain(background),
         camera_center(camera),
         degree,
-        None if lit is None else plain(lit),
+        None if shading is None else plain(shading),
     )
-    color, alpha, depth, median_depth, normal, distorted, even = _RenderSurfels.apply(rendering, *stored)
-    return SurfelOutputs(color, alpha, depth, median_depth, normal, distorted, rendering.raster.stats, even)
+    color, alpha, depth, median_depth, normal, distorted, unlit = _RenderSurfels.apply(rendering, *stored)
+    return SurfelOutputs(color, alpha, depth, median_depth, normal, distorted, rendering.raster.stats, unlit)
 
 
 @dataclass
@@ -65,7 +65,7 @@ class _Rendering:
     background: Tensor
     center: Tensor
     degree: int
-    lit: Tensor | None
+    shading: Tensor | None
 
 
 class _RenderSurfels(torch.autograd.Function):
@@ -81,16 +81,16 @@ class _RenderSurfels(torch.autograd.Function):
         rgb = harmonics(r.launcher, sh, means, r.center, r.degree)
         splats = (means, quats, scales, opacities, rgb, r.background)
         images = r.raster.forward(splats)
-        color, alpha, even = images[0], images[1], None
+        color, alpha, unlit = images[0], images[1], None
         assert color is not None and alpha is not None
-        if r.lit is not None:
-            even, color = color, lit_up(r.launcher, color, alpha, r.background, r.lit)
+        if r.shading is not None:
+            unlit, color = color, apply_shading(r.launcher, color, alpha, r.background, r.shading)
         ctx.rendering, ctx.images = r, len(images)
         ctx.save_for_backward(sh, *splats, *images)
         ctx.set_materialize_grads(False)
-        if even is not None:
-            ctx.mark_non_differentiable(even)
-        return color, *images[1:], even
+        if unlit is not None:
+            ctx.mark_non_differentiable(unlit)
+        return color, *images[1:], unlit
 
     @staticmethod
     @once_differentiable
@@ -98,8 +98,8 @@ class _RenderSurfels(torch.autograd.Function):
         r, (sh, *saved) = ctx.rendering, ctx.saved_tensors
         splats, images = saved[: -ctx.images], saved[-ctx.images :]
         v_images = [None if v is None else plain(v) for v in v_outputs[:-1]]
-        if r.lit is not None and v_images[0] is not None:
-            v_images[:2] = lit_up_vjp(r.launcher, v_images[0], r.background, r.lit, v_images[1])
+        if r.shading is not None and v_images[0] is not None:
+            v_images[:2] = apply_shading_vjp(r.launcher, v_images[0], r.background, r.shading, v_images[1])
         v_means, v_quats, v_scales, v_opacities, v_rgb = r.raster.backward(splats, images, v_images)
         means, _, scales, opacities, rgb, _ = splats
         v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degree, rgb, v_rgb, v_means)

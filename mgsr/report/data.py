@@ -34,9 +34,9 @@ class CurvePoint:
     iteration: int
     psnr: float | None
     psnr_surfels: float | None = None
-    psnr_volumes: float | None = None
+    psnr_gaussians: float | None = None
     surfels: int = 0
-    volumes: int = 0
+    gaussians: int = 0
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from mgsr.report.data import Decision, ReportData
 
 STAGE_NAMES = {
     "warmup_surfels": "2D alone",
-    "warmup_volumes": "3D alone",
+    "warmup_gaussians": "3D alone",
     "mutual": "both",
     "finish": "the branch that renders",
 }
@@ -35,18 +35,18 @@ LIGHTS = {
         "it explains how a point's brightness changes from view to view: shading bent the surface",
     ),
     "surroundings": (
-        "mirrored surroundings",
+        "environment map",
         "one map of them explains how a point changes from view to view: their shading bent the start, and tells how "
         "far parallax can be believed",
     ),
-    "unknown": ("none", "neither a flash nor mirrored surroundings explain how points change from view to view"),
+    "unknown": ("none", "neither a flash nor an environment map explains how points change from view to view"),
 }
-SPLATS = {"surfels": "Surfels that give the surface", "volumes": "Gaussians that give the renders"}
+SPLATS = {"surfels": "Surfels that give the surface", "gaussians": "Gaussians that give the renders"}
 REFLECTIONS = {
     "off": "none",
     "own": "each splat's own",
-    "shared": "one light that the whole surface mirrors",
-    "both": "one light that the whole surface mirrors, and each splat's own",
+    "shared": "one environment map that the whole surface reflects",
+    "both": "one environment map that the whole surface reflects, and each splat's own",
 }
 METHODS = {
     "mgsr": "two branches teach each other: flat 2D Gaussians for the shape, 3D Gaussians that split the light",
@@ -144,8 +144,8 @@ def _about_stages(data: ReportData) -> Iterator[Decision]:
         yield Decision(f"End of stage “{stage_name(name)}”", f"after {run.iterations:,} iterations", reason)
         if run.dropped:
             branch = name.removeprefix("warmup_")
-            share = f"{data.other['settings']['train'][branch]['densify']['drop_carrying']:.0%}"
-            why = f"{run.dropped:,} went after the warm-up: together they carried less than {share} of the light"
+            share = f"{data.other['settings']['train'][branch]['densify']['prune_contribution']:.0%}"
+            why = f"{run.dropped:,} went after the warm-up: together they contributed less than {share} of the light"
             yield Decision(SPLATS[branch], f"{data.gaussians[branch]:,}", why)
 
 
@@ -185,7 +185,7 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
             yield Decision("Surface that was taken out", f"{data.other['opened']:.1%} of it", why)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
-        settings: dict[str, Any] = asked.get("train", {}).get("volumes", {})
+        settings: dict[str, Any] = asked.get("train", {}).get("gaussians", {})
         why = "as asked for" if settings.get("reflection") != "auto" else _why_reflected(**reflection)
         yield Decision("Reflected light", REFLECTIONS[reflection["chosen"]], why)
         yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
@@ -207,7 +207,7 @@ def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterato
         return
     reached = "; ".join(f"degree {name} {psnr:.2f} dB" for name, psnr in degree["tried"].items())
     whole = f"with all of them {reflection['tried'][reflection['chosen']]:.2f} dB"
-    why = f"lowered while photographs kept from a trial were rendered no worse: {reached}; {whole}"
+    why = f"lowered while held-out photographs were rendered no worse: {reached}; {whole}"
     yield Decision("Harmonics of the transmitted colour", f"up to degree {degree['chosen']}", why)
 
 
@@ -215,4 +215,4 @@ def _why_reflected(chosen: str, tried: dict[str, float]) -> str:
     if not tried:
         return "so the start's look at how brightness changes from view to view suggests; it was not tried"
     reached = "; ".join(f"{REFLECTIONS[name]} {psnr:.2f} dB" for name, psnr in tried.items())
-    return f"the simplest that renders photographs kept from a trial as well as the best: {reached}"
+    return f"the simplest that renders held-out photographs as well as the best: {reached}"

@@ -49,7 +49,7 @@ def report_page(data: ReportData, pictures: ReportPictures) -> str:
     title = escape(data.scene)
     sections = (
         _light_split(pictures.views),
-        _mirrored(pictures.mirrored),
+        _environment_map(pictures.environment_maps),
         _surface(data, pictures.surface),
         _more_views(pictures.views),
         _curves(data),
@@ -92,9 +92,9 @@ def _view_row(view: TestViewPictures, side: int, extra: str = "") -> str:
         ("render", view.render),
         ("transmitted light", view.transmitted),
         ("weight × reflected light", view.reflected),
-        ("even light, no flash", view.even),
+        ("even light, no flash", view.unlit),
         ("normals", view.normal),
-        ("depth", view.depth if view.mesh is None or view.even is not None else None),
+        ("depth", view.depth if view.mesh is None or view.unlit is not None else None),
         ("mesh", view.mesh),
     )
     tiles = [_tile(f"{view.name}: {name}", name, pixels, side) for name, pixels in named if pixels is not None]
@@ -151,7 +151,7 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
         '<section><h2>The light, taken apart</h2><div class="split">'
         f'<div class="tile stack">{pair}</div>'
         "<div><p>The render is a sum: light that shows the object’s own colour, the same from wherever it is seen "
-        "(transmitted), and light that its surface mirrors (reflected), where the learnt weight lets it through. "
+        "(transmitted), and light that its surface reflects (reflected), where the learnt weight lets it through. "
         "The mesh takes its colours from the first alone, so no highlight is baked into it.</p>"
         '<label for="fade">Reflected light</label>'
         '<input id="fade" data-fade="reflected" type="range" min="0" max="100" value="100">'
@@ -160,15 +160,15 @@ def _light_split(views: Sequence[TestViewPictures]) -> str:
     )
 
 
-def _mirrored(pictures: Sequence[Picture]) -> str:
+def _environment_map(pictures: Sequence[Picture]) -> str:
     if not pictures:
         return ""
-    tiles = (_tile(f"Mirrored light, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
+    tiles = (_tile(f"Environment map, {each.caption}", each.caption, each.pixels, HERO_SIDE) for each in pictures)
     return (
-        "<section><h2>What the surface mirrors</h2><p>No photograph shows the lamps: this light was learnt from how "
+        "<section><h2>What the surface reflects</h2><p>No photograph shows the lamps: this light was learnt from how "
         "highlights wander over the surface. All splats share it, so that highlights are right also where no "
         "photograph saw them. Brightened until the brightest is white.</p>"
-        f'<div class="row mirrored">{"".join(tiles)}</div></section>'
+        f'<div class="row environment">{"".join(tiles)}</div></section>'
     )
 
 
@@ -245,14 +245,14 @@ def _curves(data: ReportData) -> str:
     boundaries = _boundaries(data)
     lines = [
         Line("2D", "a", [(row.seconds, row.psnr_surfels) for row in data.curve if row.psnr_surfels is not None]),
-        Line("3D", "b", [(row.seconds, row.psnr_volumes) for row in data.curve if row.psnr_volumes is not None]),
+        Line("3D", "b", [(row.seconds, row.psnr_gaussians) for row in data.curve if row.psnr_gaussians is not None]),
     ]
     if not any(line.points for line in lines):
         lines = [Line("PSNR", "a", [(row.seconds, row.psnr) for row in data.curve if row.psnr is not None])]
     error = line_chart(lines, Axes("PSNR on test views, dB", "seconds of training", "dB"), boundaries)
     counts = [
         Line("2D", "a", [(row.seconds, row.surfels) for row in data.curve if row.surfels]),
-        Line("3D", "b", [(row.seconds, row.volumes) for row in data.curve if row.volumes]),
+        Line("3D", "b", [(row.seconds, row.gaussians) for row in data.curve if row.gaussians]),
     ]
     number = line_chart(counts, Axes("Gaussians", "seconds of training", "count", True), boundaries)
     charts = "".join(
@@ -282,9 +282,9 @@ def _curve_table(data: ReportData) -> str:
             stage_name(row.stage),
             f"{row.iteration:,}",
             _decibels(row.psnr_surfels),
-            _decibels(row.psnr_volumes),
+            _decibels(row.psnr_gaussians),
             f"{row.surfels:,}",
-            f"{row.volumes:,}",
+            f"{row.gaussians:,}",
         )
         for row in data.curve
     ]

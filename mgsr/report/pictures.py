@@ -23,7 +23,7 @@ class TestViewPictures:
     Each is uint8 [H,W,3] or, with straight alpha, [H,W,4]; None where the method has none.
 
     reflected is the weighted reflected light, weight x reflected, over black: added to transmitted it gives render.
-    even: the transmitted light as it would be without the flash, all sides lit alike.
+    unlit: the transmitted light as it would be without the flash, all sides lit alike.
     """
 
     name: str
@@ -35,7 +35,7 @@ class TestViewPictures:
     depth: np.ndarray | None = None
     mesh: np.ndarray | None = None
     psnr: float | None = None
-    even: np.ndarray | None = None
+    unlit: np.ndarray | None = None
 
     # The name begins with "Test", but this is no test case.
     __test__ = False
@@ -67,11 +67,11 @@ class SurfacePictures:
 class ReportPictures:
     """All pictures of a report; the first view is the one at the top.
 
-    mirrored: the environment maps that the surface mirrors, where they were learnt.
+    environment_maps: those that the surface reflects, where they were learnt.
     """
 
     views: Sequence[TestViewPictures] = ()
-    mirrored: Sequence[Picture] = ()
+    environment_maps: Sequence[Picture] = ()
     surface: SurfacePictures = field(default_factory=SurfacePictures)
 
 

@@ -28,7 +28,7 @@ figcaption{font-size:.82rem;color:var(--soft);padding-top:6px;line-height:1.35}
 .four{grid-template-columns:repeat(4,1fr)}
 .three{grid-template-columns:repeat(3,1fr)}
 .two{grid-template-columns:repeat(2,1fr)}
-.mirrored{grid-template-columns:2fr 1fr;max-width:800px}.mirrored figure:only-child{max-width:260px}
+.environment{grid-template-columns:2fr 1fr;max-width:800px}.environment figure:only-child{max-width:260px}
 .key{display:grid;grid-template-columns:repeat(auto-fit,minmax(128px,1fr));gap:1px;background:var(--line);
 border:1px solid var(--line);border-radius:12px;overflow:hidden;margin:26px 0 0;padding:0}
 .key div{background:var(--card);padding:14px 16px}

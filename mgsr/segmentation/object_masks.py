@@ -24,8 +24,8 @@ from mgsr.segmentation.grab_cut import refined_mask
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, rendered_labels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
 from mgsr.start.starting_points import StartingPoints
+from mgsr.training.proxy_model import small_view
 from mgsr.training.run import Training
-from mgsr.training.scout import small_view
 
 SIDE, FINE_SIDE = 480, 960  # pixels of the photographs that surfels are trained on, and of the last masks
 ITERATIONS = 400
@@ -194,7 +194,7 @@ def _trained(
     stages = [f"warmup.surfel_iterations={ITERATIONS}", "mutual.iterations=0", "stop_rule=none"]
     config = make_config(seed=seed, overrides=["branches=surfels", *stages])
     training = Training(scene, start, config, lambda report: progress(report.done), should_stop)
-    found = training.run().surfels
+    found = training.run().model.surfels
     assert found is not None
     return found
 

@@ -126,8 +126,8 @@ def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | Non
         inside = view.image.max(axis=-1) <= CLIPPED * 255
         if view.alpha is not None:
             inside &= view.alpha >= SOLID * 255
-        if view.known is not None:
-            inside &= view.known
+        if view.valid_mask is not None:
+            inside &= view.valid_mask
         share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR)
         values = view.image @ (mix / 255).astype(np.float32)
         blurred = ndimage.gaussian_filter(values * inside, BLUR) / np.maximum(share, 1e-6)

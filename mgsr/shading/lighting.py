@@ -47,7 +47,7 @@ class Lighting:
     lamp: float
 
     def seen_by(self, camera: Camera) -> np.ndarray:
-        """Return the irradiance of what a camera sees, [H,W] uint8, encoded as `View.lit`.
+        """Return the irradiance of what a camera sees, [H,W] uint8, encoded as `View.irradiance`.
 
         Pixels beside the surface take the value of its nearest pixel.
         """
@@ -155,7 +155,7 @@ def lit_scene(scene: Scene, lighting: Lighting | None, threads: int | None = Non
     pixels = PixelStore()
 
     def lit(view: View) -> View:
-        return replace(view, lit=pixels.hold(lighting.seen_by(view.camera)))
+        return replace(view, irradiance=pixels.hold(lighting.seen_by(view.camera)))
 
     train, test = (list(map_ahead(lit, views, threads)) for views in (scene.train, scene.test))
     return replace(scene, train=train, test=test)

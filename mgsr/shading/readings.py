@@ -10,8 +10,8 @@ from scipy.ndimage import map_coordinates
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
-from mgsr.data.known import known_inside
 from mgsr.data.scene import View, some_of
+from mgsr.data.valid_mask import valid_inside
 from mgsr.geometry.raycast import RayCaster
 from mgsr.parallel import map_ahead
 
@@ -132,10 +132,10 @@ def _linear(view: View) -> Photograph:
     usable = srgb.max(axis=-1) <= CLIPPED
     if view.alpha is not None:
         usable &= view.alpha >= SOLID * 255
-    if view.known is None:
+    if view.valid_mask is None:
         return Photograph(view.camera, linear, usable)
-    known = known_inside(view.known, 1)  # so that interpolation between usable pixels meets no unknown one
-    return Photograph(view.camera, np.where(view.known, linear, 0), usable & known, known)
+    known = valid_inside(view.valid_mask, 1)  # so that interpolation between usable pixels meets no unknown one
+    return Photograph(view.camera, np.where(view.valid_mask, linear, 0), usable & known, known)
 
 
 def _arrays(readings: Readings) -> tuple[np.ndarray, ...]:

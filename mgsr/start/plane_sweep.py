@@ -19,8 +19,8 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import reduce_area
-from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import PointCloud, View
+from mgsr.data.valid_mask import filled, valid_mean
 from mgsr.parallel import map_ahead, one_torch_thread
 from mgsr.start.depth_filling import fill_depth
 from mgsr.stereo.photographs import neighbours
@@ -79,11 +79,11 @@ class _Look:
 
 
 def _look(view: View) -> _Look:
-    camera, image, known = view.camera, view.image.astype(np.float32), view.known
+    camera, image, known = view.camera, view.image.astype(np.float32), view.valid_mask
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        image, known = known_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
+        image, known = valid_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
     image = filled(image, known)
     shown = None if known is None else torch.from_numpy(known.astype(np.float32))
     return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)

@@ -61,7 +61,7 @@ class _Look:
 
 def _look(view: View, found: np.ndarray) -> _Look:
     small = reduced_view(view, min(1.0, SIDE / max(view.camera.width, view.camera.height)))
-    free = np.ones(small.image.shape[:2], bool) if small.known is None else small.known.copy()
+    free = np.ones(small.image.shape[:2], bool) if small.valid_mask is None else small.valid_mask.copy()
     _, pixels, _ = small.camera.project_inside(found)
     columns, rows = pixels.astype(np.intp).T
     free[rows, columns] = False

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.data.camera import Camera
-from mgsr.data.known import known_at
 from mgsr.data.scene import View
+from mgsr.data.valid_mask import valid_at
 
 # A surface seen under a flatter angle than this (cosine) shows a colour mixed with its neighbours'.
 MIN_COSINE = 0.2
@@ -59,8 +59,8 @@ def seen_pixels(
     pixels, depth = camera.project(positions)
     x, y = pixels.T
     seen = (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    if view.known is not None:
-        seen[seen] = known_at(view.known, pixels[seen])
+    if view.valid_mask is not None:
+        seen[seen] = valid_at(view.valid_mask, pixels[seen])
     if normals is not None:
         towards = camera.center - positions
         cosine = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)

@@ -10,8 +10,8 @@ import numpy as np
 
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.images import reduce_area
-from mgsr.data.known import filled, known_mean
 from mgsr.data.scene import View, some_of
+from mgsr.data.valid_mask import filled, valid_mean
 from mgsr.parallel import map_ahead
 
 MOST_PIXELS = 1_200_000  # of the object in all of them together; larger photographs are reduced
@@ -68,12 +68,12 @@ def stereo_photographs(views: Sequence[View]) -> StereoPhotographs:
 
 
 def _prepared(view: View, shrink: float) -> tuple[np.ndarray, Camera]:
-    camera, known = view.camera, view.known
+    camera, known = view.camera, view.valid_mask
     alpha = np.full(view.image.shape[:2], 255, np.uint8) if view.alpha is None else view.alpha
     pixels: np.ndarray = np.concatenate([view.image, alpha[..., None]], axis=-1).astype(np.float32)
     if shrink < 1:
         camera = _resized(camera, shrink)
-        pixels, known = known_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
+        pixels, known = valid_mean(pixels, known, lambda each: reduce_area(each, camera.width, camera.height))
     pixels = filled(pixels, known).astype(np.float32) / 255
     if known is not None:
         pixels[..., 3] = np.where(known, pixels[..., 3], 0)

@@ -12,23 +12,23 @@ from mgsr.densify.adaptive import adapt
 from mgsr.densify.reset import lowered_opacities
 from mgsr.densify.state import DensifyState
 from mgsr.errors import TrainingError
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.order import morton_order
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.adam import FusedAdam
 from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
-from mgsr.training.trained import Trained
+from mgsr.training.trainable import Trainable
 
-Splats = TypeVar("Splats", bound=SurfelModel | VolumeModel)
+Splats = TypeVar("Splats", bound=SurfelModel | GaussianModel)
 # Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
 # together there.
 ORDER_EVERY = 2000
 
 
-class Branch(Trained[Splats]):
+class Branch(Trainable[Splats]):
     """A branch's splats with everything that changes them.
 
-    `name` is surfels or volumes; extent: the scene's, in its unit.
+    `name` is surfels or gaussians; extent: the scene's, in its unit.
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class Branch(Trained[Splats]):
         self.densify_state = DensifyState.empty(len(model), self.device)
 
     def rates(self, progress: float) -> dict[str, float]:
-        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trained`)."""
+        """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trainable`)."""
         return rates_at(progress, self.settings, self.extent)
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
-        """Return a new optimiser for parameters of the branch's kind (see `Trained`)."""
+        """Return a new optimiser for parameters of the branch's kind (see `Trainable`)."""
         return FusedAdam(
             parameters,
             {name: rate for name, rate in self.rates(0.0).items() if name in parameters},

@@ -17,7 +17,7 @@ from mgsr.config import Config, WatchConfig
 from mgsr.data.scene import Scene, View
 from mgsr.errors import CheckpointError, in_short
 
-FORMAT = 6
+FORMAT = 7
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
@@ -67,17 +67,17 @@ def load_checkpoint(path: Path, expected: dict[str, str]) -> dict[str, Any]:
     return content
 
 
-def read_pace(path: Path) -> dict[str, Any] | None:
-    """Return what a checkpoint knows of the pace of its run (see `Pace.state`); None where there is none to be read."""
+def read_schedule(path: Path) -> dict[str, Any] | None:
+    """Return the state of a run's stage scheduler from its checkpoint; None where there is none to be read."""
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):
         return None  # who goes on from it says what is wrong
-    pace = content.get("pace") if isinstance(content, dict) else None
-    return pace if isinstance(pace, dict) else None
+    schedule = content.get("scheduler") if isinstance(content, dict) else None
+    return schedule if isinstance(schedule, dict) else None
 
 
 def _view_bytes(view: View) -> bytes:
-    sums = [zlib.crc32(image.tobytes()) for image in (view.image, view.alpha, view.known) if image is not None]
+    sums = [zlib.crc32(image.tobytes()) for image in (view.image, view.alpha, view.valid_mask) if image is not None]
     pose = np.concatenate([view.camera.K.ravel(), view.camera.cam_from_world.ravel()]).astype(np.float64)
     return f"{view.name} {view.image.shape} {sums}".encode() + pose.tobytes()

@@ -26,16 +26,16 @@ class Convergence(Protocol):
         """Restore what `state` returned."""
 
 
-def make_convergence(config: WarmupConfig, iterations: int, held_back_psnr: Callable[[], float]) -> Convergence | None:
+def make_convergence(config: WarmupConfig, iterations: int, validation_psnr: Callable[[], float]) -> Convergence | None:
     """Return the convergence test that the settings name for a warm-up of at most `iterations`, or None for none.
 
-    held_back_psnr measures the branch on the views that it is not trained on.
+    validation_psnr measures the branch on the views that it is not trained on.
     """
     earliest = int(config.stop_after * iterations)
     if config.stop_rule is StopRule.EPOCH:
         return EpochMeans(earliest, config.epoch_span, config.epoch_gain)
-    if config.stop_rule is StopRule.HELD_BACK:
-        return HeldBack(earliest, config, held_back_psnr)
+    if config.stop_rule is StopRule.VALIDATION:
+        return Validation(earliest, config, validation_psnr)
     return LossRange(earliest, config.paper_range) if config.stop_rule is StopRule.PAPER else None
 
 
@@ -71,10 +71,10 @@ class EpochMeans:
         self.total, self.count, self.means = state["total"], state["count"], state["means"]
 
 
-class HeldBack:
+class Validation:
     """The test that looks at views which are kept from training.
 
-    It has converged when their PSNR has not risen by `held_back_gain` dB over its best for `held_back_patience` looks
+    It has converged when their PSNR has not risen by `validation_gain` dB over its best for `validation_patience` looks
     in a row.
     """
 
@@ -84,13 +84,13 @@ class HeldBack:
         self.idle = 0
 
     def converged(self, loss: Tensor, iteration: int, at_epoch_end: bool) -> bool:
-        if iteration % self.config.held_back_every:
+        if iteration % self.config.validation_every:
             return False
         psnr = self.measure()
-        gained = psnr > self.best + self.config.held_back_gain
+        gained = psnr > self.best + self.config.validation_gain
         self.best = max(psnr, self.best) if gained else self.best
         self.idle = 0 if gained else self.idle + 1
-        return iteration >= self.earliest and self.idle >= self.config.held_back_patience
+        return iteration >= self.earliest and self.idle >= self.config.validation_patience
 
     def state(self) -> dict[str, Any]:
         return {"best": self.best, "idle": self.idle}

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.renderers.both import render_both
 from mgsr.renderers.surfels import render_surfels
 from mgsr.training.views import Color, TrainingView, color_tensor
 
-# A branch's image [H,W,3] of a camera, on a background, lit as `TrainingView.light` says.
+# A branch's image [H,W,3] of a camera, on a background, shaded as `TrainingView.shading` says.
 Picture = Callable[[Camera, Color, Tensor | None], Tensor]
 
 
@@ -24,18 +24,21 @@ def surfel_picture(model: SurfelModel) -> Picture:
     """Return a function that renders the 2D branch."""
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
-        return render_surfels(model, camera, color_tensor(background, model.means.device), lit=light).color
+        return render_surfels(model, camera, color_tensor(background, model.means.device), shading=light).color
 
     return picture
 
 
-def volume_picture(model: VolumeModel, surfels: SurfelModel | None, mirrored: MirroredLight | None) -> Picture:
-    """Return a function that renders the 3D branch, with what the surface mirrors."""
+def gaussian_picture(model: TrainedModel) -> Picture:
+    """Return a function that renders the 3D branch, with what the surface reflects of the environment map.
+
+    The 2D branch is rendered only where it is that surface.
+    """
+    light = model.environment_map
+    drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
-        color = color_tensor(background, model.means.device)
-        mirror = surfels if mirrored is not None and mirrored.reflector is None else None
-        _, full = render_both(mirror, model, mirrored, camera, color, depth=False, lit=light)
+        _, full = render_both(drawn, camera, color_tensor(background, model.device), depth=False, shading=light)
         assert full is not None
         return full.color
 
@@ -51,11 +54,11 @@ def mean_psnr(picture: Picture, views: list[TrainingView], background: Color) ->
     """
     values = []
     for view in views:
-        image = picture(view.camera, background, view.light()).clamp(0, 1)
+        image = picture(view.camera, background, view.shading()).clamp(0, 1)
         target = view.target(color_tensor(background, view.image.device))
         squares = (image - target.color).square()
-        if target.unknown is not None:
-            squares = squares[target.known(torch.ones_like(squares[..., 0])) > 0]
+        if target.invalid is not None:
+            squares = squares[target.valid_weights(torch.ones_like(squares[..., 0])) > 0]
         error = float(squares.mean())
         values.append(-10 * math.log10(max(error, 1e-10)))
     return sum(values) / len(values)

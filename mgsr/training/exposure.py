@@ -19,11 +19,12 @@ from mgsr.config import Background
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.parallel import one_torch_thread
 from mgsr.start.point_exposures import point_exposures
-from mgsr.training.evaluate import volume_picture
-from mgsr.training.parts import StartingPoints
-from mgsr.training.scout import small_view, train_scout
+from mgsr.training.evaluate import gaussian_picture
+from mgsr.training.proxy_model import small_view, train_proxy_model
+from mgsr.training.train_state import StartingPoints
 
 DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
 ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
@@ -102,8 +103,8 @@ def _trained(
     scene: Scene, start: StartingPoints, views: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
-    model = train_scout(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
-    picture, behind = volume_picture(model, None, None), scene.backdrop(Background.AUTO)
+    model = train_proxy_model(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
+    picture, behind = gaussian_picture(TrainedModel(None, model)), scene.backdrop(Background.AUTO)
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:
@@ -141,11 +142,11 @@ def _factor(view: View, rendered: np.ndarray) -> np.ndarray:
 
 
 def _usable(view: View) -> np.ndarray:
-    """Return the pixels [H,W] bool that are known, of the object alone, and not clipped."""
+    """Return the pixels [H,W] bool that are valid, of the object alone, and not clipped."""
     usable = (view.image < CLIPPED).all(axis=-1)
     if view.alpha is not None:
         usable &= view.alpha >= CLIPPED
-    return np.asarray(usable if view.known is None else usable & view.known)
+    return np.asarray(usable if view.valid_mask is None else usable & view.valid_mask)
 
 
 def _fitted(view: View, rendered: np.ndarray, usable: np.ndarray) -> np.ndarray | None:

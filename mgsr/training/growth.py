@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
-from mgsr.config import VolumeConfig
+from mgsr.config import GaussianConfig
 from mgsr.data.backdrop import Color
 from mgsr.densify.error_driven import (
     RenderedView,
@@ -15,25 +15,25 @@ from mgsr.densify.error_driven import (
     not_contradicted,
     planned_changes,
     visible_error,
-    without_least_carrying,
+    without_least_contributing,
 )
-from mgsr.gaussians.start import new_volumes
+from mgsr.gaussians.start import new_gaussians
 from mgsr.renderers.both import render_both
-from mgsr.training.parts import Parts
-from mgsr.training.stages import VolumeBranch
+from mgsr.training.stages import GaussianBranch
+from mgsr.training.train_state import TrainState
 from mgsr.training.views import TrainingView, color_tensor
 
 
 @dataclass(frozen=True)
 class ErrorGrowth:
-    """The growth of `branch`, which is that of `parts`.
+    """The growth of `branch`, a branch of `train_state`.
 
     behind: the colour on which renderings are judged.
     """
 
-    branch: VolumeBranch
-    parts: Parts
-    config: VolumeConfig
+    branch: GaussianBranch
+    train_state: TrainState
+    config: GaussianConfig
     behind: Color
 
     def grow(self, views: Sequence[TrainingView]) -> None:
@@ -50,18 +50,21 @@ class ErrorGrowth:
         points = not_contradicted(new_points(rendered, error, replaced + added, branch.generator), rendered)
         if not len(points.positions):
             return
-        kept = without_least_carrying(branch.model, rendered, min(replaced, len(points.positions)))
-        new = new_volumes(branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config)
+        kept = without_least_contributing(branch.model, rendered, min(replaced, len(points.positions)))
+        new = new_gaussians(
+            branch.model, points.positions, points.sizes, points.colors, densify.new_opacity, self.config
+        )
         branch.exchange(kept, new)
 
     @torch.no_grad()
     def _rendered(self, view: TrainingView) -> RenderedView:
-        surfels, volumes, light = self.parts.models
-        mirror = surfels if light is not None and light.reflector is None else None
+        model = self.train_state.model
+        light = model.environment_map
+        drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
         behind = color_tensor(self.behind, self.branch.device)
-        _, shown = render_both(mirror, volumes, light, view.camera, behind, lit=view.light())
+        _, shown = render_both(drawn, view.camera, behind, shading=view.shading())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)
-        base = shown.transmitted if shown.even is None else shown.even
-        return RenderedView(view.camera, wanted - color, base, shown.depth, target.known(shown.alpha))
+        base = shown.transmitted if shown.unlit is None else shown.unlit
+        return RenderedView(view.camera, wanted - color, base, shown.depth, target.valid_weights(shown.alpha))

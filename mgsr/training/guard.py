@@ -14,7 +14,7 @@ from mgsr.ops.adam import any_bad
 from mgsr.ops.arrays import on_card
 from mgsr.training.schedule import SH_NAMES
 from mgsr.training.stages import Stage, Step
-from mgsr.training.trained import Kind, Trained, copied
+from mgsr.training.trainable import Kind, Trainable, copied
 
 log = logging.getLogger("mgsr.training")
 
@@ -53,7 +53,7 @@ class Guard:
         Raises TrainingError where going back did not help.
         """
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
-        bad = any_bad([step.loss.values, *_tensors(self.stage.trained, "grad", without=SH_NAMES)])
+        bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
         if on_card(bad):
             self._dropped.append(bad)
             self.bad = bad
@@ -101,14 +101,14 @@ class Guard:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore what `state` returned; the branches may be on other devices."""
-        device = self.stage.trained[0].device
+        device = self.stage.trainables[0].device
         self._losses = [loss.to(device) for loss in state["losses"]]
         self._dropped = [bad.to(device) for bad in state["dropped"]]
         self._bad_steps, self._returns = state["bad_steps"], state["returns"]
         self._usual, self._kept = state["usual"], state["kept"]
 
     def _trouble(self, mean: float) -> str:
-        if bool(any_bad(_tensors(self.stage.trained, "values"))):
+        if bool(any_bad(_tensors(self.stage.trainables, "values"))):
             return ", ".join(self._bad_names(None)) + " not finite"
         if self._usual is not None and not mean <= BLOW_UP_FACTOR * self._usual + BLOW_UP_RISE:
             return f"the loss rose from {self._usual:.3g} to {mean:.3g}"
@@ -123,7 +123,7 @@ class Guard:
                 "for broken images or poses"
             )
         self._note(f"the last {len(self._losses)} steps were undone: {trouble}")
-        for part in self.stage.trained:
+        for part in self.stage.trainables:
             steps = part.steps  # the rates go on fading
             part.restore(copied(self._kept[part.name]))
             part.steps = steps
@@ -139,7 +139,7 @@ class Guard:
         terms = {} if step is None else step.loss.terms
         bad = [name for name, term in terms.items() if not bool(torch.isfinite(term))]
         kind: Kind = "values" if step is None else "grad"
-        return bad or [name for part in self.stage.trained for name in part.bad(kind)]
+        return bad or [name for part in self.stage.trainables for name in part.bad(kind)]
 
     def _note(self, text: str) -> None:
         incident = f"{self.stage.name}, iteration {self.stage.iteration}: {text}"
@@ -148,9 +148,9 @@ class Guard:
             self.incidents.append(incident)
 
     def _copies(self) -> dict[str, Any]:
-        return {part.name: copied(part.state()) for part in self.stage.trained}
+        return {part.name: copied(part.state()) for part in self.stage.trainables}
 
 
-def _tensors(parts: Sequence[Trained], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
-    named = (item for part in parts for item in part.tensors(kind).items())
+def _tensors(trainables: Sequence[Trainable], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
+    named = (item for part in trainables for item in part.tensors(kind).items())
     return [tensor for name, tensor in named if name not in without]

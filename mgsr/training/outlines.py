@@ -21,11 +21,11 @@ from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
 from mgsr.data.scene import Scene, View
 from mgsr.errors import SceneError
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.parallel import one_torch_thread
-from mgsr.renderers.volumes import render_volumes
+from mgsr.renderers.gaussians import render_gaussians
 from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
-from mgsr.training.scout import POINTS, SIDE, small_view, train_scout
+from mgsr.training.proxy_model import POINTS, SIDE, small_view, train_proxy_model
 
 DEGREE = 2  # of the colours' harmonics
 ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # of the first branch and of the second
@@ -50,8 +50,8 @@ def learned_outlines(
 
     def learned(
         start: StartingPoints, views: list[View], iterations: int, cost: float, told: Callable[[float], None]
-    ) -> VolumeModel:
-        return train_scout(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
+    ) -> GaussianModel:
+        return train_proxy_model(scene, start, views, DEGREE, iterations, seed, "outlines", should_stop, told, cost)
 
     share = ROUGH_ITERATIONS / (ROUGH_ITERATIONS + ITERATIONS)
     with one_torch_thread():
@@ -70,7 +70,7 @@ def learned_outlines(
 
 
 @torch.no_grad()
-def _opacities(model: VolumeModel, views: Sequence[View], side: int) -> list[np.ndarray]:
+def _opacities(model: GaussianModel, views: Sequence[View], side: int) -> list[np.ndarray]:
     """Render the opacity of the model in the views, as masks [H,W] uint8.
 
     The model is trained on photographs of `side` pixels, so its edges are as soft as those pixels; they are sharpened
@@ -79,6 +79,6 @@ def _opacities(model: VolumeModel, views: Sequence[View], side: int) -> list[np.
     masks = []
     for view in views:
         steeper = max(1.0, max(view.camera.width, view.camera.height) / side)
-        alpha = render_volumes(model, view.camera, depth=False).alpha.numpy()
+        alpha = render_gaussians(model, view.camera, depth=False).alpha.numpy()
         masks.append(to_uint8(255 * (0.5 + steeper * (alpha - 0.5))))
     return masks

@@ -8,22 +8,31 @@ from typing import TypeVar
 
 import torch
 
-from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, volume_settings
+from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, gaussian_settings
 from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
-from mgsr.densify.carried import carried, faintest
 from mgsr.densify.clearance import Clearance
+from mgsr.densify.contribution import contributions, least_contributing
 from mgsr.errors import TrainingError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import make_convergence
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.growth import ErrorGrowth
-from mgsr.training.pace import FINISH
-from mgsr.training.parts import Parts, StartingPoints, make_parts, seeded
-from mgsr.training.stages import Coarse, Stage, Step, Trial, WhatIsMirrored, both_teach, surfels_alone, volumes_alone
-from mgsr.training.trained import Trained
-from mgsr.training.trial import ReflectionTrial
+from mgsr.training.model_selection import ReflectionSelection
+from mgsr.training.stage_scheduler import FINISH
+from mgsr.training.stages import (
+    Coarse,
+    ModelSelection,
+    ReflectingSurface,
+    Stage,
+    Step,
+    both_teach,
+    gaussians_alone,
+    surfels_alone,
+)
+from mgsr.training.train_state import StartingPoints, TrainState, make_train_state, seeded
+from mgsr.training.trainable import Trainable
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
 T = TypeVar("T")
@@ -33,26 +42,26 @@ T = TypeVar("T")
 class Plan:
     """A run before its first iteration.
 
-    parts: what it trains; stages; curve_views: the views that only its curve looks at; backdrop: what lies behind the
-    splats.
+    train_state: what it trains; stages; curve_views: the views that only its curve looks at; backdrop: what lies behind
+    the splats.
     """
 
-    parts: Parts
+    train_state: TrainState
     stages: list[Stage]
     curve_views: list[TrainingView]
     backdrop: Backdrop
 
     @property
-    def trial(self) -> Trial | None:
-        """Return the trial of what the 3D branch adds to the transmitted light; None where there is no trial."""
-        return next((stage.trial for stage in self.stages if stage.trial is not None), None)
+    def selection(self) -> ModelSelection | None:
+        """Return the model selection of the 3D branch; None where there is none."""
+        return next((stage.selection for stage in self.stages if stage.selection is not None), None)
 
-    def mirror_at(self, reflector: Reflector) -> bool:
-        """Let a mesh mirror the light from the stage FINISH on, and return whether it does.
+    def set_reflector(self, reflector: Reflector) -> bool:
+        """Let a mesh reflect the environment map from the stage FINISH on, and return whether it does.
 
         It does where there is such light, and masks tell the object.
         """
-        finish, light = self.stages[-1], self.parts.light
+        finish, light = self.stages[-1], self.train_state.environment_map
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
             return False
         if any(view.mask is None for view in finish.views):
@@ -91,8 +100,8 @@ def make_plan(
 ) -> Plan:
     """Build the branches on the starting points, all on `device`, and the stages that the settings ask for.
 
-    With `finish`, or where a mesh may mirror the light in the end, there is one more stage, of no iterations yet, in
-    which the branch that renders goes on alone.
+    With `finish`, or where a mesh may reflect the environment map in the end, there is one more stage, of no iterations
+    yet, in which the branch that renders goes on alone.
 
     Raises TrainingError for too few training views.
     """
@@ -101,29 +110,29 @@ def make_plan(
     behind = scene.backdrop(config.train.background)
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
-    parts = make_parts(scene, start, config, reflection, tried, device)
-    volumes, growth = volume_settings(config.train.volumes, scene.masked), None
-    if parts.volumes is not None and volumes.densify.by is Growth.ERROR:
-        growth = ErrorGrowth(parts.volumes, parts, volumes, behind.color)
+    train_state = make_train_state(scene, start, config, reflection, tried, device)
+    gaussians, growth = gaussian_settings(config.train.gaussians, scene.masked), None
+    if train_state.gaussians is not None and gaussians.densify.by is Growth.ERROR:
+        growth = ErrorGrowth(train_state.gaussians, train_state, gaussians, behind.color)
     stages: list[Stage] = []
-    last = _last_stage(parts, photographs.views, stages, config)
+    last = _last_stage(train_state, photographs.views, stages, config)
     last.growth = growth
     clearance = None
     if not scene.masked and config.train.clearance:
         cameras = [view.camera for view in scene.train]
         clearance = Clearance.around(cameras, start.positions, config.train.clearance)
-    if parts.surfels is not None:
-        stages.append(_surfel_warmup(parts, photographs, last, config))
-    if parts.volumes is not None:
-        stages.append(_volume_warmup(parts, photographs, last, config, tried))
+    if train_state.surfels is not None:
+        stages.append(_surfel_warmup(train_state, photographs, last, config))
+    if train_state.gaussians is not None:
+        stages.append(_gaussian_warmup(train_state, photographs, last, config, tried))
         stages[-1].growth = growth
     stages.append(last)
     for stage in stages:
         stage.clearance = clearance
-    if finish or (parts.light is not None and scene.masked and config.train.mirror.iterations):
-        stages.append(_finish(parts, photographs.views, config))
+    if finish or (train_state.environment_map is not None and scene.masked and config.train.environment_map.iterations):
+        stages.append(_finish(train_state, photographs.views, config))
     curve_views = prepare_views(_spread(scene.test, config.train.watch.curve_views), scene.masked, device=device)
-    return Plan(parts, stages, curve_views, behind)
+    return Plan(train_state, stages, curve_views, behind)
 
 
 def mutual_iterations(config: Config) -> int:
@@ -132,11 +141,11 @@ def mutual_iterations(config: Config) -> int:
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
-    """Return what the 3D branch adds to the transmitted light at first, and whether a trial decides on more."""
-    asked, alone = config.train.volumes.reflection, config.train.branches is Branches.VOLUMES
+    """Return what the 3D branch adds to the transmitted light at first, and whether model selection decides on more."""
+    asked, alone = config.train.gaussians.reflection, config.train.branches is Branches.GAUSSIANS
     if asked is not Reflection.AUTO:
         return asked, False
-    if config.train.trial.iterations and _spared(config, views):
+    if config.train.model_selection.iterations and _spared(config, views):
         return Reflection.OFF, True
     if shiny is False:
         return Reflection.OFF, False
@@ -154,51 +163,59 @@ def _photographs(scene: Scene, behind: Color, config: Config, device: torch.devi
     return _Photographs(views, prepare_views(scene.train, scene.masked, half, band, device, reduce=2), behind)
 
 
-def _surfel_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config) -> Stage:
-    assert parts.surfels is not None
-    photographs = photographs.sparing(_held_back(config, len(photographs.views)))
-    compute = surfels_alone(parts.surfels, config.train, warming=True)
-    return _warmup("warmup_surfels", parts, parts.surfels, compute, photographs, last, config)
+def _surfel_warmup(train_state: TrainState, photographs: _Photographs, last: Stage, config: Config) -> Stage:
+    assert train_state.surfels is not None
+    photographs = photographs.sparing(_validation_views(config, len(photographs.views)))
+    compute = surfels_alone(train_state.surfels, config.train, warming=True)
+    return _warmup("warmup_surfels", train_state, train_state.surfels, compute, photographs, last, config)
 
 
-def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config: Config, tried: bool) -> Stage:
-    assert parts.volumes is not None
+def _gaussian_warmup(
+    train_state: TrainState, photographs: _Photographs, last: Stage, config: Config, tried: bool
+) -> Stage:
+    assert train_state.gaussians is not None
     views = len(photographs.views)
-    held_back = _held_back(config, views)
+    held_back = _validation_views(config, views)
     photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
-    mirrored = None
-    if parts.light is not None and parts.surfels is not None:
-        mirrored = WhatIsMirrored(parts.light, parts.surfels)
-    compute = volumes_alone(parts.volumes, config.train, warming=True, mirrored=mirrored)
-    stage = _warmup("warmup_volumes", parts, parts.volumes, compute, photographs, last, config)
+    surface = None
+    if train_state.environment_map is not None and train_state.surfels is not None:
+        surface = ReflectingSurface(train_state.environment_map, train_state.surfels)
+    compute = gaussians_alone(train_state.gaussians, config.train, warming=True, surface=surface)
+    stage = _warmup("warmup_gaussians", train_state, train_state.gaussians, compute, photographs, last, config)
     if tried:
-        measure = _measure(parts, "volumes", photographs)
+        measure = _measure(train_state, "gaussians", photographs)
         seen_after = views - held_back
-        stage.trial = ReflectionTrial(config.train, parts.volumes, parts.light, measure, seen_after)
+        stage.selection = ReflectionSelection(
+            config.train, train_state.gaussians, train_state.environment_map, measure, seen_after
+        )
     return stage
 
 
-def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
+def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes a branch's splats of least contribution, and returns their number.
 
-    Those go that together carry the share of the light that the branch's settings can do without.
+    Those go that together contribute less than the share that the branch's settings allow.
     """
-    share = branch.densify.drop_carrying
+    share = branch.densify.prune_contribution
 
-    def thin() -> int:
+    def prune() -> int:
         if not share or any(view.mask is None for view in views):
             return 0
-        kept = (~faintest(carried(branch.model, [view.camera for view in views]), share)).nonzero().squeeze(1)
+        kept = (
+            (~least_contributing(contributions(branch.model, [view.camera for view in views]), share))
+            .nonzero()
+            .squeeze(1)
+        )
         dropped = len(branch.model) - len(kept)
         branch.keep(kept)
         return dropped
 
-    return thin
+    return prune
 
 
 def _warmup(
     name: str,
-    parts: Parts,
+    train_state: TrainState,
     branch: Branch,
     compute: Callable[..., Step],
     photographs: _Photographs,
@@ -206,29 +223,29 @@ def _warmup(
     config: Config,
 ) -> Stage:
     warmup = config.train.warmup
-    iterations = warmup.surfel_iterations if branch is parts.surfels else warmup.volume_iterations
+    iterations = warmup.surfel_iterations if branch is train_state.surfels else warmup.gaussian_iterations
 
-    # The stages' lengths are read anew each time, for a pace may change them on the way.
+    # The stages' lengths are read anew each time, for a scheduler may change them on the way.
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
-    def progress(_: Trained, iteration: int) -> float:
+    def progress(_: Trainable, iteration: int) -> float:
         return iteration / max(1, stage.iterations + last.iterations)
 
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
-    cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is parts.surfels else 4))
-    measure = _measure(parts, branch.name, photographs)
+    cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is train_state.surfels else 4))
+    measure = _measure(train_state, branch.name, photographs)
     convergence = make_convergence(warmup, iterations, measure)
-    light = parts.light if branch is parts.volumes else None
+    light = train_state.environment_map if branch is train_state.gaussians else None
     views = photographs.views
     stage = Stage(
         name, [branch], iterations, views, cycle, compute, window, progress, convergence, light, coarse=coarse
     )
-    stage.thin = _thinning(branch, views)
+    stage.prune = _pruning(branch, views)
     return stage
 
 
-def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
+def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
     """Build the stage of the mutual phase; for one branch alone, of as many more iterations of its own.
 
     stages: those of the run, which may be filled in later.
@@ -237,70 +254,80 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
 
-    def progress(part: Trained, iteration: int) -> float:
+    def progress(part: Trainable, iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
-        planned = next(each.iterations for each in stages if part in (*each.branches, each.light))
+        planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         begun = (part.steps - iteration) / max(1, planned + stage.iterations)
         return begun + (1 - begun) * iteration / max(1, stage.iterations)
 
     name = "mutual"
-    if parts.surfels is not None and parts.volumes is not None:
-        compute = both_teach(parts.surfels, parts.volumes, config.train, parts.light)
-    elif parts.surfels is not None:
-        name, compute = "alone", surfels_alone(parts.surfels, config.train, warming=False)
+    if train_state.surfels is not None and train_state.gaussians is not None:
+        compute = both_teach(train_state.surfels, train_state.gaussians, config.train, train_state.environment_map)
+    elif train_state.surfels is not None:
+        name, compute = "alone", surfels_alone(train_state.surfels, config.train, warming=False)
     else:
-        assert parts.volumes is not None
-        name, compute = "alone", volumes_alone(parts.volumes, config.train, warming=False)
+        assert train_state.gaussians is not None
+        name, compute = "alone", gaussians_alone(train_state.gaussians, config.train, warming=False)
     cycle = ViewCycle(len(views), seeded(config, 5))
     iterations = mutual_iterations(config)
-    stage = Stage(name, parts.branches, iterations, views, cycle, compute, window, progress, light=parts.light)
+    stage = Stage(
+        name,
+        train_state.branches,
+        iterations,
+        views,
+        cycle,
+        compute,
+        window,
+        progress,
+        environment_map=train_state.environment_map,
+    )
     return stage
 
 
-def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
+def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
     """Build the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
 
-    Once a mesh mirrors the light, the rates begin at those of the middle of training instead.
+    Once a mesh reflects the environment map, the rates begin at those of the middle of training instead.
     """
     cycle = ViewCycle(len(views), seeded(config, 6))
-    if parts.volumes is None:
-        assert parts.surfels is not None
-        compute = surfels_alone(parts.surfels, config.train, warming=False)
-        return Stage(FINISH, [parts.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
-    light, mirrored = parts.light, None
-    if light is not None and parts.surfels is not None:
-        mirrored = WhatIsMirrored(light, parts.surfels)
+    if train_state.gaussians is None:
+        assert train_state.surfels is not None
+        compute = surfels_alone(train_state.surfels, config.train, warming=False)
+        return Stage(FINISH, [train_state.surfels], 0, views, cycle, compute, lambda _: (1, 0), lambda *_: 1.0)
+    light, surface = train_state.environment_map, None
+    if light is not None and train_state.surfels is not None:
+        surface = ReflectingSurface(light, train_state.surfels)
 
-    def progress(part: Trained, iteration: int) -> float:
+    def progress(part: Trainable, iteration: int) -> float:
         if light is None or light.model.reflector is None:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)
 
-    compute = volumes_alone(parts.volumes, config.train, warming=False, mirrored=mirrored)
-    stage = [parts.volumes], 0, views, cycle, compute, lambda _: (1, 0), progress
-    return Stage(FINISH, *stage, light=light)
+    compute = gaussians_alone(train_state.gaussians, config.train, warming=False, surface=surface)
+    stage = [train_state.gaussians], 0, views, cycle, compute, lambda _: (1, 0), progress
+    return Stage(FINISH, *stage, environment_map=light)
 
 
-def _measure(parts: Parts, branch: str, photographs: _Photographs) -> Callable[[], float]:
+def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:
     """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
     held_back = photographs.views[photographs.trained_on :]
-    return lambda: mean_psnr(parts.picture(branch), held_back, photographs.behind)
+    return lambda: mean_psnr(train_state.picture(branch), held_back, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:
     """Return whether the alpha losses of both branches look after what lies outside the masks' boxes."""
-    return config.train.surfels.alpha_weight > 0 and config.train.volumes.alpha_weight > 0
+    return config.train.surfels.alpha_weight > 0 and config.train.gaussians.alpha_weight > 0
 
 
-def _held_back(config: Config, views: int) -> int:
-    """Return the number of views that are kept from a whole warm-up, to judge its convergence."""
-    held_back = config.train.warmup.stop_rule is StopRule.HELD_BACK
-    return min(config.train.warmup.held_back_views, views // 2) if held_back else 0
+def _validation_views(config: Config, views: int) -> int:
+    """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
+    held_back = config.train.warmup.stop_rule is StopRule.VALIDATION
+    return min(config.train.warmup.validation_views, views // 2) if held_back else 0
 
 
 def _spared(config: Config, views: int) -> int:
-    """Return the number of views that are kept for a trial."""
-    return min(config.train.trial.views, views // 4)
+    """Return the number of views that are held out for model selection."""
+    return min(config.train.model_selection.views, views // 4)
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:

@@ -19,8 +19,8 @@ def preview_pictures(plan: Plan) -> dict[str, np.ndarray]:
     is; transmitted and reflected: the halves of the light, where it is split.
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
-    color = color_tensor(plan.backdrop.color, plan.parts.branches[0].device)
-    flat, full = render_both(*plan.parts.models, view.camera, color, depth=False, lit=view.light())
+    color = color_tensor(plan.backdrop.color, plan.train_state.branches[0].device)
+    flat, full = render_both(plan.train_state.model, view.camera, color, depth=False, shading=view.shading())
     images: dict[str, Tensor] = {}
     if flat is not None:
         images = {"render": flat.color, "normals": flat.normal * 0.5 + 0.5}

@@ -13,8 +13,8 @@ import torch
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.parallel import one_torch_thread
-from mgsr.training.pace import FINISH, StageLength
 from mgsr.training.plan import StartingPoints, make_plan
+from mgsr.training.stage_scheduler import FINISH, StageLength
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
@@ -41,14 +41,14 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
     with one_torch_thread():
         whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing
         plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
-        splats = {branch.name: len(branch.model) for branch in plan.parts.branches}
-        Trainer(plan, config.train, {}, pace=timer).run(before=FINISH)
+        splats = {branch.name: len(branch.model) for branch in plan.train_state.branches}
+        Trainer(plan, config.train, {}, scheduler=timer).run(before=FINISH)
     return Probe({name: timer.median(name) for name in timer.times}, splats)
 
 
 @dataclass
 class _Timer:
-    """A pace that notes when it is asked, and ends each stage soon."""
+    """A scheduler that notes when it is asked, and ends each stage soon."""
 
     device: torch.device
     times: dict[str, list[float]] = field(default_factory=dict)

@@ -7,10 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mgsr.config import Reflection
-from mgsr.gaussians.mirrored import MirroredLight
-from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.gaussians.trained_model import TrainedModel
 
 
 @dataclass(frozen=True)
@@ -25,14 +22,14 @@ class CurveRow:
     stage: str
     iteration: int
     psnr_surfels: float | None
-    psnr_volumes: float | None
+    psnr_gaussians: float | None
     surfels: int
-    volumes: int
+    gaussians: int
 
     @property
     def psnr(self) -> float | None:
         """Return the PSNR, dB, of the rendering branch, or of the only branch."""
-        return self.psnr_surfels if self.psnr_volumes is None else self.psnr_volumes
+        return self.psnr_surfels if self.psnr_gaussians is None else self.psnr_gaussians
 
 
 @dataclass(frozen=True)
@@ -72,32 +69,20 @@ class StageReport:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The trained models without gradients, and how they came about.
+    """The trained model without gradients, and how it came about.
 
-    A branch is None where the method lacks it, and the light where it has no use. incidents: each bad step that was
-    undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB, that each candidate for the reflection
-    reached in the trial, on photographs kept from training, and degrees: what lower degrees of the transmitted colour
-    reached there; empty without one.
+    incidents: each bad step that was undone, in words (see `mgsr.training.guard`); the first 100. tried: PSNR, dB, that
+    each candidate for the reflection reached in model selection, on held-out photographs, and degrees: what lower
+    degrees of the transmitted colour reached there; empty without one.
     """
 
-    surfels: SurfelModel | None
-    volumes: VolumeModel | None
-    light: MirroredLight | None
+    model: TrainedModel
     stages: list[StageReport]
     curve: list[CurveRow]
     seconds: float
     incidents: list[str] = field(default_factory=list)
     tried: dict[str, float] = field(default_factory=dict)
     degrees: dict[int, float] = field(default_factory=dict)
-
-    @property
-    def reflection(self) -> Reflection | None:
-        """Return what the 3D branch adds to the transmitted light, None without that branch."""
-        if self.volumes is None:
-            return None
-        if self.volumes.split:
-            return Reflection.OWN if self.light is None else Reflection.BOTH
-        return Reflection.OFF if self.light is None else Reflection.SHARED
 
 
 ProgressCallback = Callable[[Progress], None]

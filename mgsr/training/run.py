@@ -15,10 +15,10 @@ from mgsr.errors import GpuError, LostCardError
 from mgsr.gaussians.reflector import Reflector
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
-from mgsr.training.pace import FINISH, Pace
-from mgsr.training.parts import StartingPoints
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import ProgressCallback, TrainResult
+from mgsr.training.stage_scheduler import FINISH, StageScheduler
+from mgsr.training.train_state import StartingPoints
 from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU
 
@@ -52,8 +52,8 @@ class Training:
     resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
     deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
     much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-    pace: sets the lengths of all stages, of which there then is one more, FINISH; so is there for light that the
-    finished mesh may mirror (`mirror_at`).
+    scheduler: sets the lengths of all stages, of which there then is one more, FINISH; so is there for an environment
+    map that the finished mesh may reflect (`set_reflector`).
 
     Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
     branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be
@@ -71,52 +71,49 @@ class Training:
         resume: bool = False,
         deadline: float | None = None,
         device: torch.device = CPU,
-        pace: Pace | None = None,
+        scheduler: StageScheduler | None = None,
     ) -> None:
         with one_torch_thread(), card_explained():
             self._trainer = Trainer(
-                make_plan(scene, start, config, device, finish=pace is not None),
+                make_plan(scene, start, config, device, finish=scheduler is not None),
                 config.train,
                 fingerprint(scene, config),
                 checkpoint_path,
                 progress,
                 should_stop,
                 deadline,
-                pace,
+                scheduler,
             )
             if resume and checkpoint_path is not None and checkpoint_path.exists():
                 self._trainer.resume()
 
-    def mirror_at(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
-        """Let the finished mesh mirror the light from here on, and return whether the stage FINISH has work then.
+    def set_reflector(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+        """Let the finished mesh reflect the environment map from here on; return whether FINISH has work then.
 
         vertices [V,3] in the scene's frame; faces [F,3]. Call it before that stage.
         """
         with one_torch_thread(), card_explained():
-            return self._trainer.plan.mirror_at(Reflector(vertices, faces))
+            return self._trainer.plan.set_reflector(Reflector(vertices, faces))
 
     def run(self, finish: bool = True) -> TrainResult:
         """Train all stages, and return the branches; without `finish`, as they are before the stage FINISH.
 
-        A pace or `mirror_at` gives that stage something to do.
+        A scheduler or `set_reflector` gives that stage something to do.
         """
-        plan, paced = self._trainer.plan, self._trainer.pace is not None
+        plan, scheduled = self._trainer.plan, self._trainer.scheduler is not None
         with one_torch_thread(), card_explained():
-            self._trainer.run(before=None if finish and (paced or plan.stages[-1].iterations) else FINISH)
+            self._trainer.run(before=None if finish and (scheduled or plan.stages[-1].iterations) else FINISH)
         return _result(self._trainer)
 
 
 def _result(trainer: Trainer) -> TrainResult:
-    surfels, volumes, light = trainer.plan.parts.models
-    trial = trainer.plan.trial
+    selection = trainer.plan.selection
     return TrainResult(
-        surfels=None if surfels is None else surfels.detached().to(CPU),
-        volumes=None if volumes is None else volumes.detached().to(CPU),
-        light=None if light is None else light.detached().to(CPU),
+        model=trainer.plan.train_state.model.detached().to(CPU),
         stages=list(trainer.reports),
         curve=list(trainer.curve),
         seconds=trainer.seconds,
         incidents=list(trainer.incidents),
-        tried={} if trial is None else trial.psnr,
-        degrees={} if trial is None else trial.degrees,
+        tried={} if selection is None else selection.psnr,
+        degrees={} if selection is None else selection.degrees,
     )

@@ -14,25 +14,25 @@ from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
 from mgsr.densify.clearance import Clearance
-from mgsr.gaussians.mirrored import Light
+from mgsr.gaussians.environment_map import RenderedMap
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
+from mgsr.losses.environment_map import environment_map_terms
 from mgsr.losses.loss import Loss
-from mgsr.losses.mirrored import light_terms
-from mgsr.losses.objective import Terms, mutual_terms, surfel_terms, total, volume_terms
-from mgsr.renderers.mirrored import mirrored_light
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.renderers.environment_map import reflected_environment
+from mgsr.renderers.gaussians import render_gaussians
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 from mgsr.training.branch import Branch
 from mgsr.training.convergence import Convergence
-from mgsr.training.light import LightInTraining
+from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.schedule import sh_degree_at
-from mgsr.training.trained import Trained
+from mgsr.training.trainable import Trainable
 from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
-VolumeBranch = Branch[VolumeModel]
+GaussianBranch = Branch[GaussianModel]
 KEPT_NORMALS = 256 * 2**20  # bytes
 
 
@@ -73,15 +73,15 @@ class Growing(Protocol):
     def grow(self, views: Sequence[TrainingView]) -> None: ...
 
 
-class Trial(Protocol):
-    """Something that is decided in a stage by trying (see `mgsr.training.trial`, also for psnr and degrees)."""
+class ModelSelection(Protocol):
+    """A choice between models in a stage (see `mgsr.training.model_selection`, also for psnr and degrees)."""
 
     psnr: dict[str, float]
     degrees: dict[int, float]
 
     def due(self, stage: Stage) -> bool: ...
 
-    def hold(self, stage: Stage, run: Callable[[str, int], None]) -> None: ...
+    def run(self, stage: Stage, train: Callable[[str, int], None]) -> None: ...
 
     def state(self) -> dict[str, Any]: ...
 
@@ -90,13 +90,13 @@ class Trial(Protocol):
 
 @dataclass
 class Stage:
-    """A stretch of training and where it stands; a pace may change its iterations on the way.
+    """A stretch of training and where it stands; a scheduler may change its iterations on the way.
 
-    branches: those that it trains; light: what it trains beside them. compute renders one view on a background and
-    returns its Step, given the iteration (from 0); window gives the first and last iteration of a branch's
-    densification; progress 0..1 of the whole run, for a part of what is trained. trial: what is decided on the way;
-    coarse: how it begins; thin: how it ends, by dropping splats, whose number it returns; growth: what adapts the
-    splats of a branch that does not go by the gradient; clearance: where no splats may be.
+    branches: those that it trains; environment_map: what it trains beside them. compute renders one view on a
+    background and returns its Step, given the iteration (from 0); window gives the first and last iteration of a
+    branch's densification; progress 0..1 of the whole run, for one of its trainables. selection: the choice of a model
+    on the way; coarse: how it begins; prune: how it ends, by dropping splats, whose number it returns; growth: what
+    adapts the splats of a branch that does not go by the gradient; clearance: where no splats may be.
     """
 
     name: str
@@ -106,21 +106,24 @@ class Stage:
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Trained, int], float]
+    progress: Callable[[Trainable, int], float]
     convergence: Convergence | None = None
-    light: LightInTraining | None = None
-    trial: Trial | None = None
+    environment_map: EnvironmentMapTrainer | None = None
+    selection: ModelSelection | None = None
     coarse: Coarse | None = None
-    thin: Callable[[], int] | None = None
+    prune: Callable[[], int] | None = None
     growth: Growing | None = None
     clearance: Clearance | None = None
     iteration: int = 0
     seconds: float = 0.0
 
     @property
-    def trained(self) -> list[Trained]:
+    def trainables(self) -> list[Trainable]:
         """Return all that the stage trains."""
-        return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
+        return [
+            *self.branches,
+            *([] if self.environment_map is None or not self.environment_map.used else [self.environment_map]),
+        ]
 
     def next_view(self) -> TrainingView:
         """Return the view whose turn it is."""
@@ -149,7 +152,7 @@ class Stage:
             "order": self.cycle.order,
             "generator": self.cycle.generator.get_state(),
             "convergence": None if self.convergence is None else self.convergence.state(),
-            "trial": None if self.trial is None else self.trial.state(),
+            "selection": None if self.selection is None else self.selection.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -160,27 +163,27 @@ class Stage:
         self.cycle.generator.set_state(state["generator"])
         if self.convergence is not None:
             self.convergence.restore(state["convergence"])
-        if self.trial is not None:
-            self.trial.restore(state["trial"], self)
+        if self.selection is not None:
+            self.selection.restore(state["selection"], self)
 
 
 @dataclass(frozen=True)
-class WhatIsMirrored:
-    """The environment maps that the surface mirrors, and the surface that mirrors them; only the maps learn.
+class ReflectingSurface:
+    """The environment map and the surface that reflects it; only the map learns.
 
-    Where the light has no reflector, the 2D branch's normals mirror it. The branch must stand still then, for its
+    Where the map has no reflector, the 2D branch reflects it. The branch must stand still then, for its
     normals are kept, as float16, while KEPT_NORMALS lasts.
     """
 
-    light: LightInTraining
+    environment_map: EnvironmentMapTrainer
     surfels: SurfelBranch
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
-    def shown(self, view: TrainingView, shining: Light) -> Tensor:
-        """Return what each pixel of a view mirrors of the light, [H,W,3]."""
-        model = self.light.model
+    def shown(self, view: TrainingView, rendered: RenderedMap) -> Tensor:
+        """Return what each pixel of a view reflects of the map, [H,W,3]."""
+        model = self.environment_map.model
         if model.reflector is not None:
-            return mirrored_light(model, view.camera, pixels=view.covered, shining=shining)
+            return reflected_environment(model, view.camera, pixels=view.covered, rendered=rendered)
         key = (view.name, view.camera.height)
         normal = self.kept.get(key)
         if normal is None:
@@ -188,7 +191,7 @@ class WhatIsMirrored:
                 normal = render_surfels(self.surfels.model, view.camera).normal.half()
             if (len(self.kept) + 1) * normal.nbytes <= KEPT_NORMALS:
                 self.kept[key] = normal
-        return mirrored_light(model, view.camera, normal.float(), view.covered, shining)
+        return reflected_environment(model, view.camera, normal.float(), view.covered, rendered)
 
 
 def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> Callable[..., Step]:
@@ -209,38 +212,41 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
     return compute
 
 
-def volumes_alone(
-    branch: VolumeBranch, config: TrainConfig, warming: bool, mirrored: WhatIsMirrored | None = None
+def gaussians_alone(
+    branch: GaussianBranch, config: TrainConfig, warming: bool, surface: ReflectingSurface | None = None
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree; `mirrored` adds what the surface mirrors, as the 2D branch stands.
+    `warming` raises the SH degree; surface: adds what it reflects of the environment map, as the 2D branch stands.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
-        planned = config.warmup.volume_iterations
+        planned = config.warmup.gaussian_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
-        needs_depth = config.tv and config.volumes.depth_tv_weight > 0
+        needs_depth = config.tv and config.gaussians.depth_tv_weight > 0
         shown: Tensor | None = None
         held: Terms = {}
-        if mirrored is not None and mirrored.light.used:
-            shining = mirrored.light.model.light()
-            shown, held = mirrored.shown(view, shining), light_terms(shining.texels, branch.model, config)
+        if surface is not None and surface.environment_map.used:
+            rendered = surface.environment_map.model.rendered()
+            shown, held = surface.shown(view, rendered), environment_map_terms(rendered.texels, branch.model, config)
         behind = color_tensor(background, branch.device)
-        outputs = _see_volumes(branch, view, behind, degree, refl_degree, needs_depth, shown)
-        terms = volume_terms(outputs, view.target(behind), config) | held
+        outputs = _see_gaussians(branch, view, behind, degree, refl_degree, needs_depth, shown)
+        terms = gaussian_terms(outputs, view.target(behind), config) | held
         return Step(total(terms), [Seen(branch, outputs.stats, 1.0)])
 
     return compute
 
 
 def both_teach(
-    surfels: SurfelBranch, volumes: VolumeBranch, config: TrainConfig, light: LightInTraining | None = None
+    surfels: SurfelBranch,
+    gaussians: GaussianBranch,
+    config: TrainConfig,
+    environment_map: EnvironmentMapTrainer | None = None,
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
-    light: the environment maps that the surface mirrors, which are trained too where they are used.
+    environment_map: what the surface reflects, which is trained too where it is used.
     """
     both = config.mutual.teaching is Teaching.BOTH_WAYS
 
@@ -249,16 +255,17 @@ def both_teach(
         flat = _see_surfels(surfels, view, behind, surfels.model.sh_degree, config)
         shown: Tensor | None = None
         held: Terms = {}
-        if light is not None and light.used:
-            normal, shining = flat.normal if both else flat.normal.detach(), light.model.light()
-            shown = mirrored_light(light.model, view.camera, normal, view.covered, shining)
-            held = light_terms(shining.texels, volumes.model, config)
-        degrees = volumes.model.sh_degree, volumes.model.refl_sh_degree
-        full = _see_volumes(volumes, view, behind, *degrees, True, shown)
+        if environment_map is not None and environment_map.used:
+            light, normal = environment_map.model, flat.normal if both else flat.normal.detach()
+            rendered = light.rendered()
+            shown = reflected_environment(light, view.camera, normal, view.covered, rendered)
+            held = environment_map_terms(rendered.texels, gaussians.model, config)
+        degrees = gaussians.model.sh_degree, gaussians.model.refl_sh_degree
+        full = _see_gaussians(gaussians, view, behind, *degrees, True, shown)
         terms = mutual_terms(flat, full, view.target(behind), config) | held
         seen = [
             Seen(surfels, flat.stats, config.mutual.surfel_weight),
-            Seen(volumes, full.stats, config.mutual.volume_weight),
+            Seen(gaussians, full.stats, config.mutual.gaussian_weight),
         ]
         return Step(total(terms), [item for item in seen if item.weight > 0])
 
@@ -273,17 +280,17 @@ def _see_surfels(
     branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
     distortion = config.surfels.distortion_weight > 0
-    return render_surfels(branch.model, view.camera, behind, degree, distortion, view.light())
+    return render_surfels(branch.model, view.camera, behind, degree, distortion, view.shading())
 
 
-def _see_volumes(
-    branch: VolumeBranch,
+def _see_gaussians(
+    branch: GaussianBranch,
     view: TrainingView,
     behind: Tensor,
     degree: int,
     refl_degree: int,
     depth: bool,
-    mirrored: Tensor | None,
-) -> VolumeOutputs:
-    light = (mirrored, view.light())
-    return render_volumes(branch.model, view.camera, behind, degree, refl_degree, depth, *light)
+    environment: Tensor | None,
+) -> GaussianOutputs:
+    light = (environment, view.shading())
+    return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

@@ -14,12 +14,12 @@ from mgsr.losses.loss import Loss
 from mgsr.training.checkpoint import load_checkpoint, save_checkpoint
 from mgsr.training.evaluate import mean_psnr
 from mgsr.training.guard import Guard
-from mgsr.training.pace import Pace
 from mgsr.training.plan import Plan
 from mgsr.training.previews import preview_pictures
 from mgsr.training.progress import CurveRow, Progress, ProgressCallback, StageReport
-from mgsr.training.stages import Stage, Step, Trial
-from mgsr.training.trained import step_trained
+from mgsr.training.stage_scheduler import StageScheduler
+from mgsr.training.stages import ModelSelection, Stage, Step
+from mgsr.training.trainable import step_trainables
 from mgsr.training.views import pick_background
 
 
@@ -29,7 +29,7 @@ class Trainer:
     Its state is the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint` holds it all.
 
     progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
-    iteration; deadline: seconds of training after which the stages end where they are; pace: sets their lengths.
+    iteration; deadline: seconds of training after which the stages end where they are; scheduler: sets their lengths.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class Trainer:
         progress: ProgressCallback | None = None,
         should_stop: Callable[[], bool] | None = None,
         deadline: float | None = None,
-        pace: Pace | None = None,
+        scheduler: StageScheduler | None = None,
     ) -> None:
         self.plan = plan
         self.config = config
@@ -50,7 +50,7 @@ class Trainer:
         self.progress = progress
         self.should_stop = should_stop
         self.deadline = deadline
-        self.pace = pace
+        self.scheduler = scheduler
         self.stage_index = 0
         self.reports: list[StageReport] = []
         self.curve: list[CurveRow] = []
@@ -77,7 +77,7 @@ class Trainer:
             begun = self.seconds - stage.seconds
             reason = self._run_stage(stage, begun)
             self.guard = None
-            dropped = 0 if stage.thin is None else stage.thin()
+            dropped = 0 if stage.prune is None else stage.prune()
             self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason, dropped))
             self.stage_index += 1
             self.save()
@@ -96,12 +96,12 @@ class Trainer:
             "stage_index": self.stage_index,
             "seconds": self.seconds,
             "stages": [stage.state() for stage in self.plan.stages],
-            "trained": {part.name: part.state() for part in self.plan.parts.trained},
+            "trainables": {part.name: part.state() for part in self.plan.train_state.trainables},
             "reports": [asdict(report) for report in self.reports],
             "curve": [asdict(row) for row in self.curve],
             "incidents": self.incidents,
             "guard": None if self.guard is None else self.guard.state(),
-            "pace": None if self.pace is None else self.pace.state(),
+            "scheduler": None if self.scheduler is None else self.scheduler.state(),
         }
 
     def resume(self) -> None:
@@ -117,8 +117,8 @@ class Trainer:
         self._saved_at = state["seconds"]
         for stage, saved in zip(self.plan.stages, state["stages"], strict=True):
             stage.restore(saved)
-        for part in self.plan.parts.trained:
-            part.restore(state["trained"][part.name])
+        for part in self.plan.train_state.trainables:
+            part.restore(state["trainables"][part.name])
         self.reports = [StageReport(**report) for report in state["reports"]]
         self.curve = [CurveRow(**row) for row in state["curve"]]
         self.incidents = state["incidents"]
@@ -131,16 +131,16 @@ class Trainer:
 
     def _run_stage(self, stage: Stage, begun: float) -> str:
         """Iterate to the stage's end, and return why it ended."""
-        reason = "iterations" if self.pace is None else "budget"
+        reason = "iterations" if self.scheduler is None else "budget"
         guard = self.guard = self.guard or self._new_guard(stage)
-        self._heed_pace(stage)
+        self._apply_schedule(stage)
         while stage.iteration < stage.iterations:
             stage.seconds = self.seconds - begun
             self._heed_caller(stage)
             if self.deadline is not None and self.seconds > self.deadline:
                 return "deadline"
-            if stage.trial is not None and stage.trial.due(stage):
-                self._hold_trial(stage, stage.trial)
+            if stage.selection is not None and stage.selection.due(stage):
+                self._select_model(stage, stage.selection)
                 guard.expect_anew()
             loss, converged = self._iterate(stage, guard)
             stage.seconds = self.seconds - begun
@@ -150,19 +150,19 @@ class Trainer:
                 reason = "converged"
                 break
             if not last:
-                self._heed_pace(stage)
+                self._apply_schedule(stage)
         return reason
 
-    def _heed_pace(self, stage: Stage) -> None:
-        if self.pace is not None:
-            stage.iterations = self.pace.length(self.plan.stages, self.stage_index, self._counts())
+    def _apply_schedule(self, stage: Stage) -> None:
+        if self.scheduler is not None:
+            stage.iterations = self.scheduler.length(self.plan.stages, self.stage_index, self._counts())
 
-    def _hold_trial(self, stage: Stage, trial: Trial) -> None:
-        """Let the stage's trial decide; a run that stops inside it resumes before it."""
+    def _select_model(self, stage: Stage, selection: ModelSelection) -> None:
+        """Let the stage's model selection decide; a run that stops inside it resumes before it."""
         self.save()
         begun = self._done(stage)
 
-        def run(candidate: str, iterations: int) -> None:
+        def train(candidate: str, iterations: int) -> None:
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
             for done in range(iterations):
                 if self.should_stop is not None and self.should_stop():
@@ -170,10 +170,10 @@ class Trainer:
                 loss, _ = self._iterate(stage, guard)
                 if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
                     report = self._report(stage, loss, last=False)
-                    report = replace(report, stage=f"trial_{candidate}", iteration=done + 1, total=iterations)
+                    report = replace(report, stage=f"selection_{candidate}", iteration=done + 1, total=iterations)
                     self.progress(replace(report, done=begun, previews={}))
 
-        trial.hold(stage, run)
+        selection.run(stage, train)
 
     def _heed_caller(self, stage: Stage) -> None:
         if self.should_stop is not None and self.should_stop():
@@ -192,7 +192,7 @@ class Trainer:
         step.loss.backward()
         stage.iteration += 1
         if not guard.admits(step, view.name):
-            for part in stage.trained:
+            for part in stage.trainables:
                 part.skip_step()
             return step.loss, False
         self._update(stage, step, view.camera.width, view.camera.height, guard)
@@ -205,7 +205,7 @@ class Trainer:
 
     def _update(self, stage: Stage, step: Step, width: int, height: int, guard: Guard) -> None:
         """Step the optimisers and, where they are due, densify and reset."""
-        step_trained({part: stage.progress(part, stage.iteration) for part in stage.trained}, guard.bad)
+        step_trainables({part: stage.progress(part, stage.iteration) for part in stage.trainables}, guard.bad)
         for branch in stage.branches:
             first, last = stage.window(branch.densify)
             if not stage.iteration <= last:
@@ -235,22 +235,22 @@ class Trainer:
         return longest is not None and self.seconds - self._saved_at >= longest
 
     def _curve_row(self, stage: Stage) -> CurveRow:
-        psnr = {branch.name: self._psnr(branch.name) for branch in self.plan.parts.branches}
+        psnr = {branch.name: self._psnr(branch.name) for branch in self.plan.train_state.branches}
         counts = self._counts()
         return CurveRow(
             self.seconds,
             stage.name,
             stage.iteration,
             psnr.get("surfels"),
-            psnr.get("volumes"),
+            psnr.get("gaussians"),
             counts.get("surfels", 0),
-            counts.get("volumes", 0),
+            counts.get("gaussians", 0),
         )
 
     def _psnr(self, branch: str) -> float | None:
         if not self.plan.curve_views:
             return None
-        return mean_psnr(self.plan.parts.picture(branch), self.plan.curve_views, self.plan.backdrop.color)
+        return mean_psnr(self.plan.train_state.picture(branch), self.plan.curve_views, self.plan.backdrop.color)
 
     def _report(self, stage: Stage, loss: Loss, last: bool) -> Progress:
         every = self.config.watch.preview_every
@@ -273,4 +273,4 @@ class Trainer:
         return spent / max(1, planned)
 
     def _counts(self) -> dict[str, int]:
-        return {branch.name: len(branch.model) for branch in self.plan.parts.branches}
+        return {branch.name: len(branch.model) for branch in self.plan.train_state.branches}

@@ -31,8 +31,8 @@ class TrainingView:
 
     image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: where the photographic losses look (see
     Target); off_edge [H,W] bool: what lies off the mask's contour; covered [P] int64: the pixels that the mask touches,
-    row x W + column, None without masks; unknown [P] int64: likewise those that the photograph does not show, None
-    where it shows all. The mask is 0 there, and the image anything. lit [H,W] uint8: as in `View`.
+    row x W + column, None without masks; invalid [P] int64: likewise those that the photograph does not show, None
+    where it shows all. The mask is 0 there, and the image anything. irradiance [H,W] uint8: as in `View`.
     """
 
     name: str
@@ -42,20 +42,20 @@ class TrainingView:
     region: tuple[int, int, int, int] | None = None
     off_edge: Tensor | None = None
     covered: Tensor | None = None
-    unknown: Tensor | None = None
-    lit: Tensor | None = None
+    invalid: Tensor | None = None
+    irradiance: Tensor | None = None
     off_edge_sum: float | None = None  # pixels where off_edge is True
 
-    def light(self) -> Tensor | None:
-        """Return `lit` as [H,W] in 0..1, for `render_volumes`; None where no flash lit the view."""
-        return None if self.lit is None else self.lit / 255
+    def shading(self) -> Tensor | None:
+        """Return `irradiance` as [H,W] in 0..1, for `render_gaussians`; None where no flash lit the view."""
+        return None if self.irradiance is None else self.irradiance / 255
 
     def target(self, behind: Tensor) -> Target:
         """Return the photograph on a background [3], for the losses."""
         if self.mask is None:
-            return Target(self.image / 255, None, self.camera, unknown=self.unknown)
+            return Target(self.image / 255, None, self.camera, invalid=self.invalid)
         color, alpha, off_edge = composite(self.image, self.mask, behind, self.off_edge, self.region)
-        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.unknown)
+        return Target(color, alpha, self.camera, self.region, off_edge, self.off_edge_sum, self.invalid)
 
 
 def prepare_views(
@@ -91,19 +91,19 @@ def _prepared(
         view = _held(_reduced(view, reduce), store)
     image = _moved(view.image, device)
     # Found on the host, so that a card is never waited for.
-    unknown = None if view.known is None else torch.from_numpy(np.flatnonzero(~view.known)).to(device)
-    lit = None if view.lit is None else _moved(view.lit, device)
+    invalid = None if view.valid_mask is None else torch.from_numpy(np.flatnonzero(~view.valid_mask)).to(device)
+    irradiance = None if view.irradiance is None else _moved(view.irradiance, device)
     if view.alpha is None:
-        return TrainingView(view.name, view.camera, image, None, unknown=unknown, lit=lit)
-    alpha = view.alpha if view.known is None else store.hold(np.where(view.known, view.alpha, np.uint8(0)))
+        return TrainingView(view.name, view.camera, image, None, invalid=invalid, irradiance=irradiance)
+    alpha = view.alpha if view.valid_mask is None else store.hold(np.where(view.valid_mask, view.alpha, np.uint8(0)))
     mask, covered = torch.from_numpy(alpha), torch.from_numpy(store.hold(np.flatnonzero(alpha)))
     region = None if margin is None else bounding_region(alpha, margin)
     off_edge = None
     if edge_band:
-        off_edge = torch.from_numpy(store.hold(off_outline(mask, edge_band, view.known).numpy()))
+        off_edge = torch.from_numpy(store.hold(off_outline(mask, edge_band, view.valid_mask).numpy()))
     off_edge_sum = None if off_edge is None else float(off_edge.sum())
     outline = (_moved(alpha, device), region, None if off_edge is None else off_edge.to(device), covered.to(device))
-    return TrainingView(view.name, view.camera, image, *outline, unknown, lit, off_edge_sum)
+    return TrainingView(view.name, view.camera, image, *outline, invalid, irradiance, off_edge_sum)
 
 
 def _held(view: View, store: PixelStore) -> View:
@@ -135,16 +135,16 @@ def _reduced(view: View, by: int) -> View:
     return averaged(view, camera, mean)
 
 
-def off_outline(mask: Tensor, band: int, known: np.ndarray | None = None) -> Tensor:
+def off_outline(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Tensor:
     """Return the pixels [H,W] bool that lie farther than `band` pixels from the contour of a mask [H,W] uint8.
 
-    The contour is where the mask is half covered; diagonals count as one pixel. No contour passes between a known pixel
+    The contour is where the mask is half covered; diagonals count as one pixel. No contour passes between a valid pixel
     and others.
     """
     inside = mask > 127
     outside = ~inside
-    if known is not None:
-        shown = torch.from_numpy(known)
+    if valid is not None:
+        shown = torch.from_numpy(valid)
         inside, outside = inside & shown, outside & shown
     near = torch.stack([inside, outside]).to(torch.float32)
     size = 2 * band + 1

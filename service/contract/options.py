@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 LIBRARY: dict[str, Any] = json.loads(Path(__file__).with_name("library.json").read_text(encoding="utf-8"))
 PRESETS: dict[str, dict[str, str]] = LIBRARY["presets"]
 METHODS: dict[str, dict[str, str]] = LIBRARY["methods"]
+RENAMED: dict[str, str] = LIBRARY["renamed"]
 SETTINGS: dict[str, dict[str, Any]] = LIBRARY["settings"]
 
 Preset = StrEnum("Preset", {name.upper(): name for name in PRESETS})  # type: ignore[misc]
@@ -98,6 +99,9 @@ def find_setting(key: str) -> str:
         return hits[0]
     if hits:
         raise ValueError(f"setting {key!r} is ambiguous: say one of {', '.join(hits)}")
+    renamed = ".".join(RENAMED.get(part, part) for part in key.split("."))
+    if renamed != key:
+        raise ValueError(f"setting {key[:100]!r} does not exist; write {renamed[:100]!r}")
     last = {path.rpartition(".")[2]: path for path in SETTINGS}
     near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
     hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists them"

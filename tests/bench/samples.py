@@ -15,7 +15,7 @@ def sample_row(scene: str, variant: str = "", method: str = "mgsr", preset: str 
         "normal_error": 7.0, "model_mib": 13.0, "memory_mib": 1600.0, "others": 0.1,
     }  # fmt: skip
     return Row(
-        scene, variant, method, preset, "cpu", 0, "done", surfels=20000, volumes=0 if method == "2dgs" else 20000,
+        scene, variant, method, preset, "cpu", 0, "done", surfels=20000, gaussians=0 if method == "2dgs" else 20000,
         faces=100000, scored_by="evaluate.py", commit="abc1234", machine=MACHINE, versions=VERSIONS,
         command="mgsr run", **(figures | changes),
     )  # fmt: skip

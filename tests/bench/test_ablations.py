@@ -30,7 +30,7 @@ def test_each_row_has_the_settings_of_the_supplements_model(name: str) -> None:
 def test_what_the_letters_mean() -> None:
     rows = named_rows()
     a, b, k, stop, n = (make_config("standard", rows[x].method, 0, rows[x].overrides).train for x in "ABKLN")
-    assert (a.branches, a.volumes.reflection) == (Branches.VOLUMES, Reflection.OWN)  # 3DGS with the split
+    assert (a.branches, a.gaussians.reflection) == (Branches.GAUSSIANS, Reflection.OWN)  # 3DGS with the split
     assert b.branches == Branches.SURFELS
     assert (k.mutual.teaching, stop.warmup.stop_rule, n.tv) == ("one_way", "none", False)
 

@@ -16,12 +16,12 @@ import torch
 from benchmarks import cuda_training
 from benchmarks.packed_scenes import Packed, pack, unpack
 from mgsr.config import make_config
-from mgsr.export.mirrored_light import load_mirrored_light
+from mgsr.export.environment_map import load_environment_map
 from mgsr.export.ply_notes import LOW_PASS, read_number
 from mgsr.export.splats import load_splats
 from tests.training.ball import ball_points, ball_scene
 
-SETTINGS = ("warmup.surfel_iterations=20", "warmup.volume_iterations=20", "mutual.iterations=20", "reflection=both")
+SETTINGS = ("warmup.surfel_iterations=20", "warmup.gaussian_iterations=20", "mutual.iterations=20", "reflection=both")
 CONFIG = make_config("draft", overrides=SETTINGS)
 CPU = torch.device("cpu")
 # What a bare machine lacks of what MGSR depends on.
@@ -40,11 +40,11 @@ def test_a_packed_scene_trains_to_files(tmp_path: Path) -> None:
     facts = cuda_training.run(packed_ball(tmp_path), out, CONFIG, CPU)
     assert json.loads((out / "training.json").read_text()) == facts
     assert facts["reflection"] == {"chosen": "both", "tried": {}}
-    for name, branch in (("splats_2d.ply", "surfels"), ("splats_3d.ply", "volumes")):
+    for name, branch in (("splats_2d.ply", "surfels"), ("splats_3d.ply", "gaussians")):
         assert len(load_splats(out / name)["means"]) == facts["splats"][branch]
         assert facts["psnr"][branch] > 10
-    assert load_mirrored_light(out / "mirrored_light.npz").maps.shape[:2] == (2, 3)
-    assert read_number(out / "splats_3d.ply", LOW_PASS) == CONFIG.train.volumes.low_pass
+    assert load_environment_map(out / "mirrored_light.npz").maps.shape[:2] == (2, 3)
+    assert read_number(out / "splats_3d.ply", LOW_PASS) == CONFIG.train.gaussians.low_pass
     assert (out / "flash.npz").read_bytes() == b"found before"
     assert cuda_training.digests(out) == facts["sha256"]
 
@@ -71,7 +71,7 @@ def test_training_needs_none_of_what_a_bare_machine_lacks() -> None:
 
 def test_home_puts_the_card_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     facts = {"scene": "spot_soft", "preset": "standard", "device": "A card", "seconds": 12.5}
-    facts["splats"] = {"surfels": 15000, "volumes": 16000}
+    facts["splats"] = {"surfels": 15000, "gaussians": 16000}
     with zipfile.ZipFile(tmp_path / "splats.zip", "w") as archive:
         archive.writestr("spot_soft/training.json", json.dumps(facts))
     asked = list[list[str]]()

@@ -132,7 +132,7 @@ def test_gains_are_those_of_the_rounded_figures() -> None:
 
 def test_what_a_run_left_out_is_held_against_it_scene_by_scene() -> None:
     more = [sample_row("pear", "need-light", seconds=450.0, psnr=34.02, chamfer=2.6), sample_row("pear", "L")]
-    more[0] = replace(more[0], volumes=30000)
+    more[0] = replace(more[0], gaussians=30000)
     page = page_of([*sample_rows(), *more])
     line = next(line for line in page.splitlines() if "a reflection of each splat's own, everywhere" in line)
     assert "| pear | 34.02 (+0.02) | 2.60 (+0.10) | 98.00 (+0.00) | 50000 (+25%) | 450 (+50%) |" in line

@@ -12,7 +12,7 @@ from tests.training.ball import ball_points, ball_scene
 
 
 def rows(*overrides: str) -> list[Row]:
-    config = make_config("high", overrides=["mirror.iterations=0", *overrides])
+    config = make_config("high", overrides=["environment_map.iterations=0", *overrides])
     return measure(make_plan(ball_scene(24, train=3, test=1, masked=True), ball_points(80), config), config, 2)
 
 
@@ -23,11 +23,11 @@ def test_an_iteration_has_few_operations(reflection: str) -> None:
     With both lights it is 22 in the mutual phase, of which 9 make the tiles' lists. None waits for a number, which
     would be called item.
     """
-    surfels, volumes, mutual = rows(f"reflection={reflection}")
-    assert (surfels.stage, volumes.stage, mutual.stage) == ("warmup_surfels", "warmup_volumes", "mutual")
-    assert surfels.operations.total() <= 15 and volumes.operations.total() <= 20 and mutual.operations.total() <= 30
+    surfels, gaussians, mutual = rows(f"reflection={reflection}")
+    assert (surfels.stage, gaussians.stage, mutual.stage) == ("warmup_surfels", "warmup_gaussians", "mutual")
+    assert surfels.operations.total() <= 15 and gaussians.operations.total() <= 20 and mutual.operations.total() <= 30
     assert mutual.launches <= 65
-    for row in (surfels, volumes, mutual):
+    for row in (surfels, gaussians, mutual):
         assert not {"item", "_local_scalar_dense"} & row.operations.keys()
         assert row.milliseconds > 0
 

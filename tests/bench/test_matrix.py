@@ -78,7 +78,7 @@ def test_a_row_says_what_the_report_says(done: Matrix) -> None:
         "chamfer": 1000 * report["gt"]["chamfer"],
         "normal_consistency": 100 * report["gt"]["normal_consistency"],
         "surfels": report["gaussians"]["surfels"],
-        "volumes": 0,
+        "gaussians": 0,
         "memory_mib": report["peak_memory_mib"],
         "model_mib": (folder / "splats_2d.ply").stat().st_size / 2**20,
     }

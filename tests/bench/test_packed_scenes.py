@@ -12,11 +12,11 @@ import torch
 from benchmarks.packed_scenes import Packed, pack, read, spread, unpack
 from mgsr.config import Config, make_config
 from mgsr.data.scene import Scene, View
-from mgsr.training.parts import StartingPoints
 from mgsr.training.run import Training
+from mgsr.training.train_state import StartingPoints
 from tests.training.ball import ball_points, ball_scene
 
-SETTINGS = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=10", "reflection=both")
+SETTINGS = ("warmup.surfel_iterations=10", "warmup.gaussian_iterations=10", "mutual.iterations=10", "reflection=both")
 CONFIG = make_config("draft", overrides=SETTINGS)
 
 
@@ -32,9 +32,13 @@ def packed(scene: Scene, folder: Path, start: StartingPoints | None = None) -> P
 
 
 def learnt(scene: Scene, start: StartingPoints, config: Config = CONFIG) -> list[torch.Tensor]:
-    result = Training(scene, start, config).run()
-    assert result.surfels is not None and result.volumes is not None and result.light is not None
-    tensors = [*result.surfels.parameters().values(), *result.volumes.parameters().values(), result.light.maps()]
+    model = Training(scene, start, config).run().model
+    assert model.surfels is not None and model.gaussians is not None and model.environment_map is not None
+    tensors = [
+        *model.surfels.parameters().values(),
+        *model.gaussians.parameters().values(),
+        model.environment_map.maps(),
+    ]
     return [tensor.detach() for tensor in tensors]
 
 
@@ -55,8 +59,8 @@ def test_everything_comes_back(tmp_path: Path) -> None:
             view,
             image=random.integers(0, 256, view.image.shape, np.uint8),
             alpha=None,
-            lit=random.integers(0, 256, view.image.shape[:2], np.uint8),
-            known=None if i else random.random(view.image.shape[:2]) < 0.5,
+            irradiance=random.integers(0, 256, view.image.shape[:2], np.uint8),
+            valid_mask=None if i else random.random(view.image.shape[:2]) < 0.5,
         )
         for i, view in enumerate(ball_scene(size=20, train=3).train)
     ]
@@ -106,7 +110,9 @@ def test_views_at_even_distances() -> None:
 def test_a_scene_trains_as_it_was_read(name: str, views: int | None, tmp_path: Path, shared_data: Path) -> None:
     """Check that a packed scene trains as the scene that was read; bunny_flash with its flash's light on each view."""
     content = read(shared_data / "scenes" / name, CONFIG, views)
-    assert (content.scene.train[0].lit is not None) is (name == "bunny_flash") is ("flash.npz" in content.findings)
+    assert (
+        (content.scene.train[0].irradiance is not None) is (name == "bunny_flash") is ("flash.npz" in content.findings)
+    )
     pack(content, tmp_path / "scene.npz")
     other = unpack(tmp_path / "scene.npz")
     assert other.findings == content.findings

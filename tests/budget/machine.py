@@ -12,7 +12,7 @@ from mgsr.budget import costs
 from mgsr.budget.budget import PERIOD, TimeBudget
 from mgsr.budget.costs import Facts
 from mgsr.config import Config, MeshConfig
-from mgsr.training.pace import FINISH
+from mgsr.training.stage_scheduler import FINISH
 
 Speed = Callable[[float], float]  # how many times slower than the reference machine, at a time
 
@@ -91,16 +91,16 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     scale = budget.choose_scale(facts)
     facts = replace(facts, pixels=facts.pixels * scale**2)
     budget.learn(costs.start_cost(facts), machine.work("start", costs.start_cost(facts)))
-    splats = {"surfels": config.train.surfels.max_start, "volumes": config.train.volumes.max_start}
-    names = ("warmup_surfels", "warmup_volumes", "mutual")
+    splats = {"surfels": config.train.surfels.max_start, "gaussians": config.train.gaussians.max_start}
+    names = ("warmup_surfels", "warmup_gaussians", "mutual")
     once = {name: machine.work(name, costs.iteration_cost(name, facts, splats)) for name in names}
     budget.choose_place(facts, once, splats)
     train = budget.settings.train
-    lengths = (train.warmup.surfel_iterations, train.warmup.volume_iterations, train.mutual.iterations)
+    lengths = (train.warmup.surfel_iterations, train.warmup.gaussian_iterations, train.mutual.iterations)
     stages = [*(Stage(*pair) for pair in zip(names, lengths, strict=True)), Stage(FINISH, 0)]
     full = {
         "surfels": train.surfels.densify.max_count,
-        "volumes": costs.usual_count(train.volumes.max_start, facts),
+        "gaussians": costs.usual_count(train.gaussians.max_start, facts),
     }
     for index in range(3):
         _run_stage(machine, budget, stages, index, facts, full)

@@ -16,7 +16,7 @@ from tests.budget.machine import Machine, Speed, run_on, steady, stepped, wavy
 
 USUAL = Facts(views=48, tests=8, pixels=256 * 256, truth=True, shiny=True)
 CONFIG = make_config()
-STEPS = ("start", "mesh", "evaluate", "report", "warmup_surfels", "warmup_volumes", "mutual", "finish")
+STEPS = ("start", "mesh", "evaluate", "report", "warmup_surfels", "warmup_gaussians", "mutual", "finish")
 
 
 def any_scene(random: np.random.Generator) -> tuple[Facts, dict[str, float]]:
@@ -61,7 +61,7 @@ def test_more_time_gives_more_of_all() -> None:
     for numbers in (
         [ran.budget.place for ran in runs],
         [ran.stages[2].iteration for ran in runs],
-        [ran.budget.settings.train.volumes.max_start for ran in runs],
+        [ran.budget.settings.train.gaussians.max_start for ran in runs],
     ):
         assert numbers == sorted(set(numbers))
 
@@ -70,7 +70,7 @@ def test_time_to_spare_goes_to_the_renders_since_more_training_makes_the_surface
     ran = run_on(Machine(steady(1.0)), USUAL, CONFIG, 3000.0)
     assert ran.budget.place == pytest.approx(HIGHEST, abs=1e-2)
     high = make_config("high").train
-    asked = [high.warmup.surfel_iterations, high.warmup.volume_iterations, high.mutual.iterations]
+    asked = [high.warmup.surfel_iterations, high.warmup.gaussian_iterations, high.mutual.iterations]
     assert [stage.iteration for stage in ran.stages[:3]] == asked
     assert ran.stages[3].iteration > 10 * high.mutual.iterations
     assert 0.9 <= ran.seconds / 3000 <= 1.05
@@ -95,7 +95,7 @@ def test_too_little_time_gives_the_least_plan_and_says_so() -> None:
     config = ran.budget.line.at(LOWEST)
     assert [stage.iteration for stage in ran.stages[:3]] == [
         config.train.warmup.surfel_iterations,
-        config.train.warmup.volume_iterations,
+        config.train.warmup.gaussian_iterations,
         config.train.mutual.iterations,
     ]
     assert not run_on(Machine(steady(1.0)), USUAL, CONFIG, 2 * ran.seconds).budget.too_small
@@ -104,7 +104,7 @@ def test_too_little_time_gives_the_least_plan_and_says_so() -> None:
 def test_stages_share_the_time_as_on_the_line() -> None:
     ran = run_on(Machine(steady(1.0)), USUAL, CONFIG, 300.0)
     planned = ran.budget.settings.train
-    asked = np.array([planned.warmup.surfel_iterations, planned.warmup.volume_iterations, planned.mutual.iterations])
+    asked = np.array([planned.warmup.surfel_iterations, planned.warmup.gaussian_iterations, planned.mutual.iterations])
     done = np.array([stage.iteration for stage in ran.stages[:3]])
     # The uncertain share of the surface's time goes to the last stage, and the machine's steps vary by a sixth.
     assert np.ptp(np.log(done / asked)) < math.log(1.3)

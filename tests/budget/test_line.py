@@ -31,7 +31,7 @@ def test_the_preset_that_is_named_does_not_matter() -> None:
 
 def test_it_rises() -> None:
     configs = [Line(make_config()).at(place) for place in (LOWEST, -0.2, 0.0, 0.3, 1.0, 1.7, HIGHEST)]
-    counts = [config.train.volumes.max_start for config in configs]
+    counts = [config.train.gaussians.max_start for config in configs]
     assert counts == sorted(set(counts))
     lengths = [config.train.mutual.iterations for config in configs]
     assert lengths == sorted(lengths)

@@ -17,7 +17,7 @@ from mgsr.pipeline.run import run_scene
 from mgsr.training.progress import Progress
 from tests.cli.spheres import write_spheres
 
-SMALL = ["surfels.max_start=1500", "volumes.max_start=1500"]
+SMALL = ["surfels.max_start=1500", "gaussians.max_start=1500"]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_runs_end_near_their_budgets(scene: Path, tmp_path: Path) -> None:
         budget = report["time_budget"]
         assert 0.9 <= budget["used"] / seconds <= 1.05
         assert not budget["too_small"] and budget["image_scale"] == 1
-        assert {"warmup_surfels", "warmup_volumes", "mutual", "finish"} == set(report["iterations"])
+        assert {"warmup_surfels", "warmup_gaussians", "mutual", "finish"} == set(report["iterations"])
         assert set(budget["planned"]) == {"before", "train", "mesh", "evaluate", "report"}
         iterations.append(report["iterations"]["mutual"]["iterations"])
     assert iterations[0] < iterations[1]

@@ -17,7 +17,7 @@ from tests.cli.spheres import write_spheres
 from tests.cli.test_run import SHORT
 from tests.data.test_exposure import to_linear, to_srgb
 
-STAGES = ("surfel_iterations", "volume_iterations", "mutual.iterations")
+STAGES = ("surfel_iterations", "gaussian_iterations", "mutual.iterations")
 
 
 @pytest.fixture(scope="module")

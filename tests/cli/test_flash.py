@@ -86,7 +86,7 @@ def test_python_lights_as_the_run_did(capture: Path, done: Path) -> None:
     for view in scene.test[:2]:
         for camera in (view, scene.user_from_scene.camera_to_user(view.camera)):
             image = mgsr.render(result, camera)
-            for color, ending in ((image.color, ""), (image.even, "_even")):
+            for color, ending in ((image.color, ""), (image.unlit, "_even")):
                 picture = np.asarray(Image.open(done / "renders" / "test" / f"{view.name}{ending}.png")) / 255
                 there = picture[..., 3] > 0.5
                 assert color is not None and np.abs(color - picture[..., :3])[there].mean() < 0.5 / 255

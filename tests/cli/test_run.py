@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from mgsr.cli.main import app
-from mgsr.config import DataConfig, OutputConfig, VolumeConfig
+from mgsr.config import DataConfig, GaussianConfig, OutputConfig
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.export.splats import load_splats
@@ -31,8 +31,8 @@ from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
 
 SHORT = [
-    *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "volume_iterations=80"),
-    *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "volumes.max_start=1500"),
+    *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "gaussian_iterations=80"),
+    *("--set", "mutual.iterations=60", "--set", "surfels.max_start=1500", "--set", "gaussians.max_start=1500"),
     *("--set", "poisson_depth=6"),
 ]
 SUFFIXES = ["", "_transmitted", "_reflected", "_weight", "_depth", "_normal"]
@@ -101,9 +101,9 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert (report["scene"], report["preset"], report["method"]) == ("spheres", "draft", "mgsr")
     assert (report["device"], report["seed"]) == ("cpu", 0)
     assert report["iterations"]["mutual"] == {"iterations": 60, "stopped": "iterations", "dropped": 0}
-    assert set(report["gaussians"]) == {"surfels", "volumes"}
+    assert set(report["gaussians"]) == {"surfels", "gaussians"}
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
-    assert {"seconds", "stage", "iteration", "psnr", "surfels", "volumes"} <= set(report["curve"][0])
+    assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
     faces = trimesh.load(done / "mesh.ply", force="mesh", process=False).faces
     assert report["mesh"]["faces"] == len(faces) and report["mesh"]["components"] >= 1
     assert 0 < report["gt"]["chamfer"] < 0.06 and report["gt"]["normal_consistency"] > 0.8
@@ -151,10 +151,10 @@ def test_splats_come_back_with_the_low_pass_that_they_were_trained_with(
 ) -> None:
     loaded = load_scene(scene, DataConfig())
     models = read_models(done, loaded.user_from_scene)
-    assert models.volumes.low_pass == VolumeConfig().low_pass
-    models.volumes.low_pass = 0.3
+    assert models.gaussians.low_pass == GaussianConfig().low_pass
+    models.gaussians.low_pass = 0.3
     write_models(tmp_path, models, loaded, OutputConfig())
-    assert read_models(tmp_path, loaded.user_from_scene).volumes.low_pass == 0.3
+    assert read_models(tmp_path, loaded.user_from_scene).gaussians.low_pass == 0.3
 
 
 def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path: Path) -> None:

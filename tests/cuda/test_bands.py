@@ -22,12 +22,12 @@ from mgsr.errors import GpuError
 from mgsr.native.cuda import bands
 from mgsr.native.cuda.launcher import use_launcher
 from mgsr.native.cuda.tiles import Band
+from mgsr.ops.gaussians import Reflected, rasterize_gaussians
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
-from mgsr.ops.volumes import Reflected, rasterize_volumes
 from tests.cuda.machines import SHIM, Machine, on_each_machine
 from tests.cuda_shim.launcher import ShimLauncher
 from tests.ops.splat_scenes import camera, random_splats
-from tests.ops.test_volumes import dual_splats
+from tests.ops.test_gaussians import dual_splats
 
 VIEW = camera().resized(120, 84)  # 8 x 6 tiles
 ROWS = 6
@@ -45,9 +45,9 @@ def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torc
     with machine.running():
         if kind == "dual":
             light = Reflected(splats["refl_opacities"], splats["refl_colors"], splats["weights"])
-            raster = rasterize_volumes(*plain, view, background, light)
+            raster = rasterize_gaussians(*plain, view, background, light)
         elif kind == "single":
-            raster = rasterize_volumes(*plain, view, background)
+            raster = rasterize_gaussians(*plain, view, background)
         else:
             raster = rasterize_surfels(*plain, view, background, SurfelOptions(distortion=kind == "distortion"))
         images = {name: getattr(raster, name, None) for name in IMAGES}
@@ -280,7 +280,7 @@ def test_a_second_backward_pass_blends_again() -> None:
     splats = {name: t.float().requires_grad_() for name, t in random_splats(60, 3).items()}
     names = ("means", "quats", "scales", "opacities", "colors")
     with SHIM.running():
-        color = rasterize_volumes(*(splats[name] for name in names), VIEW, torch.zeros(3)).color
+        color = rasterize_gaussians(*(splats[name] for name in names), VIEW, torch.zeros(3)).color
         first = torch.autograd.grad(color.sum(), [splats[name] for name in names], retain_graph=True)
         second = torch.autograd.grad(color.sum(), [splats[name] for name in names])
     assert all(torch.equal(*pair) for pair in zip(first, second, strict=True))

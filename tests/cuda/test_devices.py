@@ -21,7 +21,7 @@ from mgsr.ops.image_loss import image_loss
 from mgsr.ops.tv import edge_aware_tv
 from mgsr.training.plan import Plan, make_plan
 from mgsr.training.stages import Stage
-from mgsr.training.trained import step_trained
+from mgsr.training.trainable import step_trainables
 from tests.training.ball import ball_points, ball_scene
 
 META = torch.device("meta")
@@ -57,9 +57,9 @@ def iterate(stage: Stage) -> None:
     view = stage.views[0]
     step = stage.compute(view, (0.1, 0.2, 0.3), stage.iterations)
     step.loss.backward()
-    gradients = [tensor for part in stage.trained for tensor in part.tensors("grad").values()]
+    gradients = [tensor for part in stage.trainables for tensor in part.tensors("grad").values()]
     bad = any_bad([step.loss.values, *gradients])
-    step_trained(dict.fromkeys(stage.trained, 0.5), bad)
+    step_trainables(dict.fromkeys(stage.trainables, 0.5), bad)
     for branch in stage.branches:
         for seen in step.seen:
             if seen.branch is branch:
@@ -72,13 +72,13 @@ def iterate(stage: Stage) -> None:
 @pytest.mark.parametrize("masked", [True, False])
 @pytest.mark.parametrize("overrides", [[], ["surfels.distortion_weight=1.0"], ["depth_tv_weight=0.1"]])
 def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, overrides: list[str]) -> None:
-    settings = [f"volumes.{o}" if o.startswith("depth_tv") else o for o in overrides]
+    settings = [f"gaussians.{o}" if o.startswith("depth_tv") else o for o in overrides]
     plan = plan_on_meta(make_config("standard", "mgsr", 0, settings), masked)
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)
-    assert plan.parts.light is not None and plan.parts.light.model.logits.device == META
-    for branch in plan.parts.branches:
+    assert plan.train_state.environment_map is not None and plan.train_state.environment_map.model.logits.device == META
+    for branch in plan.train_state.branches:
         assert all(tensor.device == META for tensor in branch.model.parameters().values())
         assert branch.densify_state.seen.device == META
     expected = {
@@ -87,7 +87,7 @@ def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, over
         "image_loss",
         "tiles_sum",
         "harmonics_backward_3",
-        "mirrored_texels",
+        "environment_map_texels",
     }
     assert expected <= set(launcher.launched)
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from mgsr.native.cuda import tiles
+from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
 from mgsr.native.cuda.params import Int, Long, Pointer, pointer, pointers
 from mgsr.native.cuda.tiles import TILE
-from mgsr.native.cuda.volumes import ProjectParams, splats_struct
 from tests.cuda_shim import launcher
 from tests.cuda_shim.launcher import HERE, ShimLauncher, compile_with_shim
 from tests.ops.splat_scenes import camera
@@ -52,7 +52,7 @@ def project(count: int) -> tuple[np.ndarray, np.ndarray]:
     )
     view = camera(WIDTH, HEIGHT)
     struct = splats_struct((*splats, None, None, None), (view.K, view.cam_from_world, WIDTH, HEIGHT, 0.01, 0.3, 0))
-    projected = tiles.project(ShimLauncher(), "volumes", ProjectParams, struct, torch.empty(count))
+    projected = tiles.project(ShimLauncher(), "gaussians", ProjectParams, struct, torch.empty(count))
     seen = projected.whole.tile_counts > 0
     return projected.records[seen].numpy(), projected.outlines[seen].numpy()
 

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.native.cuda.gaussians import ProjectParams, splats_struct
 from mgsr.native.cuda.params import Pointer, pointer
 from mgsr.native.cuda.tiles import OUTLINE_FLOATS, RECORD_FLOATS, SPLAT_THREADS, splat_blocks
-from mgsr.native.cuda.volumes import ProjectParams, splats_struct
 from tests.cuda_shim import launcher
 from tests.cuda_shim.launcher import HERE, ShimLauncher, compile_with_shim
 from tests.ops.splat_scenes import camera

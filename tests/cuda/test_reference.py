@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
+from mgsr.ops.gaussians import rasterize_gaussians
 from mgsr.ops.surfels import rasterize_surfels
-from mgsr.ops.volumes import rasterize_volumes
 from tests.cuda.machines import CARD, Machine, on_each_machine
 
 NAMES = ("means", "quats", "scales", "opacities", "rgb")
@@ -32,9 +32,9 @@ def render(machine: Machine, folder: Path, name: str, rasterize, axes: int = 3):
 @pytest.mark.slow
 @on_each_machine
 @pytest.mark.parametrize("name", ["s5k_128", "s20k_256"])
-def test_volumes(machine: Machine, shared_data: Path, name: str) -> None:
+def test_gaussians(machine: Machine, shared_data: Path, name: str) -> None:
     folder = shared_data / "raster"
-    image, gradients = render(machine, folder, name, rasterize_volumes)
+    image, gradients = render(machine, folder, name, rasterize_gaussians)
     assert np.abs(image.numpy() - np.load(folder / f"ref_{name}.npz")["img"]).max() < 1e-4
     if name != "s5k_128":
         return

@@ -14,7 +14,7 @@ from tests.cuda.machines import CARD, SHIM, Machine, on_each_machine
 from tests.training.ball import ball_points, ball_scene
 from tests.training.short_training import short, tensors
 
-QUICK = ("warmup.surfel_iterations=3", "warmup.volume_iterations=3", "mutual.iterations=2", "sh_step=0.5")
+QUICK = ("warmup.surfel_iterations=3", "warmup.gaussian_iterations=3", "mutual.iterations=2", "sh_step=0.5")
 
 
 @on_each_machine
@@ -26,7 +26,7 @@ def test_a_few_iterations_change_every_parameter(machine: Machine) -> None:
     ours, theirs = tensors(result), tensors(reference)
     assert ours.keys() == theirs.keys()
     for name, tensor in ours.items():
-        if name == "volumes.quats":  # they start round, so that their rotation's gradient is rounding alone
+        if name == "gaussians.quats":  # they start round, so that their rotation's gradient is rounding alone
             continue
         assert tensor.device.type == "cpu" and tensor.shape == theirs[name].shape, name
         # Adam's first steps go by the sign of a gradient: one that is rounding alone may go either way.
@@ -80,7 +80,7 @@ def test_a_checkpoint_serves_any_device(tmp_path) -> None:
         result = Training(
             scene, points, short("2dgs", *QUICK), checkpoint_path=path, resume=True, device=machine.device
         ).run()
-    assert result.surfels is not None
+    assert result.model.surfels is not None
 
 
 @pytest.mark.skipif(not hasattr(torch, "AcceleratorError"), reason="NEEDS TORCH 2.8: older ones have no such error")
@@ -88,7 +88,7 @@ def test_a_card_that_failed_is_told_with_the_cure(monkeypatch: pytest.MonkeyPatc
     def failed(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.AcceleratorError("CUDA error: an illegal memory access was encountered\nSearch for ...")
 
-    monkeypatch.setattr(trainer, "step_trained", failed)
+    monkeypatch.setattr(trainer, "step_trainables", failed)
     with pytest.raises(
         GpuError, match=r"the card failed \(CUDA error: an illegal memory access was encountered\), .*--resume"
     ):
@@ -99,6 +99,6 @@ def test_too_little_memory_is_refused_with_the_cure(monkeypatch: pytest.MonkeyPa
     def full(progress: object, bad: torch.Tensor | None = None) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 80.00 GiB")
 
-    monkeypatch.setattr(trainer, "step_trained", full)
+    monkeypatch.setattr(trainer, "step_trainables", full)
     with pytest.raises(GpuError, match=r"80\.00 GiB.*max_side"):
         Training(ball_scene(24, train=3, test=1), ball_points(80), short("2dgs", *QUICK)).run()

@@ -1,9 +1,9 @@
 // The patches that splats touch of one tile, by their records and by their outlines, for tests to compare.
-#include "kernels/volumes/blending_cuda.h"
+#include "kernels/gaussians/blending_cuda.h"
 
 struct PatchParams {
   int64_t count;
-  const mgsr::VolumeRecord* records;    // [N]
+  const mgsr::GaussianRecord* records;    // [N]
   const mgsr::SplatOutline* outlines;   // [N]
   mgsr::Tiles tiles;
   int tile;

@@ -1,18 +1,18 @@
 // The 3D branch's projection in two floats alone, in float64 alone, and as it is, for tests to compare.
-#include "kernels/volumes/projection_cuda.h"
+#include "kernels/gaussians/projection_cuda.h"
 
 struct ProjectionParams {
-  mgsr::VolumeProjectParams to;
+  mgsr::GaussianProjectParams to;
   int* sights;  // [N]
 };
 
 template <class Project>
 void project_each(const ProjectionParams& p, const Project& project) {
   using namespace mgsr;
-  const VolumeProjectParams& to = p.to;
+  const GaussianProjectParams& to = p.to;
   const int64_t i = int64_t(blockIdx.x) * kSplatThreads + threadIdx.x;
   if (i >= to.in.count) return;
-  VolumeRecord record = {};
+  GaussianRecord record = {};
   SplatOutline outline = {};
   const Sight sight = project(to.in, i, record, outline);
   const bool seen = sight == Sight::kSeen && on_image(outline, to.in.width, to.in.height);
@@ -28,7 +28,7 @@ MGSR_KERNEL(in_double, ProjectionParams, mgsr::kSplatThreads) { project_each(p, 
 
 MGSR_KERNEL(as_projected, ProjectionParams, mgsr::kSplatThreads) {
   using namespace mgsr;
-  project_each(p, [](const VolumeSplats& in, int64_t i, VolumeRecord& record, SplatOutline& outline) {
-    return project_volume(in, i, record, outline) ? Sight::kSeen : Sight::kUnseen;
+  project_each(p, [](const GaussianSplats& in, int64_t i, GaussianRecord& record, SplatOutline& outline) {
+    return project_gaussian_splat(in, i, record, outline) ? Sight::kSeen : Sight::kUnseen;
   });
 }

@@ -40,9 +40,9 @@ def test_unknown_pixels_are_no_border() -> None:
         known = np.ones(view.image.shape[:2], bool)
         known[:, :width] = False
         view.image[:, :width] = 0
-        views.append(replace(view, known=known))
+        views.append(replace(view, valid_mask=known))
     assert replace(scene, train=views).plain_backdrop == pytest.approx([value / 255 for value in GREY], abs=3 / 255)
-    unknown = [replace(view, known=np.zeros_like(view.known)) for view in views]
+    unknown = [replace(view, valid_mask=np.zeros_like(view.valid_mask)) for view in views]
     assert replace(scene, train=unknown).plain_backdrop is None
 
 

@@ -145,7 +145,7 @@ def test_masks_that_mean_ignore_change_no_frame(cases):
 
     for view in ignored.train:
         black = np.asarray(Image.open(masks[view.name]).convert("L")) < 128
-        known = np.ones_like(black) if view.known is None else view.known
+        known = np.ones_like(black) if view.valid_mask is None else view.valid_mask
         assert not known[black].any() and (known | black).mean() > 0.97
 
 

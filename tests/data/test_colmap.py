@@ -136,7 +136,7 @@ def test_a_lens_that_folds_is_cut_before_the_fold():
 
     K = np.array([[30.0, 0, 48], [0, 30, 32], [0, 0, 1]])
     how = undistortion(Lens(k1=-0.3), K, WIDTH, HEIGHT, "test")
-    known = how.known
+    known = how.valid_mask
     assert known is not None and 0.2 < known.mean() < 1
     assert (np.diff(how.map_x, axis=1)[known[:, 1:] & known[:, :-1]] > 0).all()
     assert (np.diff(how.map_y, axis=0)[known[1:] & known[:-1]] > 0).all()

@@ -82,10 +82,10 @@ def test_the_whole_undistorted_image_agrees_with_opencv():
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     terms = np.array([-0.2, 0.05, 0.01, -0.01])
     maps = cv2.initUndistortRectifyMap(K - half, terms, None, how.K - half, (width, height), cv2.CV_32FC1)
-    assert how.known is not None and how.known.mean() > 0.8
-    np.testing.assert_allclose(how.map_x[how.known], maps[0][how.known], atol=1e-3)
+    assert how.valid_mask is not None and how.valid_mask.mean() > 0.8
+    np.testing.assert_allclose(how.map_x[how.valid_mask], maps[0][how.valid_mask], atol=1e-3)
     expected = cv2.remap(image, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    np.testing.assert_allclose(ours[how.known], expected[how.known], atol=2e-3)
+    np.testing.assert_allclose(ours[how.valid_mask], expected[how.valid_mask], atol=2e-3)
 
 
 # What a phone, an action camera and a circular fisheye do, and lenses whose polynomial folds back inside the picture.
@@ -115,12 +115,12 @@ def test_what_is_known_is_what_the_photograph_shows(lens, focal):
     shown, places, sure = followed(lens, K, (cols.ravel() + 0.5, rows.ravel() + 0.5))
     shown, sure, places = shown.reshape(rows.shape), sure.reshape(rows.shape), places.reshape(*rows.shape, 2)
     inner = (slice(1, -1), slice(1, -1))
-    known = np.ones((height, width), bool) if how.known is None else how.known
+    known = np.ones((height, width), bool) if how.valid_mask is None else how.valid_mask
     assert sure.mean() > 0.97
     np.testing.assert_array_equal(known[sure[inner]], shown[inner][sure[inner]])
     np.testing.assert_allclose(np.dstack([how.map_x, how.map_y])[known], places[inner][known] - 0.5, atol=1e-3)
     beyond = (shown & sure).sum() - (shown & sure)[inner].sum()
-    assert beyond == 0 if how.known is not None else beyond < known.sum() / 30
+    assert beyond == 0 if how.valid_mask is not None else beyond < known.sum() / 30
 
 
 def followed(lens, K, pixels):

@@ -151,7 +151,7 @@ def test_masks_that_are_white_but_for_some_specks_are_no_silhouettes(tmp_path):
         return mask
 
     (view, *_) = settle_masks(masked_views(tmp_path, change), [], Masks.AUTO).train
-    assert view.alpha is None and not view.known[30:34, 30:34].any() and view.known.sum() == 64 * 64 - 6 * 6
+    assert view.alpha is None and not view.valid_mask[30:34, 30:34].any() and view.valid_mask.sum() == 64 * 64 - 6 * 6
 
 
 # Names

@@ -101,12 +101,12 @@ def test_ignored_pixels_are_unknown(tmp_path, names):
     for view in scene.train + scene.test:
         black = masks[int(view.name)] < 128
         if not black.any():
-            assert view.known is None
+            assert view.valid_mask is None
             continue
         # The pixels beside the black ones hold something of them.
         wide = np.pad(black, 1)
         around = sum(wide[1 + i : 1 + i + SIDE, 1 + j : 1 + j + SIDE] for i in (-1, 0, 1) for j in (-1, 0, 1)) > 0
-        np.testing.assert_array_equal(view.known, ~around)
+        np.testing.assert_array_equal(view.valid_mask, ~around)
 
 
 def test_photographs_without_a_mask_are_used_whole(tmp_path):
@@ -123,8 +123,8 @@ def test_instant_ngps_dynamic_masks(tmp_path):
     assert len(scene.train) + len(scene.test) == 24
     for view in scene.train:
         white = masks[int(view.name)] > 128
-        assert (view.known is None) == (not white.any())
-        assert view.known is None or not view.known[white].any()
+        assert (view.valid_mask is None) == (not white.any())
+        assert view.valid_mask is None or not view.valid_mask[white].any()
 
 
 @pytest.mark.parametrize("top", [0.15, 0.3])
@@ -165,7 +165,7 @@ def test_a_scene_for_other_programs_keeps_what_is_ignored(tmp_path):
     assert not again.masked and len(again.train) == len(scene.train)
     for view, other in zip(again.train, scene.train, strict=True):
         assert view.image.shape == other.image.shape
-        assert (view.known is None) == (other.known is None)
+        assert (view.valid_mask is None) == (other.valid_mask is None)
 
 
 def test_the_meaning_that_is_given_counts(tmp_path):
@@ -173,7 +173,7 @@ def test_the_meaning_that_is_given_counts(tmp_path):
     assert load_scene(root, DataConfig(masks=Masks.OBJECT)).masked
     assert not load_scene(root, DataConfig(masks=Masks.IGNORE)).masked
     off = load_scene(root, DataConfig(masks=Masks.OFF))
-    assert not off.masked and all(view.known is None for view in off.train)
+    assert not off.masked and all(view.valid_mask is None for view in off.train)
 
 
 def test_ignore_without_masks_is_refused(tmp_path):

@@ -35,7 +35,7 @@ def test_only_scenes_without_masks_are_cleared() -> None:
 def test_a_round_of_densification_clears() -> None:
     scene = ball_scene(24, train=6, masked=False)
     plan = make_plan(scene, ball_points(300, RADIUS), make_config("draft"))
-    stage, branch = plan.stages[1], plan.parts.volumes
+    stage, branch = plan.stages[1], plan.train_state.gaussians
     with torch.no_grad():
         branch.model.means[0] = torch.tensor(scene.train[0].camera.center * 0.9, dtype=torch.float32)
     stage.adapt(branch)

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import Growth, VolumeDensifyConfig, make_config, volume_settings
+from mgsr.config import GaussianDensifyConfig, Growth, gaussian_settings, make_config
 from mgsr.data.camera import Camera
-from mgsr.densify.carried import carried
+from mgsr.densify.contribution import contributions
 from mgsr.densify.error_driven import (
     RenderedView,
     new_points,
     not_contradicted,
     planned_changes,
     visible_error,
-    without_least_carrying,
+    without_least_contributing,
 )
 from mgsr.errors import ConfigError
-from mgsr.gaussians.start import new_volumes, start_volumes
+from mgsr.gaussians.start import new_gaussians, start_gaussians
 from tests.training.ball import ball_scene
 
 HEIGHT, WIDTH = 20, 30
-CONFIG = make_config().train.volumes
+CONFIG = make_config().train.gaussians
 
 
 def turned_camera() -> Camera:
@@ -73,7 +73,7 @@ def test_pixels_without_a_surface_do_not_count() -> None:
 
 
 def test_the_number_follows_the_differing_pixels_and_has_bounds() -> None:
-    config = VolumeDensifyConfig(growth=0.25, replace=0.1, max_count=1100)
+    config = GaussianDensifyConfig(growth=0.25, replace=0.1, max_count=1100)
     some = [torch.zeros(10, 10), torch.ones(10, 10)]
     assert planned_changes([torch.zeros(10, 10)], 1000, config) == (0, 0)
     assert planned_changes(some, 400, config) == (40, 50)  # 50 pixels in the mean; a tenth of 400
@@ -140,11 +140,11 @@ def test_other_views_confirm_what_the_surface_lacks_and_contradict_a_highlight()
 def test_those_that_carry_least_make_room() -> None:
     scene = ball_scene(size=24, train=3)
     positions = np.random.default_rng(0).normal(scale=0.3, size=(40, 3))
-    model = start_volumes(positions, None, np.full((40, 3), 0.5), CONFIG, torch.Generator(), split=False)
+    model = start_gaussians(positions, None, np.full((40, 3), 0.5), CONFIG, torch.Generator(), split=False)
     nothing = torch.zeros(24, 24)
     views = [RenderedView(view.camera, *(nothing,) * 4) for view in scene.train]
-    kept = without_least_carrying(model, views, 15)
-    light = carried(model, [view.camera for view in scene.train])
+    kept = without_least_contributing(model, views, 15)
+    light = contributions(model, [view.camera for view in scene.train])
     assert len(kept) == 25
     assert (kept.diff() > 0).all()
     gone = torch.ones(40, dtype=torch.bool)
@@ -156,8 +156,8 @@ def test_those_that_carry_least_make_room() -> None:
 def test_new_gaussians_fit_the_model_that_they_join(split: bool) -> None:
     generator = torch.Generator()
     colors = torch.rand(5, 3)
-    model = start_volumes(np.random.rand(9, 3), None, np.random.rand(9, 3), CONFIG, generator, split)
-    new = new_volumes(model, torch.rand(5, 3), torch.full((5,), 0.02), colors, 0.6, CONFIG)
+    model = start_gaussians(np.random.rand(9, 3), None, np.random.rand(9, 3), CONFIG, generator, split)
+    new = new_gaussians(model, torch.rand(5, 3), torch.full((5,), 0.02), colors, 0.6, CONFIG)
     assert new.keys() == model.parameters().keys()
     for name, tensor in model.parameters().items():
         assert new[name].shape == (5, *tensor.shape[1:])
@@ -167,17 +167,19 @@ def test_new_gaussians_fit_the_model_that_they_join(split: bool) -> None:
 
 
 def test_without_masks_the_gradient_tells_with_its_rates_and_a_cap() -> None:
-    masked, unmasked = volume_settings(CONFIG, True), volume_settings(CONFIG, False)
+    masked, unmasked = gaussian_settings(CONFIG, True), gaussian_settings(CONFIG, False)
     assert masked.densify == CONFIG.densify
     assert (masked.rates.scale, masked.rates.beta2) == (0.02, 0.99)
     assert unmasked.rates == CONFIG.rates
     assert (unmasked.densify.by, unmasked.densify.max_count) == (Growth.GRADIENT, 20_000)
-    asked = make_config(overrides=["volumes.densify.by=gradient", "volumes.densify.max_count=70000"]).train.volumes
-    assert volume_settings(asked, True) == volume_settings(asked, False) == asked
+    asked = make_config(
+        overrides=["gaussians.densify.by=gradient", "gaussians.densify.max_count=70000"]
+    ).train.gaussians
+    assert gaussian_settings(asked, True) == gaussian_settings(asked, False) == asked
 
 
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="does not exist"):
         make_config(overrides=["surfels.densify.by=error"])
     with pytest.raises(ConfigError, match="new_opacity: expected a value between 0 and 1"):
-        make_config(overrides=["volumes.densify.new_opacity=1"])
+        make_config(overrides=["gaussians.densify.new_opacity=1"])

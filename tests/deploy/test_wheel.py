@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = ("adam", "fusion", "harmonics", "image", "mirrored", "stereo", "surfels", "volumes")
+FAMILIES = ("adam", "fusion", "harmonics", "image", "environment_map", "stereo", "surfels", "gaussians")
 
 
 @pytest.fixture(scope="module")

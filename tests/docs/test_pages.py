@@ -102,7 +102,7 @@ def test_the_example_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     """On a small capture, and with so few iterations that it is soon over."""
     photos = write_spheres(tmp_path / "photos", size=48, train=12, test=2)
     (photos / "mesh_gt.ply").unlink()
-    few = {"warmup.surfel_iterations": "30", "warmup.volume_iterations": "30", "mutual.iterations": "20"}
+    few = {"warmup.surfel_iterations": "30", "warmup.gaussian_iterations": "30", "mutual.iterations": "20"}
     monkeypatch.setitem(PRESETS, "draft", PRESETS["draft"] | few | {"mesh.poisson_depth": "5"})
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}

@@ -13,16 +13,16 @@ from hypothesis import settings
 
 from mgsr.errors import MgsrError
 from mgsr.export.compressed_ply import load_compressed_ply, write_compressed_ply
+from mgsr.export.environment_map import load_environment_map, write_environment_map
 from mgsr.export.flash import load_flash, write_flash
 from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.mesh_reading import load_mesh
-from mgsr.export.mirrored_light import load_mirrored_light, write_mirrored_light
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import read_origin
 from mgsr.export.splats import load_splats, write_splats
 from mgsr.export.spz import load_spz, read_spz_origin, write_spz
+from tests.export.test_environment_map import stored_environment_map
 from tests.export.test_flash import lighting
-from tests.export.test_mirrored_light import stored_light
 from tests.export.test_packed_splats import splats
 from tests.fuzzing import LONG, QUICK, byte_changes, fuzz
 
@@ -39,7 +39,10 @@ SPLATS: dict[str, tuple[Callable[..., None], Callable[[Path], Any]]] = {
 }
 LIGHTS: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
     "flash.npz": (lambda path: write_flash(path, lighting(), ORIGIN), load_flash),
-    "mirrored_light.npz": (partial(write_mirrored_light, light=stored_light(), origin=ORIGIN), load_mirrored_light),
+    "mirrored_light.npz": (
+        partial(write_environment_map, stored=stored_environment_map(), origin=ORIGIN),
+        load_environment_map,
+    ),
 }
 MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": write_glb, "mesh.obj": write_obj}
 

@@ -1,4 +1,4 @@
-"""Tests of what cameras see of a mirroring surface, against a ball and a corner of two mirrors worked out by hand."""
+"""Tests of what cameras see of a reflecting surface, against a ball and a corner of two mirrors worked out by hand."""
 
 from __future__ import annotations
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from mgsr.config import SurfelConfig, VolumeConfig
+from mgsr.config import GaussianConfig, SurfelConfig
 from mgsr.errors import TrainingError
-from mgsr.gaussians.start import SH_CONSTANT, plane_normals, quats_from_normals, start_surfels, start_volumes
+from mgsr.gaussians.start import SH_CONSTANT, plane_normals, quats_from_normals, start_gaussians, start_surfels
 from tests.training.ball import ball_points
 
 
@@ -55,13 +55,13 @@ def test_plane_normals_of_a_plane() -> None:
     assert np.allclose(np.abs(normals), [0, 0, 1])
 
 
-def test_volumes_with_and_without_split() -> None:
+def test_gaussians_with_and_without_split() -> None:
     points = ball_points(50)
-    both = start_volumes(points.positions, None, points.colors, VolumeConfig(sh_degree=1), generator(), split=True)
+    both = start_gaussians(points.positions, None, points.colors, GaussianConfig(sh_degree=1), generator(), split=True)
     assert both.split
-    assert torch.allclose(both.weights(), torch.tensor(VolumeConfig().start_weight))
+    assert torch.allclose(both.weights(), torch.tensor(GaussianConfig().start_weight))
     assert (both.sh_degree, both.refl_sh_degree) == (1, 3)
-    plain = start_volumes(points.positions, None, points.colors, VolumeConfig(), generator(), split=False)
+    plain = start_gaussians(points.positions, None, points.colors, GaussianConfig(), generator(), split=False)
     assert not plain.split
     assert set(plain.parameters()) == {"means", "quats", "log_scales", "opacity_logits", "sh"}
 
@@ -79,7 +79,7 @@ def test_thinning_is_seeded() -> None:
 def test_coinciding_points_get_a_size() -> None:
     positions = np.zeros((10, 3))
     positions[:5] += np.arange(5)[:, None]
-    model = start_volumes(positions, None, np.full((10, 3), 0.5), VolumeConfig(), generator(), split=True)
+    model = start_gaussians(positions, None, np.full((10, 3), 0.5), GaussianConfig(), generator(), split=True)
     assert torch.isfinite(model.log_scales).all()
 
 

@@ -13,11 +13,11 @@ from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
 from mgsr.losses.alpha import silhouette
 from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import mutual_terms, surfel_terms, total, volume_terms
+from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.terms import scalar
-from mgsr.renderers.outputs import SurfelOutputs, VolumeOutputs
+from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 
 SIZE = 16
 CAMERA = Camera(np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]]), np.eye(4), SIZE, SIZE)
@@ -34,10 +34,10 @@ def surfels() -> SurfelOutputs:
     return SurfelOutputs(image, alpha, *depths, random(SIZE, SIZE, 3), None, STATS)
 
 
-def volumes() -> VolumeOutputs:
+def gaussians() -> GaussianOutputs:
     image, alpha = random(SIZE, SIZE, 3, seed=2), torch.full((SIZE, SIZE), 0.8, requires_grad=True)
     depth = random(SIZE, SIZE, seed=4)
-    return VolumeOutputs(image, random(SIZE, SIZE, 3, seed=3), None, None, depth, alpha, STATS)
+    return GaussianOutputs(image, random(SIZE, SIZE, 3, seed=3), None, None, depth, alpha, STATS)
 
 
 def target(masked: bool = True) -> Target:
@@ -85,7 +85,7 @@ def test_a_term_without_weight_is_not_computed() -> None:
     config = make_config(overrides=["tv=off", "surfels.alpha_weight=0", "normal_weight=0"]).train
     assert set(surfel_terms(surfels(), target(), config)) == {"surfels.photo"}
     config = make_config(overrides=["tv=off"]).train
-    assert set(volume_terms(volumes(), target(masked=False), config)) == {"volumes.photo"}
+    assert set(gaussian_terms(gaussians(), target(masked=False), config)) == {"gaussians.photo"}
     unregularised = surfel_terms(surfels(), target(), TrainConfig(), regularised=False)
     assert set(unregularised) == {"surfels.photo", "surfels.alpha"}
 
@@ -94,7 +94,7 @@ def test_a_term_without_weight_is_not_computed() -> None:
 def test_who_is_taught(teaching: str) -> None:
     """Check that one way the 2D branch's terms leave C_tran alone, and the depth loss the 2D branch's depth."""
     config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
-    flat, full = surfels(), volumes()
+    flat, full = surfels(), gaussians()
     terms = mutual_terms(flat, full, target(), config)
     by_image = torch.autograd.grad(
         scalar(terms["surfels.transmitted"]), full.transmitted, retain_graph=True, allow_unused=True
@@ -106,7 +106,7 @@ def test_who_is_taught(teaching: str) -> None:
 
 def test_the_total_is_the_weighted_sum() -> None:
     """Check that weights 0.5, 0.5, 0.01 and lambda_6 act on the terms as in Algorithm 2."""
-    flat, full = surfels(), volumes()
+    flat, full = surfels(), gaussians()
     base = make_config(overrides=["photo_weight=0.8"]).train
     terms = mutual_terms(flat, full, target(), base)
     alone = surfel_terms(flat, target(), base)
@@ -116,7 +116,7 @@ def test_the_total_is_the_weighted_sum() -> None:
     again = mutual_terms(flat, full, target(), doubled)
     for name in ("surfels.photo", "surfels.transmitted", "surfels.normal", "surfels.depth_tv", "mutual.depth"):
         assert float(again[name]) == pytest.approx(2 * float(terms[name]), rel=1e-5)
-    assert float(again["volumes.photo"]) == pytest.approx(float(terms["volumes.photo"]), rel=1e-5)
+    assert float(again["gaussians.photo"]) == pytest.approx(float(terms["gaussians.photo"]), rel=1e-5)
 
 
 def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
@@ -129,33 +129,33 @@ def test_coverage_wants_both_the_mask_and_the_rendering() -> None:
 @pytest.mark.parametrize("kind", AlphaLoss)
 @pytest.mark.parametrize("masked", [True, False])
 def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
-    """Check that losses and gradients are the same whatever stands at unknown pixels.
+    """Check that losses and gradients are the same whatever stands at invalid pixels.
 
     Colour and alpha get no gradient there; far from them, beyond any window, the gradients are those of a photograph
     that shows all.
     """
     config = replace(make_config().train, alpha_loss=kind)
-    config = replace(config, volumes=replace(config.volumes, transmitted_tv_weight=0.0))
-    unknown = torch.arange(SIZE) * SIZE + 1  # the second column
+    config = replace(config, gaussians=replace(config.gaussians, transmitted_tv_weight=0.0))
+    invalid = torch.arange(SIZE) * SIZE + 1  # the second column
     results = []
     for seed in (6, 7):
         photograph = target(masked)
-        color = photograph.color.flatten(0, 1).index_copy(0, unknown, random(SIZE, 3, seed=seed).detach())
-        photograph = replace(photograph, color=color.view(SIZE, SIZE, 3), unknown=unknown)
+        color = photograph.color.flatten(0, 1).index_copy(0, invalid, random(SIZE, 3, seed=seed).detach())
+        photograph = replace(photograph, color=color.view(SIZE, SIZE, 3), invalid=invalid)
         results.append(_gradients(photograph, config))
     assert results[0][0] == results[1][0]
     for one, other in zip(results[0][1], results[1][1], strict=True):
         assert torch.equal(one, other)
-        assert not one.flatten(0, 1)[unknown].any()
+        assert not one.flatten(0, 1)[invalid].any()
     _, whole = _gradients(target(masked), config)
     for one, other in zip(results[0][1], whole, strict=True):
         torch.testing.assert_close(one[:, 12:], other[:, 12:])
-        assert other.flatten(0, 1)[unknown].any()
+        assert other.flatten(0, 1)[invalid].any()
 
 
 def _gradients(photograph: Target, config: TrainConfig) -> tuple[list[float], list[torch.Tensor]]:
     """Return the terms, and the gradients of both branches' colours and, with masks, their alphas."""
-    flat, full = surfels(), volumes()
+    flat, full = surfels(), gaussians()
     loss = total(mutual_terms(flat, full, photograph, config))
     wanted = [flat.color, full.color, *([] if photograph.alpha is None else [flat.alpha, full.alpha])]
     return [float(term) for term in loss.terms.values()], list(torch.autograd.grad(loss.value, wanted))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mgsr.native import _volumes
+from mgsr.native import _gaussians
 
 
 def case(seed: int):
@@ -18,7 +18,7 @@ def case(seed: int):
 
 def project(mean, quat, scale, camera):
     out = np.empty(7)
-    _volumes.project_double(mean, quat, scale, camera, 0.3, out)
+    _gaussians.project_double(mean, quat, scale, camera, 0.3, out)
     return out
 
 
@@ -27,7 +27,7 @@ def test_projection_vjp(seed):
     mean, quat, scale, camera = case(seed)
     v_out = np.random.default_rng(seed + 99).normal(size=7)
     grads = [np.zeros(3), np.zeros(4), np.zeros(3)]
-    _volumes.project_double_vjp(mean, quat, scale, camera, 0.3, v_out, *grads)
+    _gaussians.project_double_vjp(mean, quat, scale, camera, 0.3, v_out, *grads)
     for which, (value, grad) in enumerate(zip((mean, quat, scale), grads, strict=True)):
         for i in range(len(value)):
             ends = []

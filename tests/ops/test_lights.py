@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.ops.lights import OFFSET, lit_up, lit_up_vjp, with_reflection, with_reflection_vjp
+from mgsr.ops.lights import OFFSET, apply_shading, apply_shading_vjp, with_reflection, with_reflection_vjp
 from tests.cuda.machines import Machine, on_every_kernel
 
 
@@ -23,7 +23,7 @@ def assert_close(ours: Tensor, theirs: Tensor | None) -> None:
 
 @on_every_kernel
 @pytest.mark.parametrize("added", [False, True])
-@pytest.mark.parametrize("lights", [("own",), ("mirrored",), ("own", "mirrored")], ids="+".join)
+@pytest.mark.parametrize("lights", [("own",), ("environment_map",), ("own", "environment_map")], ids="+".join)
 def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], added: bool) -> None:
     """Check that reflected light is added; `added`: as where the loss looks at the parts too."""
     inputs = random((5, 7, 3), (5, 7), *((5, 7, 3) for _ in lights))
@@ -33,7 +33,7 @@ def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], add
     before = tuple(each.to(machine.device) if added else None for each in v_parts)
     with machine.running():
         launcher = launcher_for(on_machine[0])
-        arrays = (on_machine[0], on_machine[1], named.get("own"), named.get("mirrored"))
+        arrays = (on_machine[0], on_machine[1], named.get("own"), named.get("environment_map"))
         color, reflected = with_reflection(launcher, *arrays)
         gradients = with_reflection_vjp(launcher, v_color.to(machine.device), reflected, on_machine[1], before)
     transmitted, weight, *parts = [each.double().requires_grad_() for each in inputs]
@@ -60,9 +60,9 @@ def test_a_flash_lights_the_object_alone(machine: Machine, added: bool) -> None:
     even, alpha, background, lit = (each.to(machine.device) for each in inputs)
     with machine.running():
         launcher = launcher_for(even)
-        image = lit_up(launcher, even, alpha, background, lit)
+        image = apply_shading(launcher, even, alpha, background, lit)
         before = v_alpha.to(machine.device) if added else None
-        gradients = lit_up_vjp(launcher, v_image.to(machine.device), background, lit, before)
+        gradients = apply_shading_vjp(launcher, v_image.to(machine.device), background, lit, before)
     exact = [each.double().requires_grad_() for each in inputs]
     # sRGB is linear in light^(1/2.4) but for an offset, and what lies behind is not lit.
     behind = (1 - exact[1])[..., None] * exact[2]
@@ -89,7 +89,7 @@ def test_paint_times_light_in_linear_light() -> None:
     on = (1 - alpha[..., None]) * behind
     even = alpha[..., None] * to_srgb(paint) + on
     expected = alpha[..., None] * to_srgb(paint * light[..., None]) + on
-    got = lit_up(None, *(torch.from_numpy(each) for each in (even, alpha, behind, light ** (1 / 2.4))))
+    got = apply_shading(None, *(torch.from_numpy(each) for each in (even, alpha, behind, light ** (1 / 2.4))))
     # The curve's straight part near black, which the formula leaves out, is a thousandth off at most here.
     assert np.abs(got.numpy() - expected).max() < 2e-3
     bright = paint.min(axis=-1) * light > 0.0032
@@ -98,4 +98,4 @@ def test_paint_times_light_in_linear_light() -> None:
 
 def test_full_light_changes_nothing() -> None:
     even, alpha = torch.rand(3, 4, 3), torch.rand(3, 4)
-    assert torch.equal(lit_up(None, even, alpha, torch.rand(3), torch.ones(3, 4)), even)
+    assert torch.equal(apply_shading(None, even, alpha, torch.rand(3), torch.ones(3, 4)), even)

@@ -17,7 +17,7 @@ METRICS = {
     "psnr_test": 31.42,
     "ssim_test": 0.951,
     "mesh": {"vertices": 24, "faces": 12},
-    "gaussians": {"volumes": 400},
+    "gaussians": {"gaussians": 400},
     "seconds": {"total": 75.0},
 }
 # Off the origin: the viewer must bring mesh and splats together there.

@@ -21,9 +21,9 @@ from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.mesh.surface import Mesh
 from mgsr.pipeline.evaluation import find_truth, surface_scores
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.report_pictures import draw_surface
 from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
 from mgsr.pipeline.run import _draw
@@ -125,7 +125,7 @@ def test_models_come_back_to_float32_precision(tmp_path: Path, scale: float) -> 
     shapes = {"means": (50, 3), "quats": (50, 4), "log_scales": (50, 2), "opacity_logits": (50,), "sh": (50, 4, 3)}
     arrays = {name: torch.from_numpy(random.uniform(-1, 1, shape).astype(np.float32)) for name, shape in shapes.items()}
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
-    write_models(tmp_path, Models(SurfelModel(**arrays), None), scene, OutputConfig(scale=scale))
+    write_models(tmp_path, TrainedModel(SurfelModel(**arrays), None), scene, OutputConfig(scale=scale))
     read = read_models(tmp_path, scene.user_from_scene).surfels
     assert read is not None
     np.testing.assert_allclose(read.means, arrays["means"], rtol=0, atol=3e-7)

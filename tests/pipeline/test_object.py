@@ -19,8 +19,13 @@ from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.single_steps import mesh_again, score_again
 from tests.segmentation.table_scene import TABLE, table_scene
 
-SHORT = ["warmup.surfel_iterations=30", "warmup.volume_iterations=30", "mutual.iterations=20", "trial.iterations=0"]
-FEW = ["surfels.max_start=4000", "volumes.max_start=2000", "mirror.iterations=0", "mesh.poisson_depth=6"]
+SHORT = [
+    "warmup.surfel_iterations=30",
+    "warmup.gaussian_iterations=30",
+    "mutual.iterations=20",
+    "model_selection.iterations=0",
+]
+FEW = ["surfels.max_start=4000", "gaussians.max_start=2000", "environment_map.iterations=0", "mesh.poisson_depth=6"]
 
 
 @pytest.fixture(scope="module")

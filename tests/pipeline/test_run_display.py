@@ -14,7 +14,7 @@ from mgsr.pipeline.run_display import RunDisplay
 from mgsr.pipeline.run_log import training_line
 from mgsr.training.progress import Progress
 
-HALFWAY = Progress("mutual", 50, 100, 0.5, 90.0, {"photo": 0.5, "tv": 0.25}, {"surfels": 7, "volumes": 9}, 31.5)
+HALFWAY = Progress("mutual", 50, 100, 0.5, 90.0, {"photo": 0.5, "tv": 0.25}, {"surfels": 7, "gaussians": 9}, 31.5)
 
 
 def shown(tmp_path: Path, terminal: bool) -> str:

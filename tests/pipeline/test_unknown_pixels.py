@@ -20,9 +20,9 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, View
 from mgsr.data.silhouettes import silhouettes
 from mgsr.export.scenes import write_scene
+from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.pipeline.evaluation import image_scores
 from mgsr.pipeline.meshing import make_mesh
-from mgsr.pipeline.models import Models
 from mgsr.pipeline.rendering import render_views, scene_silhouettes
 from mgsr.pipeline.report_pictures import draw_surface, report_pictures
 from mgsr.pipeline.run_metadata import scene_facts
@@ -32,21 +32,21 @@ from tests.data.fisheye import write_fisheye
 
 SHORT = [
     "warmup.surfel_iterations=20",
-    "warmup.volume_iterations=20",
+    "warmup.gaussian_iterations=20",
     "mutual.iterations=12",
     "surfels.densify.every=8",
-    "volumes.densify.every=8",
+    "gaussians.densify.every=8",
     "surfels.densify.gradient_threshold=1e-5",
-    "volumes.densify.gradient_threshold=1e-5",
+    "gaussians.densify.gradient_threshold=1e-5",
     "surfels.max_start=400",
-    "volumes.max_start=400",
+    "gaussians.max_start=400",
     "coarse_side=16",
-    "stop_rule=held_back",
-    "held_back_every=10",
-    "trial.iterations=4",
-    "trial.views=2",
+    "stop_rule=validation",
+    "validation_every=10",
+    "model_selection.iterations=4",
+    "model_selection.views=2",
     "transmitted_tv_weight=0.1",
-    "volumes.depth_tv_weight=0.05",
+    "gaussians.depth_tv_weight=0.05",
     "curve_every=10",
     "mesh.view_scale=1",
     "mesh.poisson_depth=6",
@@ -61,10 +61,12 @@ def with_garbage(scene: Scene, seed: int) -> Scene:
     random = np.random.default_rng(seed)
 
     def noisy(view: View) -> View:
-        assert view.known is not None
+        assert view.valid_mask is not None
         noise = random.integers(0, 256, view.image.shape).astype(np.uint8)
-        image = np.where(view.known[..., None], view.image, noise)
-        alpha = None if view.alpha is None else np.where(view.known, view.alpha, noise[..., 0] // 128 * np.uint8(255))
+        image = np.where(view.valid_mask[..., None], view.image, noise)
+        alpha = (
+            None if view.alpha is None else np.where(view.valid_mask, view.alpha, noise[..., 0] // 128 * np.uint8(255))
+        )
         return replace(view, image=image, alpha=alpha)
 
     return replace(scene, train=[noisy(view) for view in scene.train], test=[noisy(view) for view in scene.test])
@@ -74,15 +76,15 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     """Yield the results of a scene, stage by stage."""
     config = make_config("draft", overrides=SHORT)
     yield "frame", _frame(scene)
-    yield "reduced views", [(view.image[view.known], view.known) for view in map(_halved, scene.train)]
+    yield "reduced views", [(view.image[view.valid_mask], view.valid_mask) for view in map(_halved, scene.train)]
     for each in scene_silhouettes(scene):
-        yield "silhouette", (each.distance, each.known)
+        yield "silhouette", (each.distance, each.valid_mask)
     yield "facts", sorted(map(str, scene_facts(scene).items()))
     start = starting_points(scene, 400, 0)
     yield "brightness", brightness_jumps(scene.train)
     yield "start", [start.positions, start.colors, start.normals, start.shiny]
     models = _trained(scene, start, config)
-    for model in (models.surfels, models.volumes, models.light):
+    for model in (models.surfels, models.gaussians, models.environment_map):
         yield "training", [] if model is None else list(model.parameters().values())
     mesh = make_mesh(models, scene, config)
     yield "mesh", [mesh.vertices, mesh.faces, mesh.colors, str(mesh.light)]
@@ -93,7 +95,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)
-    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.light, behind)
+    pictures = report_pictures(rendered, [0.0] * len(rendered), drawn, scene, models.environment_map, behind)
     yield "pictures", [view.photo for view in pictures.views]
     folder.mkdir()
     write_scene(folder, scene)
@@ -109,9 +111,9 @@ def _halved(view: View) -> View:
     return reduced_view(view, 0.5)
 
 
-def _trained(scene: Scene, start: StartingPoints, config: Config) -> Models:
+def _trained(scene: Scene, start: StartingPoints, config: Config) -> TrainedModel:
     result = Training(scene, start, config).run()
-    return Models(result.surfels, result.volumes, result.light)
+    return result.model
 
 
 def same(one: object, other: object) -> bool:
@@ -127,7 +129,7 @@ def same(one: object, other: object) -> bool:
 @pytest.mark.parametrize("masked", [True, False])
 def test_what_stands_at_unknown_pixels_changes_nothing(masked: bool, tmp_path: Path) -> None:
     scene = load_scene(write_fisheye(tmp_path / "scene", masked=masked), DataConfig())
-    shares = [view.known.mean() for view in scene.train if view.known is not None]
+    shares = [view.valid_mask.mean() for view in scene.train if view.valid_mask is not None]
     assert len(shares) == len(scene.train) and max(shares) < 0.95
     first, second = (everything(with_garbage(scene, seed), tmp_path / str(seed)) for seed in (1, 2))
     for (stage, one), (_, other) in zip(first, second, strict=True):
@@ -141,9 +143,9 @@ def test_the_hull_is_whole_where_images_cut_the_object_off(tmp_path: Path) -> No
     """
     scene = load_scene(write_fisheye(tmp_path / "scene"), DataConfig())
     assert scene.user_from_scene.scale == pytest.approx(0.8, rel=0.15)
-    cut = [((view.alpha > 127) & view.known & binary_dilation(~view.known)).sum() for view in scene.train]
+    cut = [((view.alpha > 127) & view.valid_mask & binary_dilation(~view.valid_mask)).sum() for view in scene.train]
     assert (np.array(cut) > 10).sum() >= 3
-    bare = [replace(view, alpha=np.where(view.known, view.alpha, np.uint8(0))) for view in scene.train]
+    bare = [replace(view, alpha=np.where(view.valid_mask, view.alpha, np.uint8(0))) for view in scene.train]
     hull = carve(scene_silhouettes(replace(scene, train=bare)), np.zeros(3), 1.05, 64)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -10,7 +10,15 @@ from typing import Any
 import pytest
 
 from mgsr.native.cuda.compiler import SOURCES
-from tests.cuda import test_adam, test_harmonics, test_image, test_mirrored, test_statistics, test_surfels, test_volumes
+from tests.cuda import (
+    test_adam,
+    test_environment_map,
+    test_gaussians,
+    test_harmonics,
+    test_image,
+    test_statistics,
+    test_surfels,
+)
 from tests.cuda.machines import PTX
 from tests.ops import test_activations, test_lights, test_terms
 from tests.ptx_machine.library import ptx_of
@@ -27,14 +35,14 @@ QUICK: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {
     "total_variation": (test_image.test_total_variation, {"size": (17, 33), "channels": 3, "masked": True}),
     "depth_normals": (test_image.test_normals_of_depth, {"size": (9, 7), "with_alpha": True}),
     "judge": (test_adam.test_what_is_bad_is_seen, {"bad": float("inf")}),
-    "lights": (test_lights.test_reflected_light_is_added, {"lights": ("own", "mirrored"), "added": True}),
-    "mirrored": (test_mirrored.test_matches_the_oracle, {"size": (9, 8), "side": 2, "chosen": True}),
+    "lights": (test_lights.test_reflected_light_is_added, {"lights": ("own", "environment_map"), "added": True}),
+    "environment_map": (test_environment_map.test_matches_the_oracle, {"size": (9, 8), "side": 2, "chosen": True}),
     "statistics": (test_statistics.test_matches_torch, {}),
     "normal_agreement": (test_terms.test_agreement_of_normals, {}),
     "squares": (test_terms.test_squares, {}),
     "sums_of_terms": (test_terms.test_many_terms_of_one_image_add_up, {}),
     "surfels": (test_surfels.test_matches_brute_force, {}),
-    "volumes": (test_volumes.test_matches_brute_force, {"dual": True}),
+    "gaussians": (test_gaussians.test_matches_brute_force, {"dual": True}),
 }
 
 

@@ -13,10 +13,10 @@ import torch
 
 from mgsr.errors import GpuError
 from mgsr.native.cuda.compiler import SOURCES
-from tests.cuda import test_harmonics, test_surfels, test_volumes
+from tests.cuda import test_gaussians, test_harmonics, test_surfels
 from tests.cuda.machines import PTX, Machine
 from tests.ops.splat_scenes import camera, random_splats
-from tests.ops.test_volumes import dual_splats
+from tests.ops.test_gaussians import dual_splats
 
 Workload = Callable[[Machine], object]
 VIEW = camera(18, 17, off_center=False)  # 2 x 2 tiles, most of them cut off by the image's border
@@ -31,8 +31,8 @@ def faint(splats: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     return splats
 
 
-def volumes(machine: Machine) -> object:
-    return test_volumes.render(machine, faint(dual_splats(400)), VIEW, dual=True)
+def gaussians(machine: Machine) -> object:
+    return test_gaussians.render(machine, faint(dual_splats(400)), VIEW, dual=True)
 
 
 def surfels(machine: Machine) -> object:
@@ -46,12 +46,12 @@ def harmonics(machine: Machine) -> object:
 
 # What uses a file's barriers, all of which are needed.
 WORKLOADS: dict[str, Workload] = {
-    "common/buckets_cuda.h": volumes,
+    "common/buckets_cuda.h": gaussians,
     "harmonics/harmonics.cu": harmonics,
     "surfels/backward_cuda.h": surfels,
     "surfels/blending_cuda.h": surfels,
-    "volumes/backward_cuda.h": volumes,
-    "volumes/blending_cuda.h": volumes,
+    "gaussians/backward_cuda.h": gaussians,
+    "gaussians/blending_cuda.h": gaussians,
 }
 BARRIER = re.compile(r"__sync(?:warp|threads)\(\);")
 
@@ -97,7 +97,7 @@ def test_a_removed_barrier_is_found(tmp_path: Path, file: str, number: int) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("file", ["volumes/blending_cuda.h", "surfels/blending_cuda.h"])
+@pytest.mark.parametrize("file", ["gaussians/blending_cuda.h", "surfels/blending_cuda.h"])
 def test_a_removed_bounds_check_is_found(tmp_path: Path, file: str) -> None:
     """Check that a removed bounds check is found.
 

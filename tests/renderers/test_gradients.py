@@ -7,16 +7,16 @@ import torch
 from torch import Tensor
 
 from mgsr.errors import TensorError
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from mgsr.ops.lights import OFFSET
+from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.ops.splat_scenes import camera, random_splats
+from tests.oracles import gaussians as gaussian_oracle
 from tests.oracles import harmonics as harmonics_oracle
 from tests.oracles import surfels as surfel_oracle
-from tests.oracles import volumes as volume_oracle
 
 COUNT, LOW_PASS = 40, 0.3
 VIEW = camera()
@@ -90,32 +90,36 @@ def compare(machine: Machine, render, oracle, parameters: dict[str, Tensor], ext
 
 @on_every_kernel
 @pytest.mark.parametrize("flash", [False, True])
-@pytest.mark.parametrize("lights", [(), ("own",), ("mirrored",), ("own", "mirrored")], ids="+".join)
-def test_volumes(machine: Machine, lights: tuple[str, ...], flash: bool) -> None:
+@pytest.mark.parametrize("lights", [(), ("own",), ("environment_map",), ("own", "environment_map")], ids="+".join)
+def test_gaussians(machine: Machine, lights: tuple[str, ...], flash: bool) -> None:
     lit = draw(VIEW.height, VIEW.width, seed=5) if flash else None
-    extra = {"mirrored": draw(VIEW.height, VIEW.width, 3, seed=6)} if "mirrored" in lights else {}
+    extra = {"environment_map": draw(VIEW.height, VIEW.width, 3, seed=6)} if "environment_map" in lights else {}
 
-    def render(leaves: dict[str, Tensor], mirrored: Tensor | None = None) -> dict[str, Tensor]:
-        model = VolumeModel(**leaves, low_pass=LOW_PASS)
+    def render(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
+        model = GaussianModel(**leaves, low_pass=LOW_PASS)
         on_machine = None if lit is None else lit.float().to(machine.device)
-        out = render_volumes(model, VIEW, BEHIND.to(machine.device), 2, 1, mirrored=mirrored, lit=on_machine)
+        out = render_gaussians(
+            model, VIEW, BEHIND.to(machine.device), 2, 1, environment=environment, shading=on_machine
+        )
         shown = {"color": out.color, "alpha": out.alpha, "depth": out.depth}
         if lights:
             shown |= {"transmitted": out.transmitted, "weight": out.weight}
         return shown | ({"own": out.own_reflected} if "own" in lights else {})
 
-    def oracle(leaves: dict[str, Tensor], mirrored: Tensor | None = None) -> dict[str, Tensor]:
+    def oracle(leaves: dict[str, Tensor], environment: Tensor | None = None) -> dict[str, Tensor]:
         split = None
         if "own" in lights:
             shares = leaves["refl_opacity_logits"].sigmoid(), leaves["weight_logits"].sigmoid()
             split = (shares[0], colors(leaves, "refl_sh", 1), shares[1])
         geometry = (leaves["means"], leaves["quats"], leaves["log_scales"].exp(), leaves["opacity_logits"].sigmoid())
-        out = volume_oracle.render(*geometry, colors(leaves, "sh", 2), VIEW, BEHIND.double(), split, low_pass=LOW_PASS)
+        out = gaussian_oracle.render(
+            *geometry, colors(leaves, "sh", 2), VIEW, BEHIND.double(), split, low_pass=LOW_PASS
+        )
         transmitted = flashed(out.color, out.alpha, lit)
         shown = {"color": transmitted, "alpha": out.alpha, "depth": out.depth}
         if lights:
             weight = out.weight if "own" in lights else out.alpha
-            parts = [each for each in (out.reflected if "own" in lights else None, mirrored) if each is not None]
+            parts = [each for each in (out.reflected if "own" in lights else None, environment) if each is not None]
             shown["color"] = transmitted + weight[..., None] * sum(parts)
             shown |= {"transmitted": transmitted, "weight": weight}
         return shown | ({"own": out.reflected} if "own" in lights else {})
@@ -130,7 +134,7 @@ def test_surfels(machine: Machine, flash: bool) -> None:
 
     def render(leaves: dict[str, Tensor]) -> dict[str, Tensor]:
         on_machine = None if lit is None else lit.float().to(machine.device)
-        out = render_surfels(SurfelModel(**leaves), VIEW, BEHIND.to(machine.device), 2, lit=on_machine)
+        out = render_surfels(SurfelModel(**leaves), VIEW, BEHIND.to(machine.device), 2, shading=on_machine)
         return {"color": out.color, "alpha": out.alpha, "depth": out.depth, "normal": out.normal}
 
     def oracle(leaves: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -147,21 +151,21 @@ def test_surfels(machine: Machine, flash: bool) -> None:
 
 @on_every_kernel
 def test_what_the_loss_does_not_look_at_costs_nothing(machine: Machine) -> None:
-    """Check that a loss on the transmitted image sends no gradient to the reflected half or the mirrored light."""
+    """Check that a loss on the transmitted image sends no gradient to the reflected half or the environment."""
     leaves = {name: each.float().to(machine.device).requires_grad_() for name, each in stored(3, split=True).items()}
-    mirrored = draw(VIEW.height, VIEW.width, 3).float().to(machine.device).requires_grad_()
+    environment = draw(VIEW.height, VIEW.width, 3).float().to(machine.device).requires_grad_()
     with machine.running():
-        out = render_volumes(VolumeModel(**leaves, low_pass=LOW_PASS), VIEW, mirrored=mirrored)
+        out = render_gaussians(GaussianModel(**leaves, low_pass=LOW_PASS), VIEW, environment=environment)
         out.transmitted.sum().backward()
     assert leaves["sh"].grad.any() and not leaves["refl_sh"].grad.any() and not leaves["weight_logits"].grad.any()
-    assert mirrored.grad is None or not mirrored.grad.any()
+    assert environment.grad is None or not environment.grad.any()
 
 
 def test_a_model_that_does_not_fit_together_is_named() -> None:
     parameters = {name: tensor.float() for name, tensor in stored(3, split=True).items()}
     parameters["weight_logits"] = parameters["weight_logits"][:-1]
     with pytest.raises(TensorError, match=r"weight_logits: expected \[N=40\], got \[39\]"):
-        render_volumes(VolumeModel(**parameters, low_pass=LOW_PASS), VIEW)
+        render_gaussians(GaussianModel(**parameters, low_pass=LOW_PASS), VIEW)
     parameters = {name: tensor.float() for name, tensor in stored(2, split=False).items()}
     with pytest.raises(TensorError, match=r"degree: expected 0\.\.2 for K = 9, got 3"):
         render_surfels(SurfelModel(**parameters), VIEW, degree=3)

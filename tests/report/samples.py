@@ -13,7 +13,7 @@ from mgsr.report.shading import TriangleMesh
 
 def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bunny_flash -o out") -> ReportData:
     """Build the report of a run of all three stages with ground truth."""
-    stages = {"warmup_surfels": (2000, 70.0), "warmup_volumes": (2000, 60.0), "mutual": (3000, 150.0)}
+    stages = {"warmup_surfels": (2000, 70.0), "warmup_gaussians": (2000, 60.0), "mutual": (3000, 150.0)}
     return ReportData(
         scene=scene, preset="standard", method="mgsr", device="cpu", seed=0,
         versions={"mgsr": "0.1.0", "python": "3.11.7", "torch": "2.13.0"},
@@ -22,7 +22,7 @@ def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bu
             name: StageRun(count, "converged" if name.startswith("w") else "iterations")
             for name, (count, _) in stages.items()
         },
-        gaussians={"surfels": 14210, "volumes": 21877},
+        gaussians={"surfels": 14210, "gaussians": 21877},
         psnr_test=36.82, ssim_test=0.9871, curve=_curve(),
         mesh=MeshFacts(61204, 122011, 1, 393, 2),
         gt={"chamfer": 0.00213, "accuracy": 0.0019, "completeness": 0.0024, "f_005": 0.948,
@@ -62,11 +62,11 @@ def _curve() -> list[CurvePoint]:
     rows = []
     for step in range(57):
         seconds = 5.0 * step
-        stage = "warmup_surfels" if seconds <= 70 else "warmup_volumes" if seconds <= 130 else "mutual"
+        stage = "warmup_surfels" if seconds <= 70 else "warmup_gaussians" if seconds <= 130 else "mutual"
         flat = 20 + 13 * (1 - math.exp(-min(seconds, 70) / 25)) + (max(0, seconds - 130) / 150) * 1.2
         full = None if seconds <= 70 else 21 + 15.5 * (1 - math.exp(-(seconds - 70) / 30))
         surfels = int(6000 + 8210 * min(1, seconds / 180))
-        volumes = 0 if full is None else int(6000 + 90 * (seconds - 70))
+        gaussians = 0 if full is None else int(6000 + 90 * (seconds - 70))
         psnr = flat if full is None else full
-        rows.append(CurvePoint(seconds, stage, 40 * step, psnr, flat, full, surfels, volumes))
+        rows.append(CurvePoint(seconds, stage, 40 * step, psnr, flat, full, surfels, gaussians))
     return rows

@@ -19,7 +19,7 @@ REQUIRED = {
 def test_json_has_every_required_field() -> None:
     report = json.loads(json.dumps(sample_report().to_json()))
     assert not REQUIRED - set(report)
-    assert {"seconds", "stage", "iteration", "psnr", "surfels", "volumes"} <= set(report["curve"][0])
+    assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
     assert {"vertices", "faces", "components", "boundary_edges"} <= set(report["mesh"])
     assert "total" in report["seconds"]
     assert all({"iterations", "stopped"} <= set(stage) for stage in report["iterations"].values())

@@ -63,14 +63,14 @@ def test_parallax_is_told_with_its_reason(light: str, masked: bool, moved: bool,
 
 def test_the_reflected_light_is_told_with_its_reason() -> None:
     def told(chosen: str, asked: str, tried: dict[str, float]) -> Decision:
-        settings = {"train": {"volumes": {"reflection": asked}}}
+        settings = {"train": {"gaussians": {"reflection": asked}}}
         other = {"reflection": {"chosen": chosen, "tried": tried}, "settings": settings}
         run = replace(sample_report(), method="mgsr", other=other)
         return next(each for each in tell_decisions(run) if each.what == "Reflected light")
 
     tried = told("shared", "auto", {"off": 30.0, "shared": 30.614, "both": 30.5})
-    assert tried.choice == "one light that the whole surface mirrors"
-    assert "none 30.00 dB; one light that the whole surface mirrors 30.61 dB" in tried.why
+    assert tried.choice == "one environment map that the whole surface reflects"
+    assert "none 30.00 dB; one environment map that the whole surface reflects 30.61 dB" in tried.why
     assert told("off", "auto", {}).choice == "none" and "not tried" in told("off", "auto", {}).why
     assert told("own", "own", {}).why == "as asked for"
 
@@ -98,8 +98,8 @@ def test_pixels_that_no_photograph_shows_are_told() -> None:
 
 def test_dropped_gaussians_are_counted() -> None:
     data = sample_report()
-    data.iterations["warmup_volumes"] = StageRun(2000, "converged", dropped=8123)
-    data.other["settings"]["train"] = {"volumes": {"densify": {"drop_carrying": 0.06}}}
+    data.iterations["warmup_gaussians"] = StageRun(2000, "converged", dropped=8123)
+    data.other["settings"]["train"] = {"gaussians": {"densify": {"prune_contribution": 0.06}}}
     told = next(each for each in tell_decisions(data) if each.what == "Gaussians that give the renders")
     assert told.choice == "21,877" and "8,123 went" in told.why and "6%" in told.why
 

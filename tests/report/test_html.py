@@ -88,7 +88,7 @@ def test_the_page_shows_the_runs_own_curve_of_error_against_time() -> None:
     drawn = {(each["class"] or "").split()[-1]: (each["d"] or "").count("L") + 1 for each in paths[:2]}
     assert drawn == {
         "a": sum(row.psnr_surfels is not None for row in data.curve),
-        "b": sum(row.psnr_volumes is not None for row in data.curve),
+        "b": sum(row.psnr_gaussians is not None for row in data.curve),
     }
     assert "seconds of training" in full_page() and "PSNR on test views, dB: 2D from" in full_page()
 
@@ -118,10 +118,10 @@ def test_a_view_of_one_branch_shows_what_there_is() -> None:
 
 def test_a_view_under_a_flash_shows_even_light_in_two_rows() -> None:
     picture = np.zeros((8, 12, 3), np.uint8)
-    view = TestViewPictures("view", *[picture] * 7, even=picture)
+    view = TestViewPictures("view", *[picture] * 7, unlit=picture)
     page = report_page(sample_report(), ReportPictures([view]))
     assert "even light, no flash" in page and 'class="row four hero"' in page
-    assert "even light" not in report_page(sample_report(), ReportPictures([replace(view, even=None)]))
+    assert "even light" not in report_page(sample_report(), ReportPictures([replace(view, unlit=None)]))
 
 
 def test_eight_test_views_and_the_surface_stay_under_four_megabytes() -> None:

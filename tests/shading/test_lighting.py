@@ -149,12 +149,12 @@ def test_what_photographs_tell_of_the_light_explains_them() -> None:
     scene = Scene("ball", rippled, "", views[:30], views[30:], None, Similarity())  # type: ignore[arg-type]
     before, after = [], []
     for view in lit_scene(scene, lighting).test:
-        assert view.lit is not None and view.alpha is not None
+        assert view.irradiance is not None and view.alpha is not None
         light = srgb_to_linear(view.image / 255.0).mean(axis=-1)
         usable = (view.alpha == 255) & (view.image.max(axis=-1) < 200)
         reddish = view.image[..., 0] > view.image[..., 2]
         for paint in (usable & reddish, usable & ~reddish):
-            even = light[paint] / (view.lit[paint] / 255) ** 2.4
+            even = light[paint] / (view.irradiance[paint] / 255) ** 2.4
             after.append(np.std(even) / np.mean(even))
             before.append(np.std(light[paint]) / np.mean(light[paint]))
     assert np.mean(before) > 0.25 and np.mean(after) < 0.1

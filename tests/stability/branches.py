@@ -12,12 +12,12 @@ import torch
 from torch import Tensor
 
 from mgsr.data.camera import Camera
+from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
-from mgsr.ops.volumes import Reflected, VolumeOptions, rasterize_volumes
 from tests.cuda.machines import Machine
 from tests.ops.splat_scenes import random_splats
+from tests.oracles import gaussians as gaussian_oracle
 from tests.oracles import surfels as surfel_oracle
-from tests.oracles import volumes as volume_oracle
 
 Splats = dict[str, Tensor]
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
@@ -29,7 +29,7 @@ TOLERANCE = {"images": 2e-5, "gradients": 3e-4}
 # Where a weight changes by its own size over a small part of a pixel, more digits go.
 STEEP = {"images": 1e-4, "gradients": 5e-3}
 
-on_both_branches = pytest.mark.parametrize("branch", ["surfels", "volumes"])
+on_both_branches = pytest.mark.parametrize("branch", ["surfels", "gaussians"])
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def facing_camera(width: int = 40, height: int = 28, focal: float = 45.0) -> Cam
 def scene(branch: str, count: int, seed: int = 0, size: float = 0.12) -> Splats:
     """Draw random splats around the origin, with a reflected half for the 3D branch, in numbers that float32 holds."""
     splats = random_splats(count, 2 if branch == "surfels" else 3, seed, size)
-    if branch == "volumes":
+    if branch == "gaussians":
         extra = random_splats(count, 3, seed + 1000)
         splats["refl_opacities"], splats["refl_colors"] = extra["opacities"], extra["colors"]
         splats["weights"] = extra["colors"][:, 0]
@@ -91,7 +91,7 @@ def without(splats: Splats, index: int) -> Splats:
 def render(machine: Machine, branch: str, splats: Splats, view: Camera, setting: Setting | None = None) -> Result:
     """Render by the kernels of a machine, in float32."""
     setting = setting or Setting()
-    rasterize = _surfels if branch == "surfels" else _volumes
+    rasterize = _surfels if branch == "surfels" else _gaussians
     rasters: list[Any] = []
 
     def on_machine(leaves: Splats, background: Tensor) -> Splats:
@@ -108,7 +108,7 @@ def render(machine: Machine, branch: str, splats: Splats, view: Camera, setting:
 def brute_force(branch: str, splats: Splats, view: Camera, setting: Setting | None = None) -> Result:
     """Render by the oracle, in float64."""
     setting = setting or Setting()
-    oracle = _surfel_oracle if branch == "surfels" else _volume_oracle
+    oracle = _surfel_oracle if branch == "surfels" else _gaussian_oracle
 
     def by_oracle(leaves: Splats, background: Tensor) -> Splats:
         out = oracle(leaves, view, background, setting)
@@ -168,10 +168,10 @@ def _surfels(splats: Splats, view: Camera, background: Tensor, setting: Setting)
     return rasterize_surfels(*(splats[name] for name in PLAIN), view, background, options)
 
 
-def _volumes(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
-    options = VolumeOptions(near=setting.near, compensate=setting.compensate)
+def _gaussians(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
+    options = GaussianOptions(near=setting.near, compensate=setting.compensate)
     reflected = Reflected(*(splats[name] for name in REFLECTED))
-    return rasterize_volumes(*(splats[name] for name in PLAIN), view, background, reflected, options)
+    return rasterize_gaussians(*(splats[name] for name in PLAIN), view, background, reflected, options)
 
 
 def _surfel_oracle(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
@@ -180,7 +180,7 @@ def _surfel_oracle(splats: Splats, view: Camera, background: Tensor, setting: Se
     return surfel_oracle.render(*arguments, near=setting.near, far=setting.far)
 
 
-def _volume_oracle(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
+def _gaussian_oracle(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
     reflected = tuple(splats[name] for name in REFLECTED)
     arguments = (*(splats[name] for name in PLAIN), view, background, reflected)
-    return volume_oracle.render(*arguments, near=setting.near, compensate=setting.compensate)
+    return gaussian_oracle.render(*arguments, near=setting.near, compensate=setting.compensate)

@@ -30,7 +30,7 @@ class Look:
     done: int
     memory: float  # resident, MiB
     surfels: int
-    volumes: int
+    gaussians: int
     shortest_quat: float
     longest_quat: float
     largest_logit: float  # of the opacities, absolute
@@ -47,10 +47,10 @@ def long_training(iterations: int, seen: Callable[[Look], None] = lambda _: None
     `seen` is given each look at once.
     """
     warmup, every = 2 * iterations // 5, iterations // LOOKS
-    overrides = [f"warmup.surfel_iterations={warmup}", f"warmup.volume_iterations={warmup}"]
+    overrides = [f"warmup.surfel_iterations={warmup}", f"warmup.gaussian_iterations={warmup}"]
     overrides += [f"mutual.iterations={iterations - 2 * warmup}", "stop_rule=none", "curve_views=1"]
     overrides += [f"curve_every={every}", f"report_every={every}"]
-    overrides += [f"{branch}.densify.max_count={MOST_SPLATS}" for branch in ("surfels", "volumes")]
+    overrides += [f"{branch}.densify.max_count={MOST_SPLATS}" for branch in ("surfels", "gaussians")]
     config = make_config("draft", "mgsr", 0, overrides)
     scene = ball_scene(side, train=8, test=1)
     plan = make_plan(scene, ball_points(200), config)
@@ -81,8 +81,10 @@ def growth(looks: list[Look]) -> dict[str, float]:
 
 
 def _look(report: Progress, plan: Plan, incidents: int, iterations: int) -> Look:
-    parameters = {f"{part.name}.{name}": t for part in plan.parts.trained for name, t in part.tensors("values").items()}
-    states = [part.state()["optimizer"][kind] for part in plan.parts.trained for kind in ("first", "second")]
+    parameters = {
+        f"{part.name}.{name}": t for part in plan.train_state.trainables for name, t in part.tensors("values").items()
+    }
+    states = [part.state()["optimizer"][kind] for part in plan.train_state.trainables for kind in ("first", "second")]
     moments = [tensor for state in states for tensor in state.values()]
     quats = torch.cat([t.norm(dim=1) for name, t in parameters.items() if name.endswith(".quats")])
     logits = [t for name, t in parameters.items() if name.endswith("opacity_logits")]
@@ -91,7 +93,7 @@ def _look(report: Progress, plan: Plan, incidents: int, iterations: int) -> Look
         done=round(report.done * iterations),
         memory=int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * PAGE,
         surfels=report.counts.get("surfels", 0),
-        volumes=report.counts.get("volumes", 0),
+        gaussians=report.counts.get("gaussians", 0),
         shortest_quat=float(quats.min()),
         longest_quat=float(quats.max()),
         largest_logit=_largest(logits),

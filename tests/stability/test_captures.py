@@ -20,7 +20,7 @@ from mgsr.training.run import Training
 from tests.training.ball import DISTANCE, RADIUS, ball_points, ball_scene
 from tests.training.short_training import short, tensors
 
-QUICK = ("warmup.surfel_iterations=8", "warmup.volume_iterations=8", "mutual.iterations=4", "curve_every=1000")
+QUICK = ("warmup.surfel_iterations=8", "warmup.gaussian_iterations=8", "mutual.iterations=4", "curve_every=1000")
 
 
 def trained(scene: Scene, *overrides: str) -> TrainResult:

@@ -17,13 +17,13 @@ from mgsr.training.guard import Guard
 from mgsr.training.plan import make_plan
 from mgsr.training.run import Training
 from mgsr.training.stages import Stage, Step
-from mgsr.training.trained import step_trained
+from mgsr.training.trainable import step_trainables
 from mgsr.training.views import TrainingView
 from tests.cuda.machines import SHIM
 from tests.training.ball import ball_points, ball_scene
 from tests.training.short_training import assert_same, short, tensors
 
-QUICK = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=6")
+QUICK = ("warmup.surfel_iterations=10", "warmup.gaussian_iterations=10", "mutual.iterations=6")
 
 
 def scene() -> Scene:
@@ -73,16 +73,16 @@ def test_on_a_card_a_bad_steps_gradients_count_as_zero(name: str, bad: float) ->
         twin, _, _ = first_stage()
         for each in (stage, twin):
             step_of(each)
-            step_trained({each.branches[0]: 0.5})
+            step_trainables({each.branches[0]: 0.5})
         step = step_of(stage)
         (branch,), (expected,) = stage.branches, twin.branches
         branch.optimizer.params[name].grad.view(-1)[5] = bad
         assert guard.admits(step, "r_0") and guard.bad is not None and bool(guard.bad)
-        step_trained({branch: 0.5}, guard.bad)
+        step_trainables({branch: 0.5}, guard.bad)
         branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
         for tensor in expected.optimizer.params.values():
             tensor.grad = torch.zeros_like(tensor)
-        step_trained({expected: 0.5})
+        step_trainables({expected: 0.5})
         for _ in range(3):
             guard.look_back(torch.tensor(0.1))
     assert all(torch.equal(values(branch)[each], tensor) for each, tensor in values(expected).items())
@@ -96,7 +96,7 @@ def test_on_a_card_a_good_step_is_taken() -> None:
         (branch,) = stage.branches
         step, before = step_of(stage), values(branch)
         assert guard.admits(step, "r_0") and not bool(guard.bad)
-        step_trained({branch: 0.5}, guard.bad)
+        step_trainables({branch: 0.5}, guard.bad)
         branch.gather(step.seen[0].stats, 24, 24, 1.0, guard.bad)
     assert all(not torch.equal(values(branch)[name], tensor) for name, tensor in before.items())
     assert branch.densify_state.gradient_sum.any()
@@ -111,7 +111,7 @@ def test_the_branches_go_back_to_the_last_good_look(what: str, caplog: pytest.Lo
     before, first, steps = values(branch), branch.optimizer.state_dict()["first"]["means"].clone(), branch.steps
     for _ in range(2):
         step_of(stage)
-        step_trained({branch: 0.5})
+        step_trainables({branch: 0.5})
         guard.look_back(torch.tensor(0.1 if what == "parameter" else 5.0))
     if what == "parameter":
         branch.optimizer.params["means"].data[0, 0] = float("nan")
@@ -133,7 +133,7 @@ def test_what_was_kept_survives_being_gone_back_to() -> None:
     for _ in range(2):
         for _ in range(3):
             step_of(stage)
-            step_trained({branch: 0.5})
+            step_trainables({branch: 0.5})
             branch.optimizer.params["means"].data[0] = float("inf")
             guard.look_back(torch.tensor(0.1))
         assert all(torch.equal(tensor, before[name]) for name, tensor in values(branch).items())
@@ -180,7 +180,7 @@ def test_one_bad_view_does_not_spoil_the_others(monkeypatch: pytest.MonkeyPatch)
 
 def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a branch's thirty-first step throw every colour far off, once."""
-    taken = trainer.step_trained
+    taken = trainer.step_trainables
 
     def step(progress: dict[Branch, float], bad: torch.Tensor | None = None) -> None:
         taken(progress, bad)
@@ -188,7 +188,7 @@ def burst_at_step_30(monkeypatch: pytest.MonkeyPatch) -> None:
             if branch.steps == 31:
                 branch.optimizer.params["sh"].data.mul_(1e4)
 
-    monkeypatch.setattr(trainer, "step_trained", step)
+    monkeypatch.setattr(trainer, "step_trainables", step)
 
 
 def bursting() -> Config:

@@ -28,7 +28,7 @@ def layers(branch: str, count: int, opacity: float, size: float = 50.0) -> Splat
     splats["quats"] = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(count, 1)
     splats["scales"][:] = size
     splats["opacities"][:] = opacity
-    if branch == "volumes":
+    if branch == "gaussians":
         splats["refl_opacities"][:] = opacity
         splats["scales"][:, 2] = 1e-3
     return held(splats)
@@ -103,7 +103,7 @@ def test_nothing_to_see(machine: Machine, branch: str, what: str) -> None:
         splats["means"][:, 0] += 100
     else:
         splats["opacities"][:] = 0.9 / 255
-        if branch == "volumes":
+        if branch == "gaussians":
             splats["refl_opacities"][:] = 0.9 / 255
     got = render(machine, branch, splats, facing_camera())
     assert torch.equal(got.images["color"], BACKGROUND.float().double().expand(28, 40, 3))

@@ -9,7 +9,7 @@ from tests.stability.long_training import MOST_SPLATS, Look, growth, long_traini
 
 def assert_sound(look: Look) -> None:
     assert look.not_finite == look.incidents == 0, look
-    assert 0 < look.surfels <= MOST_SPLATS and 0 < look.volumes <= MOST_SPLATS, look
+    assert 0 < look.surfels <= MOST_SPLATS and 0 < look.gaussians <= MOST_SPLATS, look
     # Far from where a quaternion's square leaves float32, or exp of a logit.
     assert 1e-3 < look.shortest_quat <= look.longest_quat < 1e3, look
     assert look.largest_logit < 30 and look.largest_parameter < 1e3 and look.largest_moment < 1e3, look

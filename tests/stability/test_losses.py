@@ -11,16 +11,16 @@ from torch import Tensor
 
 from mgsr.config import DepthUnit, make_config
 from mgsr.data.camera import Camera
-from mgsr.gaussians.start import start_surfels, start_volumes
+from mgsr.gaussians.start import start_gaussians, start_surfels
 from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import mutual_terms, surfel_terms, total, volume_terms
+from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import depth_to_normals, normal_agreement_term
 from mgsr.ops.image_loss import image_loss
 from mgsr.ops.terms import scalar
 from mgsr.ops.tv import edge_aware_tv
+from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.surfels import render_surfels
-from mgsr.renderers.volumes import render_volumes
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.oracles import image_loss as loss_oracle
 from tests.stability.branches import facing_camera
@@ -133,7 +133,7 @@ def test_every_term_of_every_stage_is_finite(machine: Machine, looks: str, mask:
     config, points, generator = make_config("standard").train, ball_points(60), torch.Generator().manual_seed(0)
     start = (points.positions, points.normals, points.colors)
     flat = start_surfels(*start, config.surfels, generator).to(machine.device)
-    full = start_volumes(*start, config.volumes, generator, split=True).to(machine.device)
+    full = start_gaussians(*start, config.gaussians, generator, split=True).to(machine.device)
     models = (flat, full)
     leaves = [tensor.requires_grad_() for model in models for tensor in model.parameters().values()]
     view = facing_camera(SIDE, SIDE)
@@ -143,9 +143,9 @@ def test_every_term_of_every_stage_is_finite(machine: Machine, looks: str, mask:
     alpha = None if mask == "none" else torch.full((SIDE, SIDE), float(mask == "everything"), device=machine.device)
     target = Target(torch.ones(SIDE, SIDE, 3, device=machine.device), alpha, view)
     with machine.running():
-        surfels, volumes = render_surfels(flat, view), render_volumes(full, view)
-        terms = [surfel_terms(surfels, target, config), volume_terms(volumes, target, config)]
-        losses = [total(each) for each in (*terms, mutual_terms(surfels, volumes, target, config))]
+        surfels, gaussians = render_surfels(flat, view), render_gaussians(full, view)
+        terms = [surfel_terms(surfels, target, config), gaussian_terms(gaussians, target, config)]
+        losses = [total(each) for each in (*terms, mutual_terms(surfels, gaussians, target, config))]
         torch.stack([loss.value for loss in losses]).sum().backward()
     assert all(torch.isfinite(term) for loss in losses for term in loss.terms.values())
     assert all(leaf.grad is not None and torch.isfinite(leaf.grad).all() for leaf in leaves)

@@ -7,8 +7,8 @@ import math
 import pytest
 import torch
 
+from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.gaussians.volumes import VolumeModel
 from tests.cuda.machines import Machine, on_every_kernel
 from tests.ops.splat_scenes import camera
 from tests.ops.test_surfels import NEARLY_EDGE_ON, edge_on_splats, held_camera
@@ -106,17 +106,17 @@ def test_a_surfel_wider_than_the_world(machine: Machine, scale: float, axes: sli
 
 @on_every_kernel
 @pytest.mark.parametrize("scale", [10.0, 1e3, 1e4, 1e5, 1e10, 1e30])
-def test_a_volume_wider_than_the_world(machine: Machine, scale: float) -> None:
+def test_a_gaussian_wider_than_the_world(machine: Machine, scale: float) -> None:
     """Check that a Gaussian fills the image up to a standard deviation of a million pixels.
 
     A larger one is left out.
     """
-    splats = before_camera("volumes", 12)
+    splats = before_camera("gaussians", 12)
     splats["scales"][ODD] = scale
     if scale * 45 / float(splats["means"][ODD, 2]) < 1e6 / 2:
-        compare(machine, "volumes", held(splats), facing_camera(), STEEP)
+        compare(machine, "gaussians", held(splats), facing_camera(), STEEP)
     else:
-        got = render(machine, "volumes", splats, facing_camera())
+        got = render(machine, "gaussians", splats, facing_camera())
         got.assert_finite()
         assert got.radii is not None and got.radii[ODD] == 0 and not got.gradients["scales"][ODD].any()
 
@@ -124,11 +124,11 @@ def test_a_volume_wider_than_the_world(machine: Machine, scale: float) -> None:
 @on_every_kernel
 @pytest.mark.parametrize("compensate", [False, True], ids=["plain", "compensated"])
 @pytest.mark.parametrize("length", [0.5, 5.0, 50.0, 1000.0])
-def test_volume_needles(machine: Machine, compensate: bool, length: float) -> None:
+def test_gaussian_needles(machine: Machine, compensate: bool, length: float) -> None:
     """Check Gaussians ten thousand times longer than wide, from a part of a pixel to across many images."""
-    splats = before_camera("volumes", 20)
+    splats = before_camera("gaussians", 20)
     splats["scales"][:] = torch.tensor([1.0, 1e-4, 1e-4]) * length
-    compare(machine, "volumes", held(splats), facing_camera(), setting=Setting(compensate=compensate))
+    compare(machine, "gaussians", held(splats), facing_camera(), setting=Setting(compensate=compensate))
 
 
 @on_every_kernel
@@ -154,11 +154,11 @@ def test_surfel_needles(machine: Machine, length: float) -> None:
 @on_both_branches
 @pytest.mark.parametrize("sine", [1e-2, 2e-3, 1.1e-3, 9e-4, 1e-4, 1e-5, 1e-6])
 def test_seen_from_the_edge(machine: Machine, branch: str, sine: float) -> None:
-    """Check splats across the angle, 1e-3, below which a surfel's disk no longer counts; volumes as flat as surfels."""
+    """Check splats across the angle, 1e-3, below which a surfel's disk no longer counts; Gaussians are as flat."""
     splats = edge_on_splats(30, sine)
-    if branch == "volumes":
+    if branch == "gaussians":
         flat = torch.cat([splats["scales"], 1e-4 * splats["scales"][:, :1]], dim=1)
-        splats = scene("volumes", 30) | splats | {"scales": flat}
+        splats = scene("gaussians", 30) | splats | {"scales": flat}
     compare(machine, branch, held(splats), held_camera(), NEARLY_EDGE_ON)
 
 
@@ -226,7 +226,7 @@ def test_log_scales_over_floats_range_send_no_nan(branch: str) -> None:
     assert torch.equal(gradient[:ODD], splats["scales"][:ODD].float().log().exp())
 
 
-def _model(branch: str, splats: Splats) -> SurfelModel | VolumeModel:
+def _model(branch: str, splats: Splats) -> SurfelModel | GaussianModel:
     numbers = {name: tensor.float() for name, tensor in splats.items()}
     parameters = {
         "means": numbers["means"],
@@ -235,4 +235,4 @@ def _model(branch: str, splats: Splats) -> SurfelModel | VolumeModel:
         "opacity_logits": numbers["opacities"].logit(),
         "sh": numbers["colors"][:, None],
     }
-    return SurfelModel(**parameters) if branch == "surfels" else VolumeModel(**parameters, low_pass=0.05)
+    return SurfelModel(**parameters) if branch == "surfels" else GaussianModel(**parameters, low_pass=0.05)

@@ -22,7 +22,7 @@ ROUNDING = {"images": 2e-4, "gradients": 5e-3}
 
 drawn_scenes = st.builds(
     lambda branch, count, seed, size, opacity: (branch, drawn(branch, count, seed, size, opacity)),
-    branch=st.sampled_from(["surfels", "volumes"]),
+    branch=st.sampled_from(["surfels", "gaussians"]),
     count=st.integers(1, 40),
     seed=st.integers(0, 2**31),
     size=st.floats(0.02, 0.6),
@@ -142,7 +142,7 @@ def test_a_rigid_motion_of_the_world_changes_nothing(
 
 
 @property_of(4)
-@given(st.sampled_from(["surfels", "volumes"]), st.integers(0, 2**31))
+@given(st.sampled_from(["surfels", "gaussians"]), st.integers(0, 2**31))
 def test_refinement_converges(machine: Machine, branch: str, seed: int) -> None:
     """Check that the mean over a coarse pixel settles as cameras of ever more pixels see the same scene.
 
@@ -160,7 +160,7 @@ def test_refinement_converges(machine: Machine, branch: str, seed: int) -> None:
 
 
 @on_every_kernel
-@pytest.mark.parametrize("branch", ["surfels", "volumes"])
+@pytest.mark.parametrize("branch", ["surfels", "gaussians"])
 def test_gradients_turn_with_the_world(machine: Machine, branch: str) -> None:
     """Check that the colour's and opacity's gradients of a moved world are the same, and the centres' are turned."""
     splats, view, turn = scene(branch, 30, 2), camera(), Rotation.from_euler("xyz", [0.3, -1.0, 2.0])

@@ -55,7 +55,7 @@ def test_a_plain_wall_has_its_colour_somewhere_behind_the_cameras_reach() -> Non
 def test_nothing_is_added_where_all_is_found_or_nothing_is_known(shown: str) -> None:
     views = room()
     if shown == "none":
-        views = [View("v", view.camera, view.image, known=np.zeros((64, 64), bool)) for view in views]
+        views = [View("v", view.camera, view.image, valid_mask=np.zeros((64, 64), bool)) for view in views]
         found = BALL
     else:
         directions = ball_points(200_000, 1.0).positions

@@ -79,4 +79,4 @@ def with_noise(view: View, seed: int) -> View:
     known = np.hypot(x - 0.4 * view.camera.width, y - 0.5 * view.camera.height) < 0.35 * view.camera.width
     noise = np.random.default_rng(seed).integers(0, 256, view.image.shape).astype(np.uint8)
     alpha = None if view.alpha is None else np.where(known, view.alpha, noise[..., 0])
-    return replace(view, image=np.where(known[..., None], view.image, noise), alpha=alpha, known=known)
+    return replace(view, image=np.where(known[..., None], view.image, noise), alpha=alpha, valid_mask=known)

@@ -172,8 +172,8 @@ def test_noise_at_unknown_pixels_changes_nothing(start: RayCaster) -> None:
     first, second = (match_views(stereo_photographs(some), start, seed=0) for some in noisy)
     assert all(same(one, other) for one, other in zip(first, second, strict=True))
     for view, found in zip(noisy[0], first, strict=True):
-        assert view.known is not None and (found.depth > 0).sum() > 300
-        assert (found.depth[~view.known] == 0).all()
+        assert view.valid_mask is not None and (found.depth > 0).sum() > 300
+        assert (found.depth[~view.valid_mask] == 0).all()
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ def test_unknown_pixels_show_no_object_and_change_nothing(shrunk: int, monkeypat
     noisy = []
     for fill in (0, 200):
         images = [np.where(known[..., None], view.image, fill).astype(np.uint8) for view in some]
-        noisy.append([replace(view, image=image, known=known) for view, image in zip(some, images, strict=True)])
+        noisy.append([replace(view, image=image, valid_mask=known) for view, image in zip(some, images, strict=True)])
     first, second = (stereo_photographs(each) for each in noisy)
     for one, other in zip(first.images, second.images, strict=True):
         assert one.shape[0] == 80 // shrunk

@@ -9,10 +9,10 @@ from mgsr.training.progress import TrainResult
 
 SHORT = [
     "warmup.surfel_iterations=24",
-    "warmup.volume_iterations=24",
+    "warmup.gaussian_iterations=24",
     "mutual.iterations=12",
     "surfels.densify.every=8",
-    "volumes.densify.every=8",
+    "gaussians.densify.every=8",
     "gradient_threshold=1e-5",
     "mutual_stop=0.8",
     "stop_rule=none",
@@ -31,13 +31,17 @@ def short(method: str = "mgsr", *overrides: str) -> Config:
 def _each_branch(override: str) -> list[str]:
     shared = ("gradient_threshold", "mutual_stop", "reset_every", "prune_opacity")
     if override.startswith(shared):
-        return [f"{branch}.densify.{override}" for branch in ("surfels", "volumes")]
+        return [f"{branch}.densify.{override}" for branch in ("surfels", "gaussians")]
     return [override]
 
 
 def tensors(result: TrainResult) -> dict[str, torch.Tensor]:
     """Return all that was learnt, by the model's and the tensor's name."""
-    models = {"surfels": result.surfels, "volumes": result.volumes, "light": result.light}
+    models = {
+        "surfels": result.model.surfels,
+        "gaussians": result.model.gaussians,
+        "environment_map": result.model.environment_map,
+    }
     return {
         f"{name}.{key}": tensor
         for name, model in models.items()

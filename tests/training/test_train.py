@@ -28,9 +28,9 @@ PREVIEWS = {
 @pytest.mark.parametrize(
     ("method", "names"),
     [
-        ("mgsr", ["warmup_surfels", "warmup_volumes", "mutual"]),
+        ("mgsr", ["warmup_surfels", "warmup_gaussians", "mutual"]),
         ("2dgs", ["warmup_surfels", "alone"]),
-        ("3dgs", ["warmup_volumes", "alone"]),
+        ("3dgs", ["warmup_gaussians", "alone"]),
     ],
 )
 def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
@@ -39,7 +39,7 @@ def test_each_method_runs_its_stages(method: str, names: list[str]) -> None:
         ball_scene(32), ball_points(), short(method, "preview_every=20", "report_every=10"), reports.append
     ).run()
     assert [stage.name for stage in result.stages] == names
-    assert (result.surfels is None, result.volumes is None) == (method == "3dgs", method == "2dgs")
+    assert (result.model.surfels is None, result.model.gaussians is None) == (method == "3dgs", method == "2dgs")
     assert all(np.isfinite(row.psnr) for row in result.curve)
     assert reports[-1].done == 1.0
     assert set(reports[-1].previews) == PREVIEWS[method]
@@ -53,13 +53,13 @@ def test_training_finds_the_ball(masked: bool) -> None:
     The surface comes to within a pixel, 0.033 here, of the ball. So few iterations need long steps, and the start is so
     far off that the masks' outlines must pull.
     """
-    overrides = ["warmup.surfel_iterations=300", "warmup.volume_iterations=300", "mutual.iterations=150"]
-    overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "volumes")]
+    overrides = ["warmup.surfel_iterations=300", "warmup.gaussian_iterations=300", "mutual.iterations=150"]
+    overrides += [f"{branch}.rates.position=1e-3" for branch in ("surfels", "gaussians")]
     overrides += ["edge_band=0", "surfels.rates.scale=1e-2", "surfels.start_scale=1", "surfels.start_opacity=0.1"]
     scene = ball_scene(48, train=16, masked=masked)
     result = Training(scene, ball_points(600, 1.2 * RADIUS), make_config("draft", overrides=overrides)).run()
     row = result.curve[-1]
-    assert row.psnr_volumes > 27
+    assert row.psnr_gaussians > 27
     assert row.psnr_surfels > 25
     errors = [surface_error(result, view.camera) for view in scene.test]
     assert np.mean(errors) < 0.033
@@ -67,7 +67,7 @@ def test_training_finds_the_ball(masked: bool) -> None:
 
 def surface_error(result: TrainResult, camera: Camera) -> float:
     """Return the mean distance of the surfels' depth points from the ball."""
-    outputs = render_surfels(result.surfels, camera)
+    outputs = render_surfels(result.model.surfels, camera)
     depth, alpha = outputs.depth.numpy(), outputs.alpha.numpy()
     rows, columns = np.nonzero(alpha > 0.5)
     local = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
@@ -97,10 +97,15 @@ def test_a_resumed_run_equals_one_that_was_not_stopped(
 ) -> None:
     """Check that a resumed run equals one that was not stopped.
 
-    With reflection auto the third stop lies in the trial, and the second and the first before it.
+    With reflection auto the third stop lies in model selection, and the second and the first before it.
     """
-    settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "held_back_every=6"]
-    settings += ["stop_after=0.5", f"reflection={reflection}", "trial.iterations=10", "trial.views=2"]
+    settings = ["surfels.densify.reset_every=8", "surfels.densify.reset_opacity=0.2", "validation_every=6"]
+    settings += [
+        "stop_after=0.5",
+        f"reflection={reflection}",
+        "model_selection.iterations=10",
+        "model_selection.views=2",
+    ]
     config = short("mgsr", f"stop_rule={rule}", *settings)
     scene, points, path = ball_scene(32), ball_points(), tmp_path / "checkpoint"
     calls = iter(range(1000))
@@ -147,15 +152,15 @@ def test_torch_threads_are_put_back() -> None:
 
 
 def test_numbers_that_go_bad_are_named() -> None:
-    with pytest.raises(TrainingError, match=r"warmup_volumes, iteration \d+: volumes\."):
+    with pytest.raises(TrainingError, match=r"warmup_gaussians, iteration \d+: gaussians\."):
         Training(
-            ball_scene(32), ball_points(), short("3dgs", "volumes.rates.sh=1e38", "volumes.rates.sh_rest=1e38")
+            ball_scene(32), ball_points(), short("3dgs", "gaussians.rates.sh=1e38", "gaussians.rates.sh_rest=1e38")
         ).run()
 
 
 def test_a_branch_with_nothing_left_is_an_error() -> None:
     with pytest.raises(TrainingError, match="every splat was pruned"):
-        Training(ball_scene(32), ball_points(), short("3dgs", "volumes.densify.prune_opacity=0.9999")).run()
+        Training(ball_scene(32), ball_points(), short("3dgs", "gaussians.densify.prune_opacity=0.9999")).run()
 
 
 def test_too_little_to_start_from() -> None:
@@ -177,44 +182,44 @@ def test_checkpoints_also_come_by_the_clock(tmp_path: Path) -> None:
 
 def test_the_shared_light_learns_a_flash_and_shows_it_in_new_views() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
-    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
+    lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
 
     def trained(reflection: str) -> TrainResult:
-        config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", f"reflection={reflection}"])
+        config = make_config("draft", "mgsr", 0, [*lengths, "environment_map.side=16", f"reflection={reflection}"])
         return Training(scene, ball_points(600, RADIUS), config).run()
 
     plain, lit = trained("own"), trained("both")
-    assert plain.light is None and lit.light is not None
-    assert lit.curve[-1].psnr_volumes > plain.curve[-1].psnr_volumes + 0.1
-    still, held = lit.light.maps()
-    middle = slice(lit.light.side // 2 - 1, lit.light.side // 2 + 1)
+    assert plain.model.environment_map is None and lit.model.environment_map is not None
+    assert lit.curve[-1].psnr_gaussians > plain.curve[-1].psnr_gaussians + 0.1
+    still, held = lit.model.environment_map.maps()
+    middle = slice(lit.model.environment_map.side // 2 - 1, lit.model.environment_map.side // 2 + 1)
     assert held[:, middle, middle].mean() > 5 * held[:, :2, :2].mean()  # bright on the way back to the camera
     assert held[:, middle, middle].mean() > 5 * still.mean()
 
 
 def test_the_finished_mesh_mirrors_the_light_in_the_end() -> None:
     scene = ball_scene(32, train=10, test=4, gloss=0.6)
-    lengths = ["surfel_iterations=100", "volume_iterations=250", "mutual.iterations=100", "curve_views=4"]
-    config = make_config("draft", "mgsr", 0, [*lengths, "mirror.side=16", "reflection=shared"])
+    lengths = ["surfel_iterations=100", "gaussian_iterations=250", "mutual.iterations=100", "curve_views=4"]
+    config = make_config("draft", "mgsr", 0, [*lengths, "environment_map.side=16", "reflection=shared"])
     training = Training(scene, ball_points(1200, RADIUS), config)
     before = training.run()
-    assert before.light is not None and before.light.reflector is None
-    assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_volumes", "mutual"]
+    assert before.model.environment_map is not None and before.model.environment_map.reflector is None
+    assert [stage.name for stage in training.run().stages] == ["warmup_surfels", "warmup_gaussians", "mutual"]
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    assert training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert training.set_reflector(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     after = training.run()
-    assert after.light is not None and after.light.reflector is not None
-    assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.mirror.iterations
-    assert after.curve[-1].psnr_volumes > before.curve[-1].psnr_volumes + 0.3
-    assert torch.equal(after.surfels.means, before.surfels.means)
+    assert after.model.environment_map is not None and after.model.environment_map.reflector is not None
+    assert after.stages[-1].name == "finish" and after.stages[-1].iterations == config.train.environment_map.iterations
+    assert after.curve[-1].psnr_gaussians > before.curve[-1].psnr_gaussians + 0.3
+    assert torch.equal(after.model.surfels.means, before.model.surfels.means)
 
 
-@pytest.mark.parametrize("setting", ["reflection=off", "mirror.iterations=0"])
+@pytest.mark.parametrize("setting", ["reflection=off", "environment_map.iterations=0"])
 def test_without_light_to_mirror_the_mesh_changes_nothing(setting: str) -> None:
     training = Training(ball_scene(32), ball_points(), short("mgsr", "reflection=shared", setting))
     before = training.run()
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
-    assert not training.mirror_at(np.asarray(sphere.vertices), np.asarray(sphere.faces))
+    assert not training.set_reflector(np.asarray(sphere.vertices), np.asarray(sphere.faces))
     assert len(training.run().stages) == len(before.stages)
 
 
@@ -223,18 +228,18 @@ def test_a_surface_that_was_found_matte_has_no_shared_light() -> None:
     result = Training(
         ball_scene(32), Points(points.positions, points.normals, points.colors, shiny=False), short()
     ).run()
-    assert result.light is None and result.reflection is Reflection.OFF
+    assert result.model.environment_map is None and result.model.reflection is Reflection.OFF
 
 
-@pytest.mark.parametrize("branch", ["surfels", "volumes"])
+@pytest.mark.parametrize("branch", ["surfels", "gaussians"])
 def test_splats_that_carry_little_light_go_after_the_warm_up(branch: str) -> None:
     scene = ball_scene()
-    kept = [f"{each}.densify.drop_carrying=0" for each in ("surfels", "volumes")]
+    kept = [f"{each}.densify.prune_contribution=0" for each in ("surfels", "gaussians")]
 
     def trained(*shares: str) -> TrainResult:
         return Training(scene, ball_points(), short("mgsr", "reflection=off", "mutual.iterations=0", *shares)).run()
 
-    whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.drop_carrying=0.1")
+    whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.prune_contribution=0.1")
     dropped = {report.name: report.dropped for report in thinned.stages}
     one, two = getattr(whole, branch).means, getattr(thinned, branch).means
     assert 0 < dropped[f"warmup_{branch}"] == sum(dropped.values()) == len(one) - len(two)

@@ -33,7 +33,7 @@ def test_every_setting_of_the_library_can_be_set() -> None:
         ("mesh.max_faces=none", ("mesh.max_faces", None)),
         ("close_holes=on", ("mesh.close_holes", True)),
         ("mesh.trim=2.5", ("mesh.trim", 2.5)),
-        ("train.volumes.densify.every=50", ("train.volumes.densify.every", 50)),
+        ("train.gaussians.densify.every=50", ("train.gaussians.densify.every", 50)),
     ],
 )
 def test_settings_from_the_command_line(text: str, expected: tuple[str, object]) -> None:

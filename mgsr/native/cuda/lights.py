@@ -15,21 +15,21 @@ THREADS = 256
 class ReflectionParams(ctypes.Structure):
     """The struct ReflectionParams of kernels/lights/lights.cu, as are the structs below."""
 
-    _fields_ = (("pixels", Long), *pointers("transmitted", "weight", "own", "mirrored", "color", "reflected"))
+    _fields_ = (("pixels", Long), *pointers("transmitted", "weight", "own", "environment_map", "color", "reflected"))
 
 
 class ReflectionVjpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
         *pointers("v_color", "reflected", "weight", "add_transmitted", "add_weight", "add_own"),
-        *pointers("v_transmitted", "v_weight", "v_own", "v_mirrored"),
+        *pointers("v_transmitted", "v_weight", "v_own", "v_environment"),
     )
 
 
 class LightUpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
-        *pointers("even", "alpha", "background", "lit"),
+        *pointers("unlit", "alpha", "background", "shading"),
         ("offset", Float),
         *pointers("image"),
     )
@@ -38,9 +38,9 @@ class LightUpParams(ctypes.Structure):
 class LightUpVjpParams(ctypes.Structure):
     _fields_ = (
         ("pixels", Long),
-        *pointers("v_image", "background", "lit"),
+        *pointers("v_image", "background", "shading"),
         ("offset", Float),
-        *pointers("add_alpha", "v_even", "v_alpha"),
+        *pointers("add_alpha", "v_unlit", "v_alpha"),
     )
 
 
@@ -55,12 +55,12 @@ class LightKernels:
         transmitted: Tensor,
         weight: Tensor,
         own: Tensor | None,
-        mirrored: Tensor | None,
+        environment: Tensor | None,
         color: Tensor,
         reflected: Tensor,
     ) -> None:
         """Write color and reflected [H,W,3]."""
-        arrays = (transmitted, weight, own, mirrored, color, reflected)
+        arrays = (transmitted, weight, own, environment, color, reflected)
         self._run("lights_reflection", weight, ReflectionParams(weight.numel(), *addresses(*arrays)))
 
     def add_reflection_vjp(
@@ -71,31 +71,31 @@ class LightKernels:
         before: tuple[Tensor | None, ...],
         out: tuple[Tensor, ...],
     ) -> None:
-        """Write the gradients of transmitted, weight, own and mirrored; `before` is added to the first three."""
+        """Write the gradients of transmitted, weight, own and environment; `before` is added to the first three."""
         arrays = addresses(v_color, reflected, weight, *before, *out)
         self._run("lights_reflection_vjp", weight, ReflectionVjpParams(weight.numel(), *arrays))
 
     def light_up(
-        self, even: Tensor, alpha: Tensor, background: Tensor, lit: Tensor, offset: float, image: Tensor
+        self, unlit: Tensor, alpha: Tensor, background: Tensor, shading: Tensor, offset: float, image: Tensor
     ) -> None:
-        """Write the lit image [H,W,3]."""
-        arrays = addresses(even, alpha, background, lit)
-        self._run("lights_light_up", lit, LightUpParams(lit.numel(), *arrays, offset, pointer(image)))
+        """Write the shaded image [H,W,3]."""
+        arrays = addresses(unlit, alpha, background, shading)
+        self._run("lights_light_up", shading, LightUpParams(shading.numel(), *arrays, offset, pointer(image)))
 
     def light_up_vjp(
         self,
         v_image: Tensor,
         background: Tensor,
-        lit: Tensor,
+        shading: Tensor,
         offset: float,
         add_alpha: Tensor | None,
-        v_even: Tensor,
+        v_unlit: Tensor,
         v_alpha: Tensor,
     ) -> None:
-        """Write v_even [H,W,3], and v_alpha [H,W] with add_alpha added."""
-        arrays = addresses(v_image, background, lit)
-        written = addresses(add_alpha, v_even, v_alpha)
-        self._run("lights_light_up_vjp", lit, LightUpVjpParams(lit.numel(), *arrays, offset, *written))
+        """Write v_unlit [H,W,3], and v_alpha [H,W] with add_alpha added."""
+        arrays = addresses(v_image, background, shading)
+        written = addresses(add_alpha, v_unlit, v_alpha)
+        self._run("lights_light_up_vjp", shading, LightUpVjpParams(shading.numel(), *arrays, offset, *written))
 
     def _run(self, kernel: str, plane: Tensor, params: ctypes.Structure) -> None:
         self._launcher.launch("lights", kernel, -(-plane.numel() // THREADS), THREADS, params)

@@ -17,16 +17,16 @@ MGSR_HD float counted_alpha(float raw) {
   return raw >= kMinAlpha ? held : 0.0f;
 }
 
-// Passes a splat of this alpha; light is the transmittance so far, with a minus where the pixel has stopped. Returns what
+// Passes a splat of this alpha; transmittance: so far, with a minus where the pixel has stopped. Returns what
 // the splat blends with: 0 in a pixel that has stopped or that stops here. The one fused operation leaves a compiler no
 // choice of rounding, so that the backward pass finds the forward pass's bits again.
-MGSR_HD float pass_light(float alpha, float& light) {
-  const float after = fma(-alpha, light, light);
+MGSR_HD float transmit(float alpha, float& transmittance) {
+  const float after = fma(-alpha, transmittance, transmittance);
   if (after >= kMinTransmittance) {
-    light = after;
+    transmittance = after;
     return alpha;
   }
-  light = light > 0.0f ? -light : light;
+  transmittance = transmittance > 0.0f ? -transmittance : transmittance;
   return 0.0f;
 }
 

@@ -9,9 +9,9 @@ from mgsr.native.cuda.compiler import SOURCES
 
 OUTPUT = """\
 ==PROF== Connected to process 7 (/usr/bin/python3)
-==PROF== Profiling "volumes_blend_dual": 0%....50%....100% - 8 passes
+==PROF== Profiling "gaussians_blend_dual": 0%....50%....100% - 8 passes
 [7] python3@127.0.0.1
-  volumes_blend_dual (2500, 1, 1)x(256, 1, 1), Context 1, Stream 7, Device 0, CC 9.0
+  gaussians_blend_dual (2500, 1, 1)x(256, 1, 1), Context 1, Stream 7, Device 0, CC 9.0
     Section: GPU Speed Of Light Throughput
     ----------------------- ----------- ------------
     Metric Name             Metric Unit Metric Value
@@ -38,7 +38,7 @@ OUTPUT = """\
 def test_metrics_by_kernel() -> None:
     found = read_metrics(OUTPUT.splitlines(keepends=True))
     assert found == {
-        "volumes_blend_dual": {
+        "gaussians_blend_dual": {
             "Elapsed Cycles": "12,345 cycle",
             "Memory Throughput": "45.67 %",
             "Duration": "34.56 us",

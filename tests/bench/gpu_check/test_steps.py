@@ -21,7 +21,7 @@ from benchmarks.packed_scenes import Packed, pack
 from tests.training.ball import ball_points, ball_scene
 
 ROOT = Path(__file__).resolve().parents[3]
-SHORT = "warmup.surfel_iterations=20 warmup.volume_iterations=20 mutual.iterations=410 trial.iterations=0"
+SHORT = "warmup.surfel_iterations=20 warmup.gaussian_iterations=20 mutual.iterations=410 model_selection.iterations=0"
 NAMES = {number: [step.name for step in steps.parts()[number]] for number in (1, 2, 3)}
 # Without a card, and whatever the machine has installed.
 WITHOUT_CARD = re.compile(

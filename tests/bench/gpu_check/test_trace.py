@@ -17,8 +17,13 @@ from mgsr.training.progress import Progress
 from tests.training.ball import ball_points, ball_scene
 
 SETTINGS = (
-    *("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=60", "trial.iterations=0"),
-    *("surfels.densify.every=10", "volumes.densify.every=10", "watch.report_every=10", "reflection=both"),
+    *(
+        "warmup.surfel_iterations=10",
+        "warmup.gaussian_iterations=10",
+        "mutual.iterations=60",
+        "model_selection.iterations=0",
+    ),
+    *("surfels.densify.every=10", "gaussians.densify.every=10", "watch.report_every=10", "reflection=both"),
 )
 CONFIG = make_config("draft", overrides=SETTINGS)
 CPU = torch.device("cpu")

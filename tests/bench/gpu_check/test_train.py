@@ -14,11 +14,16 @@ from benchmarks.gpu_check.results import Results
 from benchmarks.packed_scenes import Packed, pack
 from tests.training.ball import ball_points, ball_scene
 
-SETTINGS = ("warmup.surfel_iterations=10", "warmup.volume_iterations=10", "mutual.iterations=10", "trial.iterations=0")
+SETTINGS = (
+    "warmup.surfel_iterations=10",
+    "warmup.gaussian_iterations=10",
+    "mutual.iterations=10",
+    "model_selection.iterations=0",
+)
 
 
-def facts(surfels: str = "a", volumes: str = "b", reason: str = "iterations") -> dict[str, Any]:
-    sha256 = {"splats_2d.ply": surfels, "splats_3d.ply": volumes}
+def facts(surfels: str = "a", gaussians: str = "b", reason: str = "iterations") -> dict[str, Any]:
+    sha256 = {"splats_2d.ply": surfels, "splats_3d.ply": gaussians}
     return {"sha256": sha256, "stages": {"warmup_surfels": [9, 1.0, "converged"], "mutual": [10, 1.0, reason]}}
 
 
@@ -30,7 +35,7 @@ def test_twins(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("other", "message"),
     [
-        ([facts(volumes="c")], r"NOT the same bytes as first: splats_3d.ply$"),
+        ([facts(gaussians="c")], r"NOT the same bytes as first: splats_3d.ply$"),
         ([{**facts(), "sha256": {"splats_2d.ply": "a"}}], r"NOT the same bytes as first: splats_3d.ply$"),
         ([facts(reason="deadline")], "not compared: a training that its limit of time ended"),
         ([], "first left no row"),

@@ -21,20 +21,20 @@ struct ReflectionVjpParams {
   float *v_transmitted, *v_weight, *v_own, *v_mirrored;  // [pixels, 3] but for the weight
 };
 
-// image = even + (lit - 1) * (even + alpha * (background + offset) - background).
+// image = unlit + (shading - 1) * (unlit + alpha * (background + offset) - background).
 struct LightUpParams {
   int64_t pixels;
-  const float *even, *alpha, *background, *lit;  // [pixels, 3], [pixels], [3], [pixels]
+  const float *unlit, *alpha, *background, *shading;  // [pixels, 3], [pixels], [3], [pixels]
   float offset;
   float* image;  // [pixels, 3]
 };
 
 struct LightUpVjpParams {
   int64_t pixels;
-  const float *v_image, *background, *lit;
+  const float *v_image, *background, *shading;
   float offset;
   const float* add_alpha;   // [pixels], or null
-  float *v_even, *v_alpha;  // [pixels, 3], [pixels]
+  float *v_unlit, *v_alpha;  // [pixels, 3], [pixels]
 };
 
 __device__ inline int64_t light_pixel() { return int64_t(blockIdx.x) * kLightThreads + threadIdx.x; }
@@ -68,10 +68,10 @@ MGSR_KERNEL(lights_reflection_vjp, mgsr::ReflectionVjpParams, mgsr::kLightThread
 MGSR_KERNEL(lights_light_up, mgsr::LightUpParams, mgsr::kLightThreads) {
   const int64_t i = mgsr::light_pixel();
   if (i >= p.pixels) return;
-  const float lost = p.lit[i] - 1.0f;
+  const float lost = p.shading[i] - 1.0f;
   for (int c = 0; c < 3; ++c) {
-    const float even = p.even[3 * i + c], behind = p.background[c];
-    p.image[3 * i + c] = even + lost * (even + p.alpha[i] * (behind + p.offset) - behind);
+    const float unlit = p.unlit[3 * i + c], behind = p.background[c];
+    p.image[3 * i + c] = unlit + lost * (unlit + p.alpha[i] * (behind + p.offset) - behind);
   }
 }
 
@@ -80,8 +80,8 @@ MGSR_KERNEL(lights_light_up_vjp, mgsr::LightUpVjpParams, mgsr::kLightThreads) {
   if (i >= p.pixels) return;
   float v_alpha = 0.0f;
   for (int c = 0; c < 3; ++c) {
-    p.v_even[3 * i + c] = p.v_image[3 * i + c] * p.lit[i];
+    p.v_unlit[3 * i + c] = p.v_image[3 * i + c] * p.shading[i];
     v_alpha += p.v_image[3 * i + c] * (p.background[c] + p.offset);
   }
-  p.v_alpha[i] = (p.lit[i] - 1.0f) * v_alpha + (p.add_alpha ? p.add_alpha[i] : 0.0f);
+  p.v_alpha[i] = (p.shading[i] - 1.0f) * v_alpha + (p.add_alpha ? p.add_alpha[i] : 0.0f);
 }

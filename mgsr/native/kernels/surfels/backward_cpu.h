@@ -131,14 +131,14 @@ template <bool Distortion>
 void backward_subtile(const SurfelInputs& in, const SurfelState& state, const PixelGradients::Fields& g,
                       const SubTileLists& sub, int s, const Pixels& pixels, float* pairs) {
   const DepthUnit unit = depth_unit(in, state, sub, s);
-  vfloat lights[kVectors], behind[kVectors];
-  for (int v = 0; v < kVectors; ++v) lights[v] = splat(1.0f), behind[v] = load(g.behind + v * kWidth);
+  vfloat transmittances[kVectors], behind[kVectors];
+  for (int v = 0; v < kVectors; ++v) transmittances[v] = splat(1.0f), behind[v] = load(g.behind + v * kWidth);
   Batch batch;
   Step steps[kBatch];
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    const int n = pass_splats(in, state, sub, list + e, count - e, pixels, lights, batch);
+    const int n = composite_splats(in, state, sub, list + e, count - e, pixels, transmittances, batch);
     for (int v = 0; v < kVectors; ++v) walk_vector<Distortion>(batch, v, g, unit, behind[v], steps);
     for (int i = 0; i < n; ++i) {
       vfloat sums[kPairFields];
@@ -151,7 +151,7 @@ void backward_subtile(const SurfelInputs& in, const SurfelState& state, const Pi
         gather<false, false>(batch, i, steps[i], pixels, g, in.low_pass, sums);
       add_sums<kPairFields>(sums, pairs + size_t(list[e + i]) * kPairFields);
     }
-    if (!any_open<kVectors>(lights)) break;
+    if (!any_open<kVectors>(transmittances)) break;
   }
 }
 

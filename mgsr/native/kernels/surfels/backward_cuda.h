@@ -119,7 +119,7 @@ struct SurfelWalk {
   DepthUnit unit;
   int patch = 0;
   float x = 0.0f, y = 0.0f;     // of the lane's pixel's centre
-  float light = 0.0f, behind = 0.0f;
+  float transmittance = 0.0f, behind = 0.0f;
   float v_color[3] = {}, v_normal[3] = {}, v_depth = 0.0f, v_median = 0.0f, v_moment[2] = {};
 
   __device__ SurfelWalk(const SurfelBackwardParams& p, int tile, int number, SurfelStage& own)
@@ -135,8 +135,8 @@ struct SurfelWalk {
   __device__ float of_pixel(int plane) const { return planes[plane * kTilePixels + patch * kWarp + threadIdx.x % kWarp]; }
 
   __device__ bool enter(int number) {
-    patch = number, light = of_state(kLightPlane);
-    const bool open = light > 0.0f;
+    patch = number, transmittance = of_state(kTransmittancePlane);
+    const bool open = transmittance > 0.0f;
     if (!__any_sync(kFullWarp, open)) return false;
     const int lane = threadIdx.x % kWarp;
     const TilePlace place(number * kWarp + lane);
@@ -167,7 +167,7 @@ struct SurfelWalk {
   __device__ void meet(int splat, int at) {
     const SurfelRecord& s = stage.splats[splat];
     const SurfelMeeting m = mgsr::meet(s, x, y, limits);
-    const float T = light, alpha = pass_light(m.alpha, light);
+    const float T = transmittance, alpha = transmit(m.alpha, transmittance);
     SurfelTerms terms = {};
     float v_log_depth = 0.0f;
     // Where the splat does not count, the depth may be anything.

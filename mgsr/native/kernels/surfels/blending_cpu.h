@@ -12,7 +12,7 @@ namespace MGSR_ISA {
 namespace {
 
 // The walk goes in batches, each in stages: the footprints of a batch's splats and their alphas, which do not wait for one
-// another; the passing of the light, which does; then what is made of it. In one loop the processor would not see far
+// another; the transmittance, which does; then what is made of it. In one loop the processor would not see far
 // enough ahead to overlap them.
 constexpr int kBatch = kWidth;
 
@@ -65,8 +65,8 @@ inline void raise_alphas(vfloat* alpha, int count) {
 }
 
 // Meets up to kBatch splats of a sub-tile's list and lets them pass; returns how many.
-inline int pass_splats(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
-                       int count, const Pixels& pixels, vfloat lights[kVectors], Batch& batch) {
+inline int composite_splats(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, const uint32_t* list,
+                       int count, const Pixels& pixels, vfloat transmittances[kVectors], Batch& batch) {
   const int n = std::min(count, kBatch);
   prefetch_records(state.records.data(), sub, list, kBatch, std::min(count, 2 * kBatch));
   for (int e = 0; e < kBatch; ++e) {
@@ -77,7 +77,7 @@ inline int pass_splats(const SurfelInputs& in, const SurfelState& state, const S
       meet<false>(s, pixels, in.near, in.low_pass, e, batch);
   }
   raise_alphas(batch.alpha[0], kBatch * kVectors);
-  pass_batch<kBatch, kVectors>(n, lights, batch.alpha, batch.T);
+  transmit_batch<kBatch, kVectors>(n, transmittances, batch.alpha, batch.T);
   return n;
 }
 
@@ -123,24 +123,24 @@ inline void blend_vector(const Batch& batch, int v, const DepthUnit& unit, Blend
 
 template <bool Distortion>
 inline void blend_subtile(const SurfelInputs& in, const SurfelState& state, const SubTileLists& sub, int s, const Pixels& pixels,
-                          vfloat lights[kVectors], Blend p[kVectors]) {
+                          vfloat transmittances[kVectors], Blend p[kVectors]) {
   const DepthUnit unit = depth_unit(in, state, sub, s);
   Batch batch;
   const uint32_t* list = sub.begin(s);
   const int count = sub.count(s);
   for (int e = 0; e < count; e += kBatch) {
-    pass_splats(in, state, sub, list + e, count - e, pixels, lights, batch);
+    composite_splats(in, state, sub, list + e, count - e, pixels, transmittances, batch);
     for (int v = 0; v < kVectors; ++v) blend_vector<Distortion>(batch, v, unit, p[v]);
-    if (!any_open<kVectors>(lights)) break;
+    if (!any_open<kVectors>(transmittances)) break;
   }
 }
 
 template <bool Distortion>
-void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const vfloat lights[kVectors],
+void write_pixels(const SurfelInputs& in, SurfelState& state, const SurfelImages& out, const vfloat transmittances[kVectors],
                   const Blend p[kVectors], int x0, int y0) {
   float f[11][16];
   for (int v = 0; v < kVectors; ++v) {
-    store(f[0] + v * kWidth, abs(lights[v]));
+    store(f[0] + v * kWidth, abs(transmittances[v]));
     for (int k = 0; k < 3; ++k) store(f[1 + k] + v * kWidth, p[v].color[k]), store(f[4 + k] + v * kWidth, p[v].normal[k]);
     store(f[7] + v * kWidth, p[v].depth), store(f[8] + v * kWidth, p[v].median);
     if (Distortion) store(f[9] + v * kWidth, p[v].m1), store(f[10] + v * kWidth, p[v].m2);
@@ -167,10 +167,10 @@ void blend(const SurfelInputs& in, SurfelState& state, const SurfelImages& out) 
     for_subtiles(x0, y0, in.width, in.height, [&](int s, int x, int y) {
       const Pixels pixels(x, y);
       Blend p[kVectors] = {};
-      vfloat lights[kVectors];
-      for (vfloat& light : lights) light = splat(1.0f);
-      blend_subtile<Distortion>(in, state, sub, s, pixels, lights, p);
-      write_pixels<Distortion>(in, state, out, lights, p, x, y);
+      vfloat transmittances[kVectors];
+      for (vfloat& transmittance : transmittances) transmittance = splat(1.0f);
+      blend_subtile<Distortion>(in, state, sub, s, pixels, transmittances, p);
+      write_pixels<Distortion>(in, state, out, transmittances, p, x, y);
     });
   });
 }

@@ -10,8 +10,8 @@
 
 namespace mgsr {
 
-// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its light, and what it has added up.
-enum SurfelPlane { kLightPlane, kColorPlane, kNormalPlane = kColorPlane + 3, kDepthPlane = kNormalPlane + 3, kPlainPlanes,
+// A pixel's state at the begin of a bucket, [buckets, planes, 256]: its transmittance, and what it has added up.
+enum SurfelPlane { kTransmittancePlane, kColorPlane, kNormalPlane = kColorPlane + 3, kDepthPlane = kNormalPlane + 3, kPlainPlanes,
                    kMomentPlane = kPlainPlanes, kDistortionPlanes = kMomentPlane + 2 };
 
 struct SurfelBlendParams {
@@ -78,12 +78,12 @@ __device__ inline SurfelMeeting meet(const SurfelRecord& s, float x, float y, co
 
 template <bool Distortion>
 struct SurfelPixel {
-  float light = 1.0f, color[3] = {}, normal[3] = {}, depth = 0.0f, median = 0.0f, m1 = 0.0f, m2 = 0.0f;
+  float transmittance = 1.0f, color[3] = {}, normal[3] = {}, depth = 0.0f, median = 0.0f, m1 = 0.0f, m2 = 0.0f;
 
-  __device__ bool open() const { return light > 0.0f; }
+  __device__ bool open() const { return transmittance > 0.0f; }
 
   __device__ void add(const SurfelRecord& s, const SurfelMeeting& m, const DepthUnit& unit) {
-    const float T = light, share = pass_light(m.alpha, light) * T, z = s.depth() * m.r;
+    const float T = transmittance, share = transmit(m.alpha, transmittance) * T, z = s.depth() * m.r;
     if (!(share > 0.0f)) return;
     for (int k = 0; k < 3; ++k) color[k] = fmaf(share, s.color[k], color[k]), normal[k] = fmaf(share, s.normal[k], normal[k]);
     depth = fmaf(share, z, depth);
@@ -94,7 +94,7 @@ struct SurfelPixel {
   }
 
   __device__ void save(float* state, int pixel) const {
-    state[kLightPlane * kTilePixels + pixel] = light;
+    state[kTransmittancePlane * kTilePixels + pixel] = transmittance;
     if (!open()) return;  // the backward pass looks no further
     for (int k = 0; k < 3; ++k) {
       state[(kColorPlane + k) * kTilePixels + pixel] = color[k];
@@ -107,7 +107,7 @@ struct SurfelPixel {
   }
 
   __device__ void write(const SurfelBlendParams& p, int64_t i) const {
-    const float T = fabsf(light), covered = 1.0f - T;
+    const float T = fabsf(transmittance), covered = 1.0f - T;
     p.transmittance[i] = T, p.alpha[i] = covered;
     for (int k = 0; k < 3; ++k) {
       p.color[3 * i + k] = fmaf(T, p.background[k], color[k]);
@@ -134,7 +134,7 @@ __device__ void blend_surfels(const SurfelBlendParams& p) {
   const int2 range = p.tiles.ranges[tile];
   float* states = p.states ? p.states + int64_t(first_bucket(p.tiles, tile)) * kPlanes * kTilePixels : nullptr;
   SurfelPixel<Distortion> sums;
-  if (!pixel.inside(p.tiles)) sums.light = -1.0f;
+  if (!pixel.inside(p.tiles)) sums.transmittance = -1.0f;
   int begin = range.x;
   for (; begin < range.y; begin += kTilePixels) {
     if (__syncthreads_count(sums.open()) == 0) break;

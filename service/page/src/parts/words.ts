@@ -28,15 +28,15 @@ const STEPS: Record<string, string> = {
 
 const STAGES: Record<string, string> = {
   warmup_surfels: "flat Gaussians, warm-up",
-  warmup_volumes: "3D Gaussians, warm-up",
+  warmup_gaussians: "3D Gaussians, warm-up",
   alone: "one branch",
   mutual: "both branches teach each other",
-  trial_off: "trial: no reflections",
-  trial_shared: "trial: one mirrored light",
-  trial_both: "trial: mirrored light and reflections",
-  trial_own: "trial: reflections",
-  trial_degree_1: "trial: simpler colours",
-  trial_degree_0: "trial: plain colours",
+  selection_off: "model selection: no reflections",
+  selection_shared: "model selection: environment map",
+  selection_both: "model selection: environment map and reflections",
+  selection_own: "model selection: reflections",
+  selection_degree_1: "model selection: simpler colours",
+  selection_degree_0: "model selection: plain colours",
 };
 
 export const PRESETS: Record<string, string> = {

@@ -1,0 +1,92 @@
+"""Valid masks: undistorting a strong lens leaves corners or sides that no pixel of the photograph covers.
+
+A valid mask [H,W] bool says which pixels are shown; None means all. The others hold no meaning, and whoever reads a
+view leaves them out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.data.scene import View
+
+# The share of a reduced pixel's area that must be valid for it to count as valid.
+NEARLY_ALL = 0.99
+
+
+def valid_mean(
+    pixels: np.ndarray, valid: np.ndarray | None, mean: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the area mean of the valid pixels, and which of the resulting pixels are valid.
+
+    pixels: [H,W,C]. mean: maps [H,W,C] to [h,w,C] float. The result is 0 where no valid pixel contributes. It counts as
+    valid where nearly all pixels that it covers are; None where all pixels are valid.
+    """
+    if valid is None:
+        return mean(pixels), None
+    weight = valid[..., None].astype(np.float32)
+    sums = mean(np.concatenate([pixels * weight, weight], axis=2))
+    share = sums[..., -1:]
+    return sums[..., :-1] / np.maximum(share, 1e-6), share[..., 0] >= NEARLY_ALL
+
+
+def filled(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """Return the image [H,W,...] with each invalid pixel set to the nearest valid one; all 0 if nothing is valid.
+
+    Windows and interpolation that reach over the edge of the valid region then see what they see at an image's border.
+    """
+    if valid is None:
+        return pixels
+    if not valid.any():
+        return np.zeros_like(pixels)
+    rows, columns = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return np.asarray(pixels[rows, columns])
+
+
+def valid_at(valid: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return which pixel coordinates [P,2], all inside the image, lie on valid pixels, [P] bool."""
+    columns, rows = pixels.astype(np.intp).T
+    return np.asarray(valid[rows, columns])
+
+
+def valid_inside(valid: np.ndarray, reach: int) -> np.ndarray:
+    """Return the pixels [H,W] bool that have only valid pixels of the image within `reach`, diagonals included."""
+    return np.asarray(ndimage.minimum_filter(valid, 2 * reach + 1, mode="constant", cval=False))
+
+
+def whole_part(view: View) -> View:
+    """Return the view cut to a large rectangle of valid pixels; the view itself if it shows all."""
+    if view.valid_mask is None:
+        return view
+    rows, columns = largest_rectangle(view.valid_mask)
+    K = view.camera.K.copy()
+    K[:2, 2] -= columns.start, rows.start
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    camera = replace(view.camera, K=K, width=width, height=height)
+    alpha = None if view.alpha is None else view.alpha[rows, columns]
+    return View(view.name, camera, view.image[rows, columns], alpha)
+
+
+def largest_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns of a large rectangle of valid pixels.
+
+    Each step cuts the side with the most invalid pixels. Where all borders are valid but the inside is not, it cuts all
+    sides. The result is one pixel wide or high, valid or not, where no such rectangle exists.
+    """
+    top, bottom, left, right = 0, valid.shape[0], 0, valid.shape[1]
+    while bottom - top > 1 and right - left > 1:
+        inner = valid[top:bottom, left:right]
+        bad = [1 - side.mean() for side in (inner[0], inner[-1], inner[:, 0], inner[:, -1])]
+        worst = int(np.argmax(bad))
+        if bad[worst] == 0 and inner.all():
+            break
+        if bad[worst] == 0:
+            top, bottom, left, right = top + 1, bottom - 1, left + 1, right - 1
+            continue
+        top, bottom = top + (worst == 0), bottom - (worst == 1)
+        left, right = left + (worst == 2), right - (worst == 3)
+    return slice(top, bottom), slice(left, right)

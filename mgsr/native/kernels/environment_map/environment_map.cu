@@ -1,0 +1,161 @@
+// The environment map on the GPU.
+//
+// environment_map_forward, environment_map_backward: a thread is a pixel. Backward writes the normal's gradient, and for each map the
+// cell of four texels that was read and where within it; torch sorts those by cell, stable.
+// environment_map_cells: a warp adds up what the pixels of one cell say of its corners: each lane every 32nd of them, then the
+// lanes in a fixed tree. environment_map_texels: a thread adds to a texel's channel what its four cells say. No atomics, and the
+// same bytes at every run.
+#include "kernels/common/cuda.h"
+#include "math/environment_map.h"
+
+namespace mgsr {
+
+constexpr int kEnvironmentMapThreads = 128;
+constexpr int kCellFields = 12;  // corners, channels
+
+struct EnvironmentMapParams {
+  int64_t count;           // pixels that are looked at
+  const int64_t* pixels;   // [count] row * width + column, each once; or null for all
+  int width, side;         // of the image; texels along a map's side
+  const float* maps;       // [2, side, side, 3]: the scene's, the camera's
+  const float* normals;    // [height * width, 3], world
+  float cam_from_world[9]; // rotation, row-major
+  float fx, fy, cx, cy;
+  float* light;            // [height * width, 3], written by forward where it looks
+  const float* v_light;    // [height * width, 3]
+  float* v_normals;        // [height * width, 3], written by backward where it looks; or null
+  int* cells;              // [2, count] for each map, by its upper left texel; or null
+  float2* places;          // [2, count] 0..1 from there; beside cells
+};
+
+struct CellParams {
+  int64_t count;          // pixels that are looked at
+  const int64_t* pixels;  // as in EnvironmentMapParams
+  const float* v_light;
+  const float2* places;
+  int side;
+  const int* cells;       // [2 * count] sorted
+  const int64_t* slots;   // [2 * count] where each was before
+  float* sums;            // [2, side, side, kCellFields]
+};
+
+struct TexelParams {
+  int side;
+  const float* sums;  // as in CellParams
+  float* v_maps;      // [2, side, side, 3]
+};
+
+__device__ inline int64_t environment_map_pixel(const int64_t* pixels, int64_t i) { return pixels ? pixels[i] : i; }
+
+__device__ inline EnvironmentMapSight<float> reflect_pixel(const EnvironmentMapParams& p, int64_t pixel) {
+  const float ray[2] = {(float(pixel % p.width) + 0.5f - p.cx) / p.fx, (float(pixel / p.width) + 0.5f - p.cy) / p.fy};
+  return reflect_sight(p.cam_from_world, ray, p.normals + 3 * pixel);
+}
+
+// The four texels around a place -1..1 on a map.
+struct Cell {
+  __device__ Cell(const EnvironmentMapParams& p, int which, const float place[2]) : side(p.side) {
+    for (int k = 0; k < 2; ++k) texel[k] = texel_of(place[k], float(side));
+    column = int(texel[0]), line = int(texel[1]);
+    x = texel[0] - float(column), y = texel[1] - float(line);
+    index = (which * side + line) * side + column;
+  }
+  __device__ Corners<float> load(const float* maps, int channel) const {
+    const float* at = maps + 3 * int64_t(index) + channel;
+    const int right = column + 1 < side ? 3 : 0, down = line + 1 < side ? 3 * side : 0;
+    return {at[0], at[right], at[down], at[down + right]};
+  }
+
+  int side, column, line, index;
+  float texel[2], x, y;
+};
+
+// The gradient of a cell's place -1..1, from that of the light [3].
+__device__ inline void place_gradient(const EnvironmentMapParams& p, const Cell& cell, const float* v_light, float v_place[2]) {
+  v_place[0] = v_place[1] = 0.0f;
+  for (int channel = 0; channel < 3; ++channel) {
+    float by_x, by_y;
+    bilinear_slopes(cell.load(p.maps, channel), cell.x, cell.y, by_x, by_y);
+    v_place[0] += by_x * v_light[channel], v_place[1] += by_y * v_light[channel];
+  }
+  for (int k = 0; k < 2; ++k) v_place[k] *= texel_slope(cell.texel[k], float(p.side));
+}
+
+// The first of `count` sorted numbers that is not less than `least`.
+__device__ inline int64_t lower_bound(const int* sorted, int64_t count, int least) {
+  int64_t begin = 0;
+  while (count > 0) {
+    const int64_t half = count / 2;
+    const bool less = sorted[begin + half] < least;
+    begin = less ? begin + half + 1 : begin;
+    count = less ? count - half - 1 : half;
+  }
+  return begin;
+}
+
+}  // namespace mgsr
+
+MGSR_KERNEL(environment_map_forward, mgsr::EnvironmentMapParams, mgsr::kEnvironmentMapThreads) {
+  using namespace mgsr;
+  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
+  if (i >= p.count) return;
+  const int64_t pixel = environment_map_pixel(p.pixels, i);
+  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
+  const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
+  for (int channel = 0; channel < 3; ++channel)
+    p.light[3 * pixel + channel] = bilinear(still.load(p.maps, channel), still.x, still.y) +
+                                   bilinear(held.load(p.maps, channel), held.x, held.y);
+}
+
+MGSR_KERNEL(environment_map_backward, mgsr::EnvironmentMapParams, mgsr::kEnvironmentMapThreads) {
+  using namespace mgsr;
+  const int64_t i = int64_t(blockIdx.x) * kEnvironmentMapThreads + threadIdx.x;
+  if (i >= p.count) return;
+  const int64_t pixel = environment_map_pixel(p.pixels, i);
+  const EnvironmentMapSight<float> sight = reflect_pixel(p, pixel);
+  const Cell still(p, 0, sight.still.place), held(p, 1, sight.held.place);
+  if (p.cells) {
+    p.cells[i] = still.index, p.places[i] = make_float2(still.x, still.y);
+    p.cells[p.count + i] = held.index, p.places[p.count + i] = make_float2(held.x, held.y);
+  }
+  if (!p.v_normals) return;
+  float v_still[2], v_held[2], v_normal[3];
+  place_gradient(p, still, p.v_light + 3 * pixel, v_still);
+  place_gradient(p, held, p.v_light + 3 * pixel, v_held);
+  reflect_sight_vjp(p.cam_from_world, sight, v_still, v_held, v_normal);
+  for (int k = 0; k < 3; ++k) p.v_normals[3 * pixel + k] = v_normal[k];
+}
+
+MGSR_KERNEL(environment_map_cells, mgsr::CellParams, mgsr::kEnvironmentMapThreads) {
+  using namespace mgsr;
+  const int lane = threadIdx.x % kWarp, cell = (blockIdx.x * kEnvironmentMapThreads + threadIdx.x) / kWarp;
+  if (cell >= 2 * p.side * p.side) return;  // of a whole warp
+  const int64_t begin = lower_bound(p.cells, 2 * p.count, cell), end = lower_bound(p.cells, 2 * p.count, cell + 1);
+  float sums[kCellFields] = {};
+  for (int64_t i = begin + lane; i < end; i += kWarp) {
+    const int64_t slot = p.slots[i], pixel = environment_map_pixel(p.pixels, slot < p.count ? slot : slot - p.count);
+    const float2 place = p.places[slot];
+    for (int channel = 0; channel < 3; ++channel) {
+      const Corners<float> v = bilinear_vjp(p.v_light[3 * pixel + channel], place.x, place.y);
+      sums[channel] += v.upper_left, sums[3 + channel] += v.upper_right;
+      sums[6 + channel] += v.lower_left, sums[9 + channel] += v.lower_right;
+    }
+  }
+  for (int by = kWarp / 2; by > 0; by /= 2)
+    for (int k = 0; k < kCellFields; ++k) sums[k] += __shfl_xor_sync(kFullWarp, sums[k], by);
+  for (int k = 0; k < kCellFields; ++k)  // each lane its own, without an index into registers
+    if (lane == k) p.sums[int64_t(cell) * kCellFields + k] = sums[k];
+}
+
+MGSR_KERNEL(environment_map_texels, mgsr::TexelParams, mgsr::kEnvironmentMapThreads) {
+  using namespace mgsr;
+  const int i = blockIdx.x * kEnvironmentMapThreads + threadIdx.x, texel = i / 3, side = p.side;
+  if (texel >= 2 * side * side) return;
+  const int column = texel % side, line = texel / side % side;
+  const float* at = p.sums + int64_t(texel) * kCellFields + i % 3;
+  float sum = at[0];
+  if (column > 0) sum += at[3 - kCellFields];
+  if (line > 0) sum += at[6 - kCellFields * side];
+  if (column > 0 && line > 0) sum += at[9 - kCellFields * (side + 1)];
+  p.v_maps[i] = sum;
+}

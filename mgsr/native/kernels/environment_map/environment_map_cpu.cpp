@@ -1,0 +1,248 @@
+// The environment map on the CPU. Pixels are taken in blocks: a lane a pixel where the sight is reflected, the three
+// channels of a texel in one vector where the maps are read. Backward cuts the pixels into parts, whose number never
+// depends on the threads; each part adds to a map of its own, and the parts' maps are added in their order.
+#include "kernels/environment_map/environment_map.h"
+
+#include <algorithm>
+#include <cstring>
+#include <vector>
+
+#include "kernels/common/lanes.h"
+#include "kernels/common/parallel.h"
+#include "math/environment_map.h"
+
+namespace mgsr {
+namespace MGSR_ISA {
+namespace {
+
+constexpr int kBlock = 64;                   // pixels
+constexpr int64_t kChunk = 16 * kBlock;      // of forward
+constexpr int64_t kLeastPart = 32 * kBlock;  // of backward, unless there are more than kMostParts
+constexpr int64_t kMostParts = 16;
+
+// A texel's channels and a zero.
+typedef float vtexel __attribute__((vector_size(16)));
+
+inline vtexel load_texel(const float* p) {
+  vtexel texel;
+  std::memcpy(&texel, p, sizeof(texel));
+  return texel;
+}
+inline void add_texel(float* p, vtexel by) {
+  const vtexel sum = load_texel(p) + by;
+  std::memcpy(p, &sum, sizeof(sum));
+}
+inline vtexel load_channels(const float* p) { return vtexel{p[0], p[1], p[2], 0.0f}; }
+
+// The sums of each vector's lanes.
+inline vtexel sums(vtexel a, vtexel b, vtexel c, vtexel d) {
+  const vtexel ab = __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
+  const vtexel cd = __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
+  return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+}
+
+// Both maps with a texel more to the right and below, so that every texel has all its neighbours: [2, stride, stride, 4].
+struct PaddedMaps {
+  explicit PaddedMaps(int side) : side(side), stride(side + 1), row(4 * size_t(stride)), map(row * size_t(stride)) {}
+  size_t floats() const { return 2 * map; }
+  size_t at(int which, int y, int x) const { return size_t(which) * map + size_t(y) * row + 4 * size_t(x); }
+
+  int side, stride;
+  size_t row, map;
+};
+
+// The maps' light in that layout, the border repeated. Stays until this thread's next call.
+const float* pad(const EnvironmentMapParams& p, const PaddedMaps& layout) {
+  static thread_local std::vector<float> padded;
+  padded.resize(layout.floats());
+  for (int which = 0; which < 2; ++which)
+    for (int y = 0; y < layout.stride; ++y) {
+      const float* from = p.maps + 3 * int64_t(p.side) * (int64_t(which) * p.side + std::min(y, p.side - 1));
+      float* to = padded.data() + layout.at(which, y, 0);
+      for (int x = 0; x < layout.stride; ++x) {
+        const vtexel texel = load_channels(from + 3 * std::min(x, p.side - 1));
+        std::memcpy(to + 4 * x, &texel, sizeof(texel));
+      }
+    }
+  return padded.data();
+}
+
+// Some pixels on their way through the maths. Coordinates are in texels: [map][x, y].
+struct Block {
+  int count;
+  int64_t pixel[kBlock];
+  float ray[2][kBlock], normal[3][kBlock];
+  EnvironmentMapSight<Floats> sight[kBlock / kWidth];
+  float texel[2][2][kBlock], v_texel[2][2][kBlock];
+};
+
+// Pixel numbers to their rays, with a division only where a row begins.
+class Rays {
+ public:
+  explicit Rays(const EnvironmentMapParams& p)
+      : width_(p.width), per_x_(1 / p.fx), per_y_(1 / p.fy), left_((0.5f - p.cx) / p.fx), top_((0.5f - p.cy) / p.fy) {}
+
+  void of(int64_t pixel, float& x, float& y) {
+    if (pixel < begin_ || pixel >= begin_ + width_) {
+      const int64_t row = pixel / width_;
+      begin_ = row * width_, y_ = float(row) * per_y_ + top_;
+    }
+    x = float(pixel - begin_) * per_x_ + left_, y = y_;
+  }
+
+ private:
+  int width_;
+  float per_x_, per_y_, left_, top_;
+  int64_t begin_ = 0;
+  float y_ = top_;
+};
+
+Floats load_lanes(const float* p) { return Floats(load(p)); }
+
+struct Rotation {
+  explicit Rotation(const EnvironmentMapParams& p) {
+    for (int i = 0; i < 9; ++i) R[i] = Floats(p.cam_from_world[i]);
+  }
+  Floats R[9];
+};
+
+// Pixels first.. of the list into the block: where on the maps their light is. Lanes past the end repeat the last.
+void reflect_block(const EnvironmentMapParams& p, const Rotation& rotation, Rays& rays, int64_t first, int64_t end, Block& b) {
+  b.count = int(std::min<int64_t>(end - first, kBlock));
+  const int groups = (b.count + kWidth - 1) / kWidth;
+  for (int i = 0; i < groups * kWidth; ++i) {
+    const int64_t at = first + std::min(i, b.count - 1), pixel = p.pixels ? p.pixels[at] : at;
+    b.pixel[i] = pixel;
+    rays.of(pixel, b.ray[0][i], b.ray[1][i]);
+    for (int c = 0; c < 3; ++c) b.normal[c][i] = p.normals[3 * pixel + c];
+  }
+  const Floats side(float(p.side));
+  for (int g = 0; g < groups; ++g) {
+    const int i = g * kWidth;
+    const Floats ray[2] = {load_lanes(b.ray[0] + i), load_lanes(b.ray[1] + i)};
+    const Floats normal[3] = {load_lanes(b.normal[0] + i), load_lanes(b.normal[1] + i), load_lanes(b.normal[2] + i)};
+    const EnvironmentMapSight<Floats> sight = reflect_sight(rotation.R, ray, normal);
+    for (int k = 0; k < 2; ++k) {
+      store(b.texel[0][k] + i, texel_of(sight.still.place[k], side).v);
+      store(b.texel[1][k] + i, texel_of(sight.held.place[k], side).v);
+    }
+    b.sight[g] = sight;
+  }
+}
+
+// The four texels around a pixel's place on a map.
+struct Cell {
+  Cell(const PaddedMaps& layout, const Block& b, int which, int i) {
+    const float across = b.texel[which][0][i], along = b.texel[which][1][i];
+    const int column = int(across), line = int(along);
+    x = across - float(column), y = along - float(line);
+    upper = layout.at(which, line, column), lower = upper + layout.row;
+  }
+  Corners<vtexel> load(const float* maps) const {
+    return {load_texel(maps + upper), load_texel(maps + upper + 4), load_texel(maps + lower), load_texel(maps + lower + 4)};
+  }
+  void add(float* maps, const Corners<vtexel>& v) const {
+    add_texel(maps + upper, v.upper_left), add_texel(maps + upper + 4, v.upper_right);
+    add_texel(maps + lower, v.lower_left), add_texel(maps + lower + 4, v.lower_right);
+  }
+
+  size_t upper, lower;
+  float x, y;
+};
+
+void forward(const EnvironmentMapParams& p) {
+  const PaddedMaps layout(p.side);
+  const float* maps = pad(p, layout);
+  const Rotation rotation(p);
+  parallel_chunks(p.count, kChunk, [&](int64_t begin, int64_t end) {
+    Rays rays(p);
+    Block b;
+    for (int64_t first = begin; first < end; first += kBlock) {
+      reflect_block(p, rotation, rays, first, end, b);
+      for (int i = 0; i < b.count; ++i) {
+        const Cell still(layout, b, 0, i), held(layout, b, 1, i);
+        const vtexel light = bilinear(still.load(maps), still.x, still.y) + bilinear(held.load(maps), held.x, held.y);
+        std::memcpy(p.light + 3 * b.pixel[i], &light, 3 * sizeof(float));
+      }
+    }
+  });
+}
+
+// What the pixels' light says of their places on the maps, in texels, where the normals' gradient is wanted; and of the
+// maps, where theirs is: added to v_maps.
+void look_back(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* maps, Block& b, float* v_maps) {
+  const bool to_normals = p.v_normals != nullptr, to_maps = p.v_maps != nullptr;
+  for (int i = 0; i < b.count; ++i) {
+    const vtexel v = load_channels(p.v_light + 3 * b.pixel[i]);
+    vtexel by[2][2] = {};
+    for (int which = 0; which < 2; ++which) {
+      const Cell cell(layout, b, which, i);
+      if (to_normals) bilinear_slopes(cell.load(maps), cell.x, cell.y, by[which][0], by[which][1]);
+      if (to_maps) cell.add(v_maps, bilinear_vjp(v, cell.x, cell.y));
+    }
+    if (!to_normals) continue;
+    const vtexel sum = sums(by[0][0] * v, by[0][1] * v, by[1][0] * v, by[1][1] * v);
+    for (int k = 0; k < 4; ++k) b.v_texel[k / 2][k % 2][i] = sum[k];
+  }
+}
+
+void normal_gradients(const EnvironmentMapParams& p, const Rotation& rotation, const Block& b) {
+  const Floats side(float(p.side));
+  for (int i = 0; i < b.count; i += kWidth) {
+    Floats v_place[2][2], v_normal[3];
+    for (int which = 0; which < 2; ++which)
+      for (int k = 0; k < 2; ++k)
+        v_place[which][k] = load_lanes(b.v_texel[which][k] + i) * texel_slope(load_lanes(b.texel[which][k] + i), side);
+    reflect_sight_vjp(rotation.R, b.sight[i / kWidth], v_place[0], v_place[1], v_normal);
+    float columns[3][kWidth];
+    for (int c = 0; c < 3; ++c) store(columns[c], v_normal[c].v);
+    for (int lane = 0; lane < std::min(kWidth, b.count - i); ++lane)
+      for (int c = 0; c < 3; ++c) p.v_normals[3 * b.pixel[i + lane] + c] = columns[c][lane];
+  }
+}
+
+// The parts' maps [parts, 2, stride, stride, 4] added in their order, without the texels that the layout adds: what falls
+// on those has no weight.
+void add_parts(const EnvironmentMapParams& p, const PaddedMaps& layout, const float* of_parts, int64_t parts) {
+  parallel_chunks(2 * p.side, 8, [&](int64_t begin, int64_t end) {
+    for (int64_t line = begin; line < end; ++line) {
+      const float* from = of_parts + layout.at(int(line / p.side), int(line % p.side), 0);
+      float* to = p.v_maps + 3 * line * p.side;
+      for (int x = 0; x < p.side; ++x) {
+        vtexel sum = load_texel(from + 4 * x);
+        for (int64_t part = 1; part < parts; ++part) sum += load_texel(from + size_t(part) * layout.floats() + 4 * x);
+        std::memcpy(to + 3 * x, &sum, 3 * sizeof(float));
+      }
+    }
+  });
+}
+
+void backward(const EnvironmentMapParams& p) {
+  static thread_local std::vector<float> of_parts;
+  const PaddedMaps layout(p.side);
+  const float* maps = pad(p, layout);
+  const Rotation rotation(p);
+  const int64_t parts = std::clamp<int64_t>(p.count / kLeastPart, 1, kMostParts), size = (p.count + parts - 1) / parts;
+  if (p.v_maps) of_parts.resize(size_t(parts) * layout.floats());
+  float* v_maps = of_parts.data();
+  ThreadPool::instance().run(int(parts), [&](int part) {
+    float* own = v_maps + size_t(part) * layout.floats();
+    if (p.v_maps) std::fill_n(own, layout.floats(), 0.0f);
+    const int64_t end = std::min<int64_t>(p.count, (part + 1) * size);
+    Rays rays(p);
+    Block b;
+    for (int64_t first = part * size; first < end; first += kBlock) {
+      reflect_block(p, rotation, rays, first, end, b);
+      look_back(p, layout, maps, b, own);
+      if (p.v_normals) normal_gradients(p, rotation, b);
+    }
+  });
+  if (p.v_maps) add_parts(p, layout, v_maps, parts);
+}
+
+}  // namespace
+
+extern const EnvironmentMapTable environment_map_table{forward, backward};
+
+}  // namespace MGSR_ISA
+}  // namespace mgsr

@@ -1,0 +1,87 @@
+"""A small proxy model, a 3D branch that is trained on small photographs before the real training to learn from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mgsr.config import Reflection, make_config
+from mgsr.data.loading import reduced_view
+from mgsr.data.scene import Scene, View
+from mgsr.gaussians.gaussians import GaussianModel
+from mgsr.start.view_colors import seen_colors
+from mgsr.training.plan import Plan
+from mgsr.training.stages import Stage, Step, gaussians_alone
+from mgsr.training.train_state import StartingPoints, make_train_state, seeded
+from mgsr.training.trainer import Trainer
+from mgsr.training.views import CPU, Color, TrainingView, ViewCycle, prepare_views
+
+SIDE, POINTS = 128, 4000  # pixels of the photographs, unless asked otherwise, and Gaussians
+RATES = 0.2  # where on the way from a warm-up's first to its last learning rates it stays
+
+
+def small_view(view: View, side: int = SIDE) -> View:
+    """Reduce a view to the size that a proxy model is trained on: its longer side has at most `side` pixels."""
+    return reduced_view(view, min(1.0, side / max(view.camera.width, view.camera.height)))
+
+
+def train_proxy_model(
+    scene: Scene,
+    start: StartingPoints,
+    views: list[View],
+    degree: int,
+    iterations: int,
+    seed: int,
+    name: str,
+    should_stop: Callable[[], bool] = lambda: False,
+    progress: Callable[[float], None] = lambda done: None,
+    opacity_cost: float = 0.0,
+) -> GaussianModel:
+    """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
+
+    None are added or dropped. degree: of their harmonics; name: what its stage is called; progress: told of the share
+    that is done; opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The
+    same seed gives the same Gaussians.
+
+    Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
+    """
+    kind = ["branches=gaussians", "reflection=off", f"gaussians.sh_degree={degree}", "tv=off"]
+    settings = make_config(seed=seed, overrides=[*kind, "gaussians.densify.by=gradient"])
+    train_state = make_train_state(
+        replace(scene, train=views), _few(start, views, seed), settings, Reflection.OFF, False, CPU
+    )
+    branch = train_state.gaussians
+    assert branch is not None
+    cycle = ViewCycle(len(views), seeded(settings, 7))
+    see = gaussians_alone(branch, settings.train, warming=False)
+
+    def compute(view: TrainingView, background: Color, iteration: int) -> Step:
+        step = see(view, background, iteration)
+        if not opacity_cost:
+            return step
+        return replace(step, loss=step.loss.plus("opacity", opacity_cost * branch.model.opacities().mean()))
+
+    prepared = prepare_views(views, scene.masked)
+    stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
+    plan = Plan(train_state, [stage], [], scene.backdrop(settings.train.background))
+    Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
+    return branch.model
+
+
+@dataclass(frozen=True)
+class _Few:
+    """Some of the starting points, in the colours of some views."""
+
+    positions: np.ndarray
+    normals: np.ndarray | None
+    colors: np.ndarray
+    shiny: bool | None = None
+
+
+def _few(start: StartingPoints, views: Sequence[View], seed: int) -> _Few:
+    rows = np.sort(np.random.default_rng(seed).permutation(len(start.positions))[:POINTS])
+    positions = start.positions[rows]
+    normals = None if start.normals is None else start.normals[rows]
+    return _Few(positions, normals, seen_colors(views, positions, normals))

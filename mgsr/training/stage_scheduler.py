@@ -1,0 +1,34 @@
+"""The stage scheduler's interface: what may change the lengths of stages while they run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+FINISH = "finish"  # the stage after the surface was made
+
+
+class StageLength(Protocol):
+    """A stage as a scheduler sees it: its name, the iterations that it has done, and those that it shall do."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def iteration(self) -> int: ...
+
+    @property
+    def iterations(self) -> int: ...
+
+
+class StageScheduler(Protocol):
+    """A stage scheduler, which is asked before every iteration."""
+
+    def length(self, stages: Sequence[StageLength], index: int, splats: Mapping[str, int]) -> int:
+        """Return how many iterations the stage with this index shall have in all: at least one more than it has done.
+
+        splats: how many each branch has.
+        """
+
+    def state(self) -> dict[str, Any]:
+        """Return what the scheduler needs to go on, for a checkpoint: plain values."""

@@ -1,0 +1,118 @@
+"""The state of training: the branches, and the environment maps that the surface reflects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from mgsr.config import Branches, Config, Reflection, gaussian_settings
+from mgsr.data.scene import Scene
+from mgsr.gaussians.environment_map import EnvironmentMap
+from mgsr.gaussians.start import start_gaussians, start_surfels
+from mgsr.gaussians.trained_model import TrainedModel
+from mgsr.training.branch import Branch
+from mgsr.training.environment_map import EnvironmentMapTrainer
+from mgsr.training.evaluate import Picture, gaussian_picture, surfel_picture
+from mgsr.training.stages import GaussianBranch, SurfelBranch
+from mgsr.training.trainable import Trainable
+
+
+class StartingPoints(Protocol):
+    """The points where splats begin.
+
+    positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether brightness was seen to
+    change from view to view as light does, None if that was not looked at.
+    """
+
+    @property
+    def positions(self) -> np.ndarray: ...
+
+    @property
+    def normals(self) -> np.ndarray | None: ...
+
+    @property
+    def colors(self) -> np.ndarray: ...
+
+    @property
+    def shiny(self) -> bool | None: ...
+
+
+@dataclass(frozen=True)
+class TrainState:
+    """The branches and the environment maps of a run.
+
+    A branch is None where the method has none; the environment map is None where it cannot become useful.
+    """
+
+    surfels: SurfelBranch | None
+    gaussians: GaussianBranch | None
+    environment_map: EnvironmentMapTrainer | None
+
+    @property
+    def branches(self) -> list[Branch]:
+        """Return the branches that there are."""
+        return [branch for branch in (self.surfels, self.gaussians) if branch is not None]
+
+    @property
+    def trainables(self) -> list[Trainable]:
+        """Return the branches, and the environment map where there is one."""
+        return [*self.branches, *([] if self.environment_map is None else [self.environment_map])]
+
+    @property
+    def model(self) -> TrainedModel:
+        """Return the branches and the environment map as they stand; None for each that is not used."""
+        light = self.environment_map
+        return TrainedModel(
+            None if self.surfels is None else self.surfels.model,
+            None if self.gaussians is None else self.gaussians.model,
+            None if light is None or not light.used else light.model,
+        )
+
+    def picture(self, branch: str) -> Picture:
+        """Return a function that renders a branch, surfels or gaussians, as it stands."""
+        model = self.model
+        if branch == "surfels":
+            assert model.surfels is not None
+            return surfel_picture(model.surfels)
+        return gaussian_picture(model)
+
+
+def make_train_state(
+    scene: Scene, start: StartingPoints, config: Config, reflection: Reflection, tried: bool, device: torch.device
+) -> TrainState:
+    """Build the branches and the environment maps on the starting points, on `device`.
+
+    reflection: what the 3D branch adds at first; tried: whether model selection may add to it.
+    """
+    train, extent = config.train, camera_extent(scene)
+    points = (start.positions, start.normals, start.colors)
+    surfels, gaussians, environment_map = None, None, None
+    if train.branches is not Branches.GAUSSIANS:
+        generator = seeded(config, 1)
+        model = start_surfels(*points, train.surfels, generator).to(device)
+        surfels = Branch("surfels", model, train.surfels.rates, train.surfels.densify, extent, generator)
+    if train.branches is not Branches.SURFELS:
+        generator = seeded(config, 2)
+        split = reflection in (Reflection.OWN, Reflection.BOTH)
+        full = start_gaussians(*points, train.gaussians, generator, split).to(device)
+        settings = gaussian_settings(train.gaussians, scene.masked)
+        gaussians = Branch("gaussians", full, settings.rates, settings.densify, extent, generator)
+    used = reflection in (Reflection.SHARED, Reflection.BOTH)
+    if train.branches is Branches.BOTH and (used or tried):
+        maps = EnvironmentMap.uniform(train.environment_map.side, train.environment_map.start).to(device)
+        environment_map = EnvironmentMapTrainer(maps, train.environment_map, used)
+    return TrainState(surfels, gaussians, environment_map)
+
+
+def camera_extent(scene: Scene) -> float:
+    """Return 3DGS's size of a scene: 1.1 times the largest distance of a training camera from their mean."""
+    centers = np.stack([view.camera.center for view in scene.train])
+    return 1.1 * max(float(np.linalg.norm(centers - centers.mean(axis=0), axis=1).max()), 1e-3)
+
+
+def seeded(config: Config, purpose: int) -> torch.Generator:
+    """Return a generator of its own for each purpose, so that one stage's length does not change another's draws."""
+    return torch.Generator().manual_seed(config.seed * 1000 + purpose)

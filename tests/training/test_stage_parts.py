@@ -1,0 +1,166 @@
+"""Schedules, view order, targets and convergence tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from mgsr.config import RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.data.backdrop import WHITE, Backdrop
+from mgsr.training.convergence import EpochMeans, LossRange, Validation, make_convergence
+from mgsr.training.plan import make_plan
+from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
+from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
+from tests.training.ball import ball_points, ball_scene
+
+
+def test_rates_fade_from_start_to_end() -> None:
+    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, fade_from=0.5, final=0.1)
+    assert rates_at(0.0, config, 2.0)["means"] == pytest.approx(2 * config.position)
+    assert rates_at(1.0, config, 2.0)["means"] == pytest.approx(2 * config.position_end)
+    assert rates_at(0.5, config, 1.0)["means"] == pytest.approx(1.6e-5)
+    assert rates_at(0.5, config, 1.0)["log_scales"] == config.scale
+    assert rates_at(0.75, config, 1.0)["log_scales"] == pytest.approx(0.1**0.5 * config.scale)
+    assert rates_at(1.0, config, 1.0)["log_scales"] == pytest.approx(0.1 * config.scale)
+
+
+def test_higher_bands_learn_slower() -> None:
+    scale = rest_scale(torch.zeros(5, 4, 3), RatesConfig(sh=2e-3, sh_rest=1e-4))
+    assert scale[0].tolist() == [1, 1, 1]
+    assert torch.allclose(scale[1:], torch.tensor(1 / 20))
+
+
+def test_sh_degree_rises_in_steps() -> None:
+    degrees = [sh_degree_at(i, 100, 0.1, 3) for i in (0, 9, 10, 20, 30, 99)]
+    assert degrees == [0, 0, 1, 2, 3, 3]
+    assert sh_degree_at(0, 100, 0.0, 3) == 3
+
+
+def test_each_view_comes_once_an_epoch() -> None:
+    cycle = ViewCycle(5, torch.Generator().manual_seed(0))
+    epochs = []
+    for _ in range(4):
+        epochs.append([cycle.next() for _ in range(5)])
+        assert cycle.at_epoch_end
+    assert all(sorted(epoch) == list(range(5)) for epoch in epochs)
+    assert len({tuple(epoch) for epoch in epochs}) > 1
+
+
+@pytest.mark.parametrize("margin", [None, 1])
+def test_targets_are_composited(margin: int | None) -> None:
+    view = ball_scene().train[0]
+    (prepared,) = prepare_views([view], masked=True, margin=margin)
+    target = prepared.target(torch.tensor([0.2, 0.4, 0.6]))
+    alpha = view.alpha[..., None] / 255.0
+    expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
+    assert np.allclose(target.color.numpy(), expected, atol=1e-6)
+
+
+def test_photographs_are_not_copied() -> None:
+    view = ball_scene().train[0]
+    (prepared,) = prepare_views([view], masked=True, margin=2, edge_band=1)
+    assert np.shares_memory(prepared.image.numpy(), view.image)
+    assert np.shares_memory(prepared.mask.numpy(), view.alpha)
+
+
+def test_small_views_average_light_and_alpha() -> None:
+    view = ball_scene(48).train[0]
+    (small,) = prepare_views([view], masked=True, reduce=2)
+    alpha = view.alpha[..., None] / 255.0
+    blocks = np.concatenate([view.image / 255.0 * alpha, alpha], axis=-1).reshape(24, 2, 24, 2, 4).mean(axis=(1, 3))
+    target, half = small.target(torch.zeros(3)), 0.51 / 255  # they are bytes again
+    assert np.allclose(target.color.numpy(), blocks[..., :3], atol=2 * half)
+    assert np.allclose(target.alpha.numpy(), blocks[..., 3], atol=half)
+    assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3] > 0.5 / 255))
+    corner = np.array([0.3, 0.2, 0.1])
+    assert np.allclose(small.camera.project(corner[None])[0], view.camera.project(corner[None])[0] / 2)
+
+
+def test_the_flashs_light_goes_with_its_view() -> None:
+    lit = np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8)
+    view = replace(ball_scene(48).train[0], shading=lit)
+    (whole,), (small,) = prepare_views([view], masked=True), prepare_views([view], masked=True, reduce=2)
+    assert np.allclose(whole.shading().numpy(), lit / 255, atol=1e-6)
+    mean = lit.reshape(24, 2, 24, 2).mean(axis=(1, 3)) / 255
+    assert np.allclose(small.shading().numpy(), mean, atol=0.51 / 255)
+    assert prepare_views([replace(view, irradiance=None)], masked=True)[0].light() is None
+
+
+def test_small_views_of_odd_sides() -> None:
+    (small,) = prepare_views([ball_scene(47).train[0]], masked=True, reduce=2)
+    assert small.image.shape == (24, 24, 3) and (small.camera.width, small.camera.height) == (24, 24)
+
+
+def test_warm_ups_begin_with_small_views_if_photographs_are_large() -> None:
+    settings = ["surfel_iterations=10", "gaussian_iterations=20", "coarse=0.4", "environment_map.iterations=0"]
+    config = make_config("draft", "mgsr", 0, [*settings, "coarse_side=48"])
+    stages = make_plan(ball_scene(48), ball_points(), config).stages
+    widths = []
+    for stage in stages:
+        stage.iteration = 0
+        widths.append([stage.next_view().camera.width])
+        for stage.iteration in (3, 4, 7, 8):
+            widths[-1].append(stage.next_view().camera.width)
+    assert widths == [[24, 24, 48, 48, 48], [24, 24, 24, 24, 48], [48, 48, 48, 48, 48]]
+    (stage, *_) = make_plan(ball_scene(47), ball_points(), config).stages
+    assert stage.next_view().camera.width == 47
+
+
+def test_region_bounds_the_mask() -> None:
+    alpha = np.zeros((20, 30), dtype=np.uint8)
+    alpha[5:8, 10:25] = 1
+    assert bounding_region(alpha, 2) == (3, 10, 8, 27)
+    assert bounding_region(alpha, 100) == (0, 20, 0, 30)
+    assert bounding_region(0 * alpha, 2) is None
+
+
+def test_backgrounds() -> None:
+    generator = torch.Generator().manual_seed(0)
+    assert pick_background(Backdrop((0.1, 0.2, 0.3)), generator) == (0.1, 0.2, 0.3)
+    first, second = (pick_background(Backdrop(WHITE, random=True), generator) for _ in range(2))
+    assert first != second
+
+
+def feed(test: EpochMeans | LossRange, losses: list[float], epoch: int = 4) -> int | None:
+    """Return the iteration at which a test stops, if any."""
+    for i, loss in enumerate(losses, start=1):
+        if test.converged(torch.tensor(loss), i, i % epoch == 0):
+            return i
+    return None
+
+
+def test_epoch_means_ignore_the_difference_of_views() -> None:
+    """Check that losses that differ between views but not between epochs have converged.
+
+    The paper's range sees only noise.
+    """
+    views = [0.1, 0.5, 0.2, 0.9]
+    assert feed(EpochMeans(0, 2, 0.01), views * 30) == 16
+    assert feed(LossRange(0, 0.01), views * 30) is None
+    falling = [loss * 0.9**epoch for epoch in range(30) for loss in views]
+    assert feed(EpochMeans(0, 2, 0.01), falling) is None
+    assert feed(LossRange(0, 0.01), [0.2] * 120) == 100
+
+
+def test_no_test_stops_early() -> None:
+    assert feed(EpochMeans(50, 2, 0.01), [0.5] * 100) == 52
+
+
+def test_held_back_waits_for_its_patience() -> None:
+    psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
+    test = Validation(0, WarmupConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
+    stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
+    assert stops == [50]
+
+
+@pytest.mark.parametrize("rule", ["epoch", "held_back", "paper"])
+def test_state_goes_through_a_checkpoint(rule: str) -> None:
+    config = WarmupConfig(stop_rule=StopRule(rule), validation_every=1, epoch_span=1)
+    first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))
+    for i in range(1, 6):
+        first.converged(torch.tensor(0.5), i, i % 2 == 0)
+    second.restore(first.state())
+    assert second.state() == first.state()

@@ -49,7 +49,7 @@ def sources(folder: str) -> list[Path]:
 def part_of(path: Path) -> str:
     """Return the part that a file belongs to.
 
-    mgsr/data/scene.py is `data`, mgsr/config.py is `config`, worker/cli.py is `worker`.
+    mgsr/data/scene.py is `data`, mgsr/config/train.py is `config`, worker/cli.py is `worker`.
     """
     names = path.relative_to(ROOT).with_suffix("").parts
     return names[1] if names[0] == "mgsr" else names[0]
@@ -112,22 +112,22 @@ def test_the_worker_knows_nothing_of_the_command_line(path: Path) -> None:
 
 def imported_at_once(path: Path) -> set[str]:
     """Return the modules of mgsr that a file imports while it is being imported, or for its annotations alone."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    late = {
-        node
-        for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
-        for node in ast.walk(function)
-    }
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module is not None and node not in late:
+    found: set[str] = set()
+    blocks = [ast.parse(path.read_text(encoding="utf-8")).body]
+    for node in (node for block in blocks for node in block):
+        if isinstance(node, ast.If | ast.Try):
+            blocks.append([*node.body, *node.orelse])
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
             modules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES.keys()
             found |= modules or {node.module} & MODULES.keys()
     return found
 
 
-MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in sources("mgsr")}
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sources("mgsr")
+    if path != ROOT / "mgsr/__init__.py"
+}
 
 
 def test_no_modules_import_each_other() -> None:

@@ -62,10 +62,10 @@ def ablation_section(rows: Sequence[Row]) -> str:
     return "\n\n".join(
         (
             "## The paper's ablation rows",
-            "Each row is the method with one thing changed (settings in [mgsr/config.py](../mgsr/config.py); the "
-            "published weights of C, D and F are not known, so those are ours). Our figures are means over the scenes "
-            "on which both the row and the method were run at the same commit, and in brackets the difference to the "
-            "method. The paper's are means over 30 other objects, at "
+            "Each row is the method with one thing changed (settings in [mgsr/config/paper.py]"
+            "(../mgsr/config/paper.py); the published weights of C, D and F are not known, so those are ours). Our "
+            "figures are means over the scenes on which both the row and the method were run at the same commit, and "
+            "in brackets the difference to the method. The paper's are means over 30 other objects, at "
             "another size and scale: only the differences can be held against each other. A dash: the supplement gives "
             "no mean, or no such output.",
             _table(PAPER_ROWS, rows),

@@ -66,7 +66,7 @@ PAPER_CHOICES = (
         "paper-depth-unit", "depths over their maximum (ours over the distance)", "mgsr", ("depth_unit=maximum",)
     ),
     AblationRow("paper-low-pass", "3DGS's low-pass of 0.3 px² (ours 0.05)", "mgsr", ("low_pass=0.3",)),
-    AblationRow("paper-depth", "expected depth (ours median)", "mgsr", ("surfels.depth=expected",)),
+    AblationRow("paper-depth", "expected depth (ours median)", "mgsr", ("surface_depth=expected",)),
     AblationRow("paper-mesh", "TSDF fusion (ours screened Poisson)", "mgsr", ("extractor=tsdf",)),
     AblationRow(
         "paper-parallax",

@@ -49,12 +49,12 @@ def gaussian_terms(
 
     covered [H,W]: what `target.covered` says of the alpha, where that is known already.
     """
-    settings = config.gaussians
+    settings, depth_tv_weight = config.gaussians, config.paper.gaussian_depth_tv_weight
     terms: Terms = {"gaussians.photo": _photo(outputs.color, target.color, target, config, clip=True)}
     terms |= _silhouette("gaussians", outputs.alpha, target, settings.alpha_weight, config)
-    if config.tv and (settings.transmitted_tv_weight or settings.depth_tv_weight):
+    if config.paper.tv and (settings.transmitted_tv_weight or depth_tv_weight):
         covered = target.covered(outputs.alpha) if covered is None else covered
-    if config.tv and settings.transmitted_tv_weight:
+    if config.paper.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
         inside = None if target.invalid is None else target.valid_weights(torch.ones_like(outputs.alpha))
         inside = inside if target.alpha is None else covered
@@ -64,9 +64,9 @@ def gaussian_terms(
         # The light is never negative, so its mean is its L1 norm.
         added = product_term(outputs.weight, outputs.own_reflected)
         terms["gaussians.reflected_cost"] = settings.reflected_cost * added
-    if config.tv and settings.depth_tv_weight:
+    if config.paper.tv and depth_tv_weight:
         tv = edge_aware_tv_term(_rendered(outputs.depth), target.color, mask=covered)
-        terms["gaussians.depth_tv"] = settings.depth_tv_weight * tv
+        terms["gaussians.depth_tv"] = depth_tv_weight * tv
     return terms
 
 
@@ -76,7 +76,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
     The 2D branch's target is the photograph and the 3D branch's transmitted image, which also guides its smoothness;
     the two depths pull at each other. Taught one way, the transmitted image and the surface's depth stay as they are.
     """
-    settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
+    settings, both = config.mutual, config.paper.teaching is Teaching.BOTH_WAYS
     transmitted = gaussians.transmitted if both else gaussians.transmitted.detach()
     where, on_surfels, on_gaussians = target.off_edge, target.covered(surfels.alpha), target.covered(gaussians.alpha)
     of_surfels: Terms = {
@@ -90,7 +90,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
         terms[name] = settings.gaussian_weight * term
     if settings.depth_weight:
         full_depth, depth = _rendered(gaussians.depth), surface_depth(surfels, config)
-        unit = depth_unit(settings.depth_unit, full_depth, target.distance)
+        unit = depth_unit(config.paper.depth_unit, full_depth, target.distance)
         agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_gaussians), unit)
         terms["mutual.depth"] = settings.depth_weight * agreement
     return terms
@@ -107,19 +107,19 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
     if settings.normal_weight:
         agreement = normal_agreement_term(outputs.normal, depth, target.camera, outputs.alpha, covered)
         terms["surfels.normal"] = settings.normal_weight * agreement
-    if config.tv and settings.normal_weight * settings.normal_tv_weight:
+    if config.paper.tv and settings.normal_weight * settings.normal_tv_weight:
         tv = edge_aware_tv_term(outputs.normal, guide, mask=covered)
         terms["surfels.normal_tv"] = settings.normal_weight * settings.normal_tv_weight * tv
-    if config.tv and settings.depth_tv_weight:
+    if config.paper.tv and settings.depth_tv_weight:
         terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv_term(depth, guide, mask=covered)
-    if settings.distortion_weight and outputs.distortion is not None:
-        terms["surfels.distortion"] = settings.distortion_weight * outputs.distortion.mean()
+    if config.paper.distortion_weight and outputs.distortion is not None:
+        terms["surfels.distortion"] = config.paper.distortion_weight * outputs.distortion.mean()
     return terms
 
 
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     """Return the depth [H,W] that counts as the surface: the expected or the median one, as the settings say."""
-    return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
+    return outputs.depth if config.paper.surface_depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 
 def _photo(
@@ -143,4 +143,4 @@ def _silhouette(
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)
-    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.alpha_loss, where)}
+    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.paper.alpha_loss, where)}

@@ -58,7 +58,7 @@ def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
     for view in views:
-        yield render_camera(model, view.camera, config.train.surfels.depth, view.irradiance, view.name)
+        yield render_camera(model, view.camera, config.train.paper.surface_depth, view.irradiance, view.name)
 
 
 @torch.no_grad()
@@ -160,7 +160,7 @@ def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     flat, full = _see(model, camera, depth=model.surfels is None)
-    depth, normal = _surface(flat, full, camera, config.train.surfels.depth)
+    depth, normal = _surface(flat, full, camera, config.train.paper.surface_depth)
     shape = flat if flat is not None else full
     assert shape is not None
     return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)

@@ -137,7 +137,7 @@ def make_plan(
 
 def mutual_iterations(config: Config) -> int:
     """Return the iterations of the mutual phase, or of a lone branch in its place."""
-    return round(config.train.mutual.iterations * config.train.mutual.iterations_factor)
+    return round(config.train.mutual.iterations * config.train.paper.iterations_factor)
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
@@ -235,7 +235,7 @@ def _warmup(
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is train_state.surfels else 4))
     measure = _measure(train_state, branch.name, photographs)
-    convergence = make_convergence(warmup, iterations, measure)
+    convergence = make_convergence(warmup, config.train.paper, iterations, measure)
     light = train_state.environment_map if branch is train_state.gaussians else None
     views = photographs.views
     stage = Stage(
@@ -321,8 +321,8 @@ def _silhouettes_count(config: Config) -> bool:
 
 def _validation_views(config: Config, views: int) -> int:
     """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
-    held_back = config.train.warmup.stop_rule is StopRule.VALIDATION
-    return min(config.train.warmup.validation_views, views // 2) if held_back else 0
+    held_back = config.train.paper.stop_rule is StopRule.VALIDATION
+    return min(config.train.paper.validation_views, views // 2) if held_back else 0
 
 
 def _spared(config: Config, views: int) -> int:

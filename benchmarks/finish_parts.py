@@ -45,12 +45,14 @@ class Parts:
 
 WITHOUT: dict[str, Callable[[Parts], Parts]] = {
     "the start where it is likelier": lambda parts: replace(parts, start=None),
-    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, outline_smoothing=None)),
-    "shading and parallax": lambda parts: replace(parts, config=replace(parts.config, shading_ratio=None)),
-    "parallax": lambda parts: replace(parts, config=replace(parts.config, parallax_reach=None)),
-    "opening where photographs differ": lambda parts: replace(parts, config=replace(parts.config, disagreement=None)),
-    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, wave_angle=None)),
-    "smoothing of facets": lambda parts: replace(parts, config=replace(parts.config, smoothing_angle=None)),
+    "the masks' outlines": lambda parts: replace(parts, config=replace(parts.config, silhouette_smoothing=None)),
+    "shading and parallax": lambda parts: replace(parts, config=replace(parts.config, max_light_residual=None)),
+    "parallax": lambda parts: replace(parts, config=replace(parts.config, photometric_reach=None)),
+    "opening where photographs differ": lambda parts: replace(
+        parts, config=replace(parts.config, photometric_residual=None)
+    ),
+    "smoothing of waves": lambda parts: replace(parts, config=replace(parts.config, regression_angle=None)),
+    "smoothing of facets": lambda parts: replace(parts, config=replace(parts.config, bilateral_angle=None)),
 }
 
 

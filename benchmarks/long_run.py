@@ -26,7 +26,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="a table of the looks")
     args = parser.parse_args()
     runtime.set_threads(args.threads)
-    begun, names = time.process_time(), [field.name for field in fields(Look)]
+    started_at, names = time.process_time(), [field.name for field in fields(Look)]
     with sys.stdout if args.keep is None else args.keep.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(names)
@@ -38,7 +38,7 @@ def main() -> None:
         slopes = growth(long_training(args.iterations, write, args.side))
     for stage, slope in slopes.items():
         print(f"{stage}: {slope:+.2f} MiB per 10,000 iterations", file=sys.stderr)
-    print(f"{time.process_time() - begun:.0f} s of processor time", file=sys.stderr)
+    print(f"{time.process_time() - started_at:.0f} s of processor time", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -89,9 +89,9 @@ def report(images: Sequence[Path], runs: int) -> None:
     seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
     for _ in range(runs):
         for name, way in ways.items():
-            begun, used = time.perf_counter(), time.process_time()
+            started_at, used = time.perf_counter(), time.process_time()
             way()
-            seconds[name].append((time.perf_counter() - begun, time.process_time() - used))
+            seconds[name].append((time.perf_counter() - started_at, time.process_time() - used))
     print(f"{len(images)} images of {size[0]}x{size[1]}, {core_count(None)} cores, {runs} runs")
     print(f"{'':18}{'ms an image':>12}{'ratio':>8}{'cpu ms':>10}{'ratio':>8}")
     medians = {

@@ -52,17 +52,17 @@ def settings(seed: int) -> Config:
 
 
 def run(name: str, seed: int) -> Outcome:
-    scene, begun = make_scene(name, seed), time.process_time()
+    scene, started_at = make_scene(name, seed), time.process_time()
     try:
         result = Training(scene, make_start(name, seed), settings(seed)).run()
     except TrainingError as error:
         print(f"{name}, seed {seed}: {error}")
-        return Outcome(np.nan, np.nan, np.nan, True, 0, time.process_time() - begun)
+        return Outcome(np.nan, np.nan, np.nan, True, 0, time.process_time() - started_at)
     assert result.model.surfels is not None
     row = result.curve[-1]
     assert row.psnr_gaussians is not None and row.psnr_surfels is not None
     points = np.concatenate([depth_points(result.model.surfels, view.camera) for view in scene.test])
-    failed, seconds = not _finite(result), time.process_time() - begun
+    failed, seconds = not _finite(result), time.process_time() - started_at
     error = surface_error(name, points)
     return Outcome(row.psnr_gaussians, row.psnr_surfels, error, failed, len(result.incidents), seconds)
 

@@ -66,19 +66,19 @@ def create_app(settings: Settings) -> FastAPI:
 def _make_parts(settings: Settings) -> Parts:
     url = settings.need_redis()
     redis, store = connect(url), Store(settings.store_url, STORE_PATIENCE)
-    several = AsyncRedis.from_url(url, socket_timeout=5.0, socket_connect_timeout=2.0)
-    made, queue = Jobs(store), JobQueue(redis)
-    snapshots = Snapshots(made, queue, several)
+    async_redis = AsyncRedis.from_url(url, socket_timeout=5.0, socket_connect_timeout=2.0)
+    jobs, queue = Jobs(store), JobQueue(redis)
+    snapshots = Snapshots(jobs, queue, async_redis)
     return Parts(
         settings=settings,
-        jobs=made,
+        jobs=jobs,
         keys=Keys(store),
         live=Live(redis),
         queue=queue,
-        redis=several,
+        redis=async_redis,
         snapshots=snapshots,
-        hub=EventHub(several, snapshots),
-        metrics=Metrics(made, queue),
+        hub=EventHub(async_redis, snapshots),
+        metrics=Metrics(jobs, queue),
     )
 
 

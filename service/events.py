@@ -42,11 +42,11 @@ class ServerEvent:
 
 @dataclass
 class _Watched:
-    """A job's watchers, and the task that reads for them. begun: set once the task knows where to read from."""
+    """A job's watchers, and the task that reads for them. ready: set once the task knows where to read from."""
 
     watchers: set[asyncio.Queue[ServerEvent | None]] = field(default_factory=set)
     reader: asyncio.Task[None] | None = None
-    begun: asyncio.Event = field(default_factory=asyncio.Event)
+    ready: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class EventHub:
@@ -65,7 +65,7 @@ class EventHub:
         queue: asyncio.Queue[ServerEvent | None] = asyncio.Queue(BEHIND)
         watched = self._join(job, queue)
         try:
-            await watched.begun.wait()  # what comes from here on is in the queue, what came before is in the stream
+            await watched.ready.wait()  # what comes from here on is in the queue, what came before is in the stream
             yield b"retry: 2000\n\n" + _job_event(snapshot)
             last = (0, 0)
             for event in await self._missed(job, after):
@@ -143,7 +143,7 @@ class EventHub:
 
     async def _read(self, job: str, watched: _Watched) -> None:
         last = await self._newest(job)
-        watched.begun.set()
+        watched.ready.set()
         while True:
             try:
                 found = await self._redis.xread({events_key(job): last}, block=BLOCK_MS)

@@ -107,15 +107,15 @@ class Snapshots:
             self._changed.pop(next(iter(self._changed)))
 
     async def _read(self, job: str) -> Snapshot | None:
-        begun = time.monotonic()
+        started_at = time.monotonic()
         state = await run_in_threadpool(self._jobs.state, job)
         if state is None:
             return None
         view = await self._view(state)
         body = view.model_dump_json().encode()
         etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
-        snapshot = Snapshot(state.record.owner, state, view, body, etag, begun)
-        if self._changed.get(job, 0.0) <= begun:  # what was read before a change is not kept
+        snapshot = Snapshot(state.record.owner, state, view, body, etag, started_at)
+        if self._changed.get(job, 0.0) <= started_at:  # what was read before a change is not kept
             self._kept[job] = snapshot
         while len(self._kept) > KEPT:
             self._kept.pop(next(iter(self._kept)))

@@ -115,7 +115,7 @@ def too_large(limit: int) -> Problem:
 
 async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncIterator[bytes]:
     """Yield the body's chunks. Raises Problem when none comes for long, or the rate is too low."""
-    begun, count = time.monotonic(), 0
+    started_at, count = time.monotonic(), 0
     while True:
         try:
             chunk = await asyncio.wait_for(anext(stream), settings.upload_idle)
@@ -124,7 +124,7 @@ async def _timed(stream: AsyncIterator[bytes], settings: Settings) -> AsyncItera
         except TimeoutError:
             raise _too_slow(f"nothing came for {settings.upload_idle:g} s") from None
         count += len(chunk)
-        spent = time.monotonic() - begun
+        spent = time.monotonic() - started_at
         if spent > settings.upload_grace and count < spent * settings.upload_rate:
             raise _too_slow(f"{count / spent:.0f} bytes a second came; at least {settings.upload_rate} are expected")
         yield chunk

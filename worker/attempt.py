@@ -58,15 +58,15 @@ class Interrupted(Exception):
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class WorkerContext:
     """What an attempt needs of its worker.
 
-    patient: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
+    retrying_jobs: jobs in a store client that waits while the store doesn't answer. jobs: in one that gives up soon.
     stopping: tells whether the worker is to end. beat: reports that the worker lives.
     """
 
     settings: Settings
-    patient: Jobs
+    retrying_jobs: Jobs
     jobs: Jobs
     live: Live
     stopping: Callable[[], bool]
@@ -76,8 +76,10 @@ class Surroundings:
 class Attempt:
     """An attempt with its number and its lease."""
 
-    def __init__(self, around: Surroundings, record: JobRecord, number: int, attempt: int, lease: LeaseKeeper) -> None:
-        self._around, self._record, self._number, self._attempt = around, record, number, attempt
+    def __init__(
+        self, context: WorkerContext, record: JobRecord, number: int, attempt: int, lease: LeaseKeeper
+    ) -> None:
+        self._context, self._record, self._number, self._attempt = context, record, number, attempt
         self._lease = lease
         self._last_beat = 0.0
         self._known: dict[str, Any] = {}
@@ -88,13 +90,13 @@ class Attempt:
 
         Raises Interrupted where it ends without an outcome, and StoreError where the store stays away.
         """
-        settings = self._around.settings
+        settings = self._context.settings
         with scratch_folder(settings.scratch_folder, f"{self._record.id}.{self._attempt}") as scratch:
             deadline = min(self._record.options.deadline_seconds or settings.job_deadline, settings.job_deadline)
             self._scratch = scratch
-            self._carrier = Carrier(self._around.jobs, self._record.id, self._number, self._attempt, scratch)
+            self._carrier = Carrier(self._context.jobs, self._record.id, self._number, self._attempt, scratch)
             self._watch = Watch(
-                self._around.live,
+                self._context.live,
                 self._record.id,
                 self._number,
                 deadline,
@@ -114,13 +116,13 @@ class Attempt:
             return Reason.LEASE_LOST
         if self._carrier.cancel_seen:
             return Reason.CANCELLED
-        return Reason.SHUTDOWN if self._around.stopping() else None
+        return Reason.SHUTDOWN if self._context.stopping() else None
 
     def _beat(self) -> None:
         if time.monotonic() - self._last_beat > BEAT_PERIOD:
             self._last_beat = time.monotonic()
             try:
-                self._around.beat()
+                self._context.beat()
             except RedisError:
                 return  # the next beat may reach it
 
@@ -149,7 +151,7 @@ class Attempt:
 
     def _fetch(self) -> None:
         """Fetch the archive, and the newest checkpoint that any attempt has left."""
-        store, job = self._around.patient.store, self._record.id
+        store, job = self._context.retrying_jobs.store, self._record.id
         (self._scratch / "out").mkdir()
         store.download(self._record.archive, self._scratch / "archive")
         held = {entry.key for entry in store.entries(f"jobs/{job}/attempts") if entry.key.endswith("/checkpoint")}
@@ -192,7 +194,7 @@ class Attempt:
                 if reason in AT_ONCE or self._known["step"] != "train":
                     return process.kill()
                 process.ask_to_stop()
-            if asked is not None and time.monotonic() - asked > self._around.settings.stop_grace:
+            if asked is not None and time.monotonic() - asked > self._context.settings.stop_grace:
                 return process.kill()
             time.sleep(TICK)
         self._pass_on(process)
@@ -209,19 +211,19 @@ class Attempt:
         self._known |= change | {"round": self._number, "attempt": self._attempt}
         whole = self._known | {"curve": joined(self._earlier_curve, self._known.get("curve", []))}
         try:
-            self._around.live.keep_progress(self._record.id, whole, change)
+            self._context.live.keep_progress(self._record.id, whole, change)
         except RedisError:
             return
 
     def _load_earlier_curve(self) -> None:
         """Load the curve of the attempt whose checkpoint this one continues, so that both become one."""
         try:
-            self._earlier_curve = self._around.live.progress(self._record.id).get("curve", [])
+            self._earlier_curve = self._context.live.progress(self._record.id).get("curve", [])
         except RedisError:
             return
 
     def _write_spec(self) -> Path:
-        settings, scratch = self._around.settings, self._scratch
+        settings, scratch = self._context.settings, self._scratch
         spec = JobSpec(
             options=self._record.options.model_copy(update={"webhook": None}),  # its address may be a secret
             archive=scratch / "archive",
@@ -250,7 +252,7 @@ class Attempt:
 
         def work() -> None:
             out = self._scratch / "out"
-            artifacts = upload_results(self._around.patient.store, self._record.id, self._attempt, out)
+            artifacts = upload_results(self._context.retrying_jobs.store, self._record.id, self._attempt, out)
             metrics = headline(out)
             published.append(
                 Outcome(
@@ -280,7 +282,7 @@ class Attempt:
         return self._failed(reason.value, self._say(reason, peak), peak)
 
     def _say(self, reason: Reason, peak: int | None) -> str:
-        settings = self._around.settings
+        settings = self._context.settings
         if reason is Reason.MEMORY:
             return (
                 f"the job used {(peak or 0) / 2**20:.0f} MiB of memory; the worker's limit is "

@@ -101,7 +101,7 @@ def _reconstruct(spec: JobSpec) -> None:
     from mgsr.pipeline.stop_signals import stop_on_signals
     from worker.images import check_images
 
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     with stop_on_signals() as stop:
         emit("step", step="unpack", text="unpacking the archive", progress=0.0, eta_seconds=None)
         unpack(spec.archive, spec.scene, ArchiveLimits(spec.max_members, spec.max_unpacked, spec.max_ratio))
@@ -121,7 +121,16 @@ def _reconstruct(spec: JobSpec) -> None:
             report = Reporter(spec.previews, partial(_tell, spec), partial(_log, spec, display))
             # By its name alone, so that the report and the log do not speak of the worker's folders.
             os.chdir(spec.scene.parent)
-            run_scene(Path(spec.scene.name), spec.out, config, options.device, spec.resume, report, stop, begun=begun)
+            run_scene(
+                Path(spec.scene.name),
+                spec.out,
+                config,
+                options.device,
+                spec.resume,
+                report,
+                stop,
+                started_at=started_at,
+            )
 
 
 def emit(kind: str, **data: Any) -> None:

@@ -18,7 +18,7 @@ from service.contract.queue import JobQueue, queue_for
 from service.contract.records import Failure, JobRecord, JobStatus, Outcome, now
 from service.contract.settings import Settings
 from service.contract.store import Store
-from worker.attempt import FINAL_CODES, Attempt, Interrupted, Surroundings
+from worker.attempt import FINAL_CODES, Attempt, Interrupted, WorkerContext
 from worker.lease import LeaseKeeper
 
 log = logging.getLogger("mgsr.worker")
@@ -36,7 +36,7 @@ class Rounds:
         self.name = f"{socket.gethostname()}.{os.getpid()}.{secrets.token_hex(3)}"
         self.live = Live(redis)
         self.queue = JobQueue(redis)
-        self.patient = Jobs(Store(settings.store_url, settings.publish_patience))
+        self.retrying_jobs = Jobs(Store(settings.store_url, settings.publish_patience))
         self.jobs = Jobs(Store(settings.store_url, SHORT_PATIENCE))
 
     def take(self, job: str, number: int, beat: Callable[[], None]) -> None:
@@ -54,21 +54,21 @@ class Rounds:
             log.warning("job %s: left for another attempt: %s", job, error)
 
     def _work(self, job: str, number: int, holder: str, lease: LeaseKeeper, beat: Callable[[], None]) -> None:
-        record = self.patient.record(job)
-        if record is None or self.patient.outcome(job, number) is not None:
-            self.patient.store.delete(f"open/{job}.{number}")
+        record = self.retrying_jobs.record(job)
+        if record is None or self.retrying_jobs.outcome(job, number) is not None:
+            self.retrying_jobs.store.delete(f"open/{job}.{number}")
             return
-        if self.live.cancel_asked(job, number) or self.patient.cancel_asked(job, number):
+        if self.live.cancel_asked(job, number) or self.retrying_jobs.cancel_asked(job, number):
             self._end(record, number, Outcome(status=JobStatus.CANCELLED, attempt=None, finished=now()))
             return
-        if (lost := self.patient.lost_attempts(job, number)) >= self._settings.max_attempts:
+        if (lost := self.retrying_jobs.lost_attempts(job, number)) >= self._settings.max_attempts:
             self._end(record, number, _given_up(lost))
             return
-        attempt = self.patient.begin_attempt(job, number, holder)
+        attempt = self.retrying_jobs.begin_attempt(job, number, holder)
         log.info("job %s: attempt %d begins", job, attempt)
-        around = Surroundings(self._settings, self.patient, self.jobs, self.live, self._stopping, beat)
+        context = WorkerContext(self._settings, self.retrying_jobs, self.jobs, self.live, self._stopping, beat)
         try:
-            self._end(record, number, Attempt(around, record, number, attempt, lease).run())
+            self._end(record, number, Attempt(context, record, number, attempt, lease).run())
         except Interrupted as stop:
             log.info("job %s: attempt %d interrupted", job, attempt)
             if not stop.lost:
@@ -78,16 +78,16 @@ class Rounds:
 
     def _end(self, record: JobRecord, number: int, outcome: Outcome) -> None:
         """File the outcome, tell listeners, and delete what is no longer needed."""
-        won = self.patient.finish(record.id, number, outcome)
+        won = self.retrying_jobs.finish(record.id, number, outcome)
         log.info("job %s: %s%s", record.id, outcome.status, "" if won else ", but another attempt was first")
         if not won:
             return
         self._tell(record.id, {"status": outcome.status, "round": number})
         if outcome.status is JobStatus.SUCCEEDED:
-            for attempt in self.patient.attempts(record.id):
-                self.patient.store.delete(attempt_path(record.id, attempt, "checkpoint"))
+            for attempt in self.retrying_jobs.attempts(record.id):
+                self.retrying_jobs.store.delete(attempt_path(record.id, attempt, "checkpoint"))
         elif outcome.error is not None and outcome.error.code in FINAL_CODES:
-            self.patient.store.delete(record.archive)
+            self.retrying_jobs.store.delete(record.archive)
 
     def _tell(self, job: str, data: dict[str, Any]) -> None:
         try:

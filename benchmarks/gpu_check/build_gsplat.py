@@ -30,10 +30,10 @@ def main() -> None:
         needed["PYTHONPATH"] = str(work / "gsplat")
         unpack_wheel(args.wheel, work / "gsplat")
     os.environ.update({name: value for name, value in needed.items() if name != "PYTHONPATH"})
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     render_small(args.device, needed.get("PYTHONPATH"))
     (work / "gsplat.json").write_text(json.dumps(needed))
-    tell(f"gsplat was built in {time.perf_counter() - begun:.0f} s")
+    tell(f"gsplat was built in {time.perf_counter() - started_at:.0f} s")
 
 
 def compiler_settings() -> dict[str, str]:

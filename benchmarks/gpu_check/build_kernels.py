@@ -17,13 +17,13 @@ def main() -> None:
     if subprocess.run(LOADS, stderr=subprocess.DEVNULL, check=False).returncode == 0:
         print("the CPU kernels are there")
         return
-    begun, folder = time.perf_counter(), str(work_of(args) / "cmake")
+    started_at, folder = time.perf_counter(), str(work_of(args) / "cmake")
     configure = ["cmake", "-S", ".", "-B", folder, "-G", "Ninja", "-DCMAKE_BUILD_TYPE=Release"]
     for words in ([*configure, f"-DPython_EXECUTABLE={sys.executable}"], ["cmake", "--build", folder], LOADS):
         code = subprocess.run(words, check=False).returncode
         if code:
             raise SystemExit(f"{words[0]}: exit code {code}")
-    tell(f"the CPU kernels were built in {time.perf_counter() - begun:.0f} s")
+    tell(f"the CPU kernels were built in {time.perf_counter() - started_at:.0f} s")
 
 
 if __name__ == "__main__":

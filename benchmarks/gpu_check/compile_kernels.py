@@ -21,14 +21,14 @@ def main() -> None:
     arch = arch_for(*torch.cuda.get_device_capability()) if args.device == "cuda" else WITHOUT_CARD
     results, seconds, failed = results_of(args), {}, []
     for path in sorted(SOURCES.glob("kernels/*/*.cu")):
-        begun = time.perf_counter()
+        started_at = time.perf_counter()
         try:
             size = len(compile_family(path.stem, arch))
         except GpuError as error:
             print(error, flush=True)
             failed.append(path.stem)
             continue
-        seconds[path.stem] = time.perf_counter() - begun
+        seconds[path.stem] = time.perf_counter() - started_at
         print(f"{path.stem} for {arch}: {size} bytes, {seconds[path.stem]:.2f} s", flush=True)
     results.row(step="kernels", arch=arch, seconds=seconds, failed=failed)
     tell(f"{len(seconds)} families for {arch} in {sum(seconds.values()):.1f} s (near 0: from the cache)")

@@ -152,9 +152,9 @@ def main() -> None:
         for mode in MODES:
             go = rendering(scene, mode)
             go()
-            begun = time.perf_counter()
+            started_at = time.perf_counter()
             _, peak = memory.peak_of(go)
-            spent = time.perf_counter() - begun
+            spent = time.perf_counter() - started_at
             results.row(step="memory", size=size, mode=mode, peak_mib=peak / 2**20, seconds=spent)
             tell(f"{size} {mode}: at most {peak / 2**20:.0f} MiB beside the splats, {spent * 1e3:.0f} ms with copies")
         del scene, go

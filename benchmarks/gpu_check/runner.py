@@ -73,7 +73,7 @@ class Running:
 
     def __init__(self, step: Step, place: Place) -> None:
         self.step, self._place = step, place
-        self.begun = time.monotonic()
+        self.started_at = time.monotonic()
         self._last: deque[str] = deque(maxlen=SHOWN)
         words = step.command(place)
         markdown = step.file.endswith(".md")
@@ -113,7 +113,7 @@ class Running:
     @property
     def seconds(self) -> float:
         """Return the seconds since the process was begun."""
-        return time.monotonic() - self.begun
+        return time.monotonic() - self.started_at
 
     @property
     def last_lines(self) -> str:

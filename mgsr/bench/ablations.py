@@ -56,7 +56,7 @@ PAPER_CHOICES = (
         "paper-rates",
         "rates do not fade (ours do in the second half)",
         "mgsr",
-        ("surfels.rates.final=1", "gaussians.rates.final=1"),
+        ("surfels.rates.final_factor=1", "gaussians.rates.final_factor=1"),
     ),
     AblationRow("paper-depth-tv", "TV of the 2D depth 1 (ours 0.1)", "mgsr", ("surfels.depth_tv_weight=1",)),
     AblationRow("paper-tran-tv", "TV of the transmitted image 1 (ours 0.05)", "mgsr", ("transmitted_tv_weight=1",)),
@@ -72,25 +72,25 @@ PAPER_CHOICES = (
         "paper-parallax",
         "no parallax in the mesh (ours where there are outlines)",
         "mgsr",
-        ("parallax_reach=none",),
+        ("photometric_reach=none",),
     ),
     AblationRow(
         "paper-holes",
         "nothing is taken out of the mesh (ours what photographs under a flash differ about)",
         "mgsr",
-        ("disagreement=none",),
+        ("photometric_residual=none",),
     ),
     AblationRow(
         "paper-shading",
         "neither shading nor parallax in the mesh (ours where photographs tell them)",
         "mgsr",
-        ("shading_ratio=none",),
+        ("max_light_residual=none",),
     ),
     AblationRow(
         "paper-smoothing",
         "waves and noise stay in the mesh (ours takes them, but not creases)",
         "mgsr",
-        ("wave_angle=none", "smoothing_angle=none"),
+        ("regression_angle=none", "bilateral_angle=none"),
     ),
 )
 
@@ -106,7 +106,7 @@ NEED_ROWS = (
         ("reflection=both", "gaussians.sh_degree=3", "surfels.sh_degree=3"),
     ),
     AblationRow(
-        "need-carrying",
+        "need-contribution",
         "splats that carry next to nothing stay",
         "mgsr",
         ("surfels.densify.prune_contribution=0", "gaussians.densify.prune_contribution=0"),

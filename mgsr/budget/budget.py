@@ -263,10 +263,10 @@ class TimeBudget:
     def _present(self, name: str, splats: Mapping[str, int]) -> float:
         """Return the seconds of one iteration at present, and update the machine's drift from what was expected."""
         expected = self._expected(name, splats)
-        (first, begun), (last, done) = self._recent[0], self._recent[-1]
+        (first, start), (last, done) = self._recent[0], self._recent[-1]
         if len(self._recent) < 3:
             return expected * self._drift
-        each = max((last - first) / (done - begun), 1e-6)
+        each = max((last - first) / (done - start), 1e-6)
         if not self.on_card and name in self._costs:
             self._latest = min(max(each / expected, 0.1), 10.0)
             self._drift = 0.7 * self._drift + 0.3 * self._latest

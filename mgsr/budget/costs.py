@@ -87,7 +87,7 @@ def surface_cost(facts: Facts, config: MeshConfig) -> float:
     rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
     across = SHOWN * (rendered / facts.views) ** 0.5
     cells = min(2**config.poisson_depth, across) / 256
-    waves = WAVES if config.wave_angle and not facts.flash else 0.0
+    waves = WAVES if config.regression_angle and not facts.flash else 0.0
     return 0.3 + (12.0 + waves) * cells**2 + 0.55 * rendered / 1e6
 
 
@@ -97,10 +97,10 @@ def refinement_cost(facts: Facts, config: MeshConfig) -> float:
     They read the photographs at every vertex, of which there is one for each cell of the surface, but none finer than
     pixels.
     """
-    if config.shading_ratio is None:
+    if config.max_light_residual is None:
         return 0.0
     shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
-    held = (facts.masked or facts.learned) and config.parallax_reach is not None
+    held = (facts.masked or facts.learned) and config.photometric_reach is not None
     cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
     return (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
 

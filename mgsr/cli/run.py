@@ -42,20 +42,20 @@ def run(
     time_budget: TimeBudgetOption = None,
 ) -> None:
     """Reconstruct SCENE into OUT: mesh, splats, renders of the test views and a report."""
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     with refusals(resumes=True):
         wishes = [*(settings or []), *output_overrides(texture, obj, up, scale)]
         wishes += [] if time_budget is None else [f"time_budget={time_budget}"]
-        report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, begun)
+        report = _run(scene, out, make_config(preset, method, seed, wishes), device, resume, started_at)
     print(f"mesh   {out / 'mesh.ply'}")
     print(f"report {report.with_suffix('.html')}")
 
 
-def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, begun: float) -> Path:
+def _run(scene: Path, out: Path, config: Config, device: str, resume: bool, started_at: float) -> Path:
     # Torch and Open3D take seconds to load: a wrong option is refused before.
     from mgsr.pipeline.result_paths import LOG
     from mgsr.pipeline.run import run_scene
     from mgsr.pipeline.run_display import RunDisplay
 
     with stop_on_signals() as stop, RunDisplay(out / LOG, append=resume) as display:
-        return run_scene(scene, out, config, device, resume, display, stop, begun=begun)
+        return run_scene(scene, out, config, device, resume, display, stop, started_at=started_at)

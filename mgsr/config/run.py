@@ -43,7 +43,7 @@ PRESETS: dict[str, dict[str, str]] = {
         "gaussians.densify.prune_contribution": "0",
         "mesh.view_scale": "1.0",
         "mesh.poisson_depth": "7",
-        "mesh.shading_ratio": "none",  # the start is bent to the shading already, and little training follows
+        "mesh.max_light_residual": "none",  # the start is bent to the shading already, and little training follows
     },
     "standard": {},  # two to three minutes
     "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better

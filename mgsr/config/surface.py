@@ -35,21 +35,21 @@ class MeshConfig:
     consistency: float | None = 3.0  # footprints in front of another view's surface that are forgiven; none is off
     hull_margin: float | None = 1.0  # pixels outside a photograph's silhouette that are forgiven; none is off
     hull_reach: float = 4.0  # footprints that vertices are pulled into the silhouettes at most; others are cut off
-    outline_smoothing: float | None = 1.0  # pixels over which a correction of the outlines spreads; none is off
+    silhouette_smoothing: float | None = 1.0  # pixels over which corrections of the contours spread; none is off
     poisson_depth: int = 8  # of the octree; its finest cell is 1.1 / 2^depth of the object's longest side
     cell: float = 0.6  # octree cells in which points are averaged into one
     trim: float = 3.0  # octree cells from the nearest point at which Poisson's surface is cut
-    shading_ratio: float | None = 0.85  # a flash on the camera, or an environment map, counts as known where they
-    # leave at most this share of what one brightness a point leaves; the mesh then heeds them; none is off, for
-    # parallax too
-    parallax_reach: float | None = 8.0  # pixels over which what the photographs' parallax tells spreads, where
-    # shading is looked at and masks hold the outlines; none is off
-    disagreement: float | None = 0.022  # sRGB 0..1 by which photographs under a flash differ about a place, beyond what
-    # a surface that is 0.7 pixels off explains, at which it is left open; none, or close_holes, keeps all
-    wave_angle: float | None = 4.0  # degrees; normals that differ by less within a few pixels are taken for waves, by
-    # much more for a crease, unless a flash has told them; none and 0 are off
-    smoothing_angle: float | None = 17.0  # degrees; normals of neighbouring facets that differ by less are taken for
-    # noise, by much more for a crease; none and 0 are off
+    max_light_residual: float | None = 0.85  # shading refines the mesh where a flash on the camera, or an environment
+    # map, leaves at most this share of the residual that one brightness a point leaves; none is off, for photometric
+    # refinement too
+    photometric_reach: float | None = 8.0  # pixels over which photometric refinement spreads a displacement, where
+    # shading is looked at and masks hold the silhouettes; none is off
+    photometric_residual: float | None = 0.022  # sRGB 0..1; where photographs under a flash differ by more about a
+    # place, beyond what a surface that is 0.7 pixels off explains, it is left open; none, or close_holes, keeps all
+    regression_angle: float | None = 4.0  # degrees; local regression takes normals that differ by less within a few
+    # pixels for waves, by much more for a crease, unless a flash has fixed them; none and 0 are off
+    bilateral_angle: float | None = 17.0  # degrees; the bilateral filter takes normals of neighbouring facets that
+    # differ by less for noise, by much more for a crease; none and 0 are off
     voxel: float = 2.0  # footprints in a voxel of the TSDF
     truncation: float = 3.0  # voxels before and behind the surface that the TSDF reaches
     min_weight: float = 2.0  # views in which a voxel of the TSDF must be seen

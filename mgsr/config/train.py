@@ -28,8 +28,8 @@ class Background(StrEnum):
 
 @dataclass(frozen=True)
 class RatesConfig:
-    """Learning rates, a step of Adam each. The position's fades exponentially over the whole run; the others stay for
-    a while, in which colours and shapes find their place, and fade then, which settles them.
+    """Learning rates, a step of Adam each. The position's decays exponentially over the whole run; the others stay for
+    a while, in which colours and shapes find their place, and decay then, which settles them.
 
     The published rates are for 30,000 iterations; these are for some thousands."""
 
@@ -41,8 +41,8 @@ class RatesConfig:
     weight: float = 5e-2  # the reflection weight's logit
     scale: float = 1e-2  # log-scale; published 5e-3
     rotation: float = 4e-3  # published 1e-3
-    fade_from: float = 0.5  # fraction of the run after which the other rates begin to fade
-    final: float = 0.1  # factor that they have reached at the end; published 1
+    decay_from: float = 0.5  # fraction of the run after which the other rates begin to decay
+    final_factor: float = 0.1  # factor that they have reached at the end; published 1
     beta1: float = 0.9
     beta2: float = 0.999
     eps: float = 1e-15
@@ -157,8 +157,8 @@ class EnvironmentMapConfig:
     side: int = 64  # texels along a map's side
     start: float = 0.007  # the maps' light, 0..1
     rate: float = 0.03  # learning rate of the light's logits
-    fade_from: float = 0.5  # fraction of the run after which the rate begins to fade
-    final: float = 0.1  # factor that it has reached at the end
+    decay_from: float = 0.5  # fraction of the run after which the rate begins to decay
+    final_factor: float = 0.1  # factor that it has reached at the end
     smoothness: float = 0.05  # weight of the mean square of differences between neighbouring texels
     iterations: int = 300  # of the 3D branch and the maps after the surface was made, which then reflects instead of
     # the 2D branch; masked scenes only; 0 is never

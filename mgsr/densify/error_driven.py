@@ -27,13 +27,13 @@ WINDOW = 3  # pixels along a side over which differences are averaged, so that s
 class RenderedView:
     """A training view beside its rendering.
 
-    lacking [H,W,3]: the residual, that is the photograph less the rendering, sRGB, on one background; base [H,W,3]:
+    residual [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]:
     what the Gaussians' own colours give, without reflected light and as under even light; depth [H,W]: camera z; alpha
-    [H,W]. Where the photograph is not known, lacking and alpha are 0.
+    [H,W]. Where the photograph is not valid, residual and alpha are 0.
     """
 
     camera: Camera
-    lacking: Tensor
+    residual: Tensor
     base: Tensor
     depth: Tensor
     alpha: Tensor
@@ -44,17 +44,17 @@ class NewPoints:
     """The points at which Gaussians are added.
 
     positions [M,3] in the scene's frame; sizes [M]: a pixel's side there, in the scene's unit; colors [M,3], sRGB 0..1;
-    lacking [M,3]: the residual there, the photograph less the rendering.
+    residual [M,3]: the photograph less the rendering there.
     """
 
     positions: Tensor
     sizes: Tensor
     colors: Tensor
-    lacking: Tensor
+    residual: Tensor
 
     def rows(self, chosen: Tensor) -> NewPoints:
         """Return some of the points, by a mask or indices."""
-        return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.lacking[chosen])
+        return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.residual[chosen])
 
 
 def visible_error(view: RenderedView, tolerance: float) -> Tensor:
@@ -62,7 +62,7 @@ def visible_error(view: RenderedView, tolerance: float) -> Tensor:
 
     It is 0 where it is under the tolerance (sRGB 0..1) or no surface is rendered.
     """
-    planes = view.lacking.permute(2, 0, 1)[None]
+    planes = view.residual.permute(2, 0, 1)[None]
     smooth = torch.nn.functional.avg_pool2d(planes, WINDOW, 1, WINDOW // 2, count_include_pad=False)[0]
     error = smooth.abs().mean(dim=0)
     return error * ((error > tolerance) & (view.alpha > SOLID))
@@ -108,7 +108,7 @@ def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoi
     """
     agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))
     # A point's own view is among them, and agrees with itself.
-    return points.rows(agreed > points.lacking.square().sum(dim=1))
+    return points.rows(agreed > points.residual.square().sum(dim=1))
 
 
 def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
@@ -121,7 +121,7 @@ def _agreement(points: NewPoints, view: RenderedView) -> Tensor:
     inside = (w > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     pixel = torch.where(inside, row * width + column, 0)
     seen = inside & ((view.depth.reshape(-1)[pixel] - w).abs() < HIDDEN * points.sizes)
-    return (points.lacking * view.lacking.reshape(-1, 3)[pixel]).sum(dim=1) * seen
+    return (points.residual * view.residual.reshape(-1, 3)[pixel]).sum(dim=1) * seen
 
 
 def without_least_contributing(model: GaussianModel, views: Sequence[RenderedView], count: int) -> Tensor:
@@ -138,9 +138,9 @@ def _lifted(view: RenderedView, pixels: Tensor) -> tuple[Tensor, ...]:
     x = (pixels % width + 0.5 - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (pixels // width + 0.5 - intrinsics[1, 2]) / intrinsics[1, 1]
     points = torch.stack([x * depth, y * depth, depth], dim=1)
-    lacking = view.lacking.reshape(-1, 3)[pixels]
-    colors = (view.base.reshape(-1, 3)[pixels] + lacking).clamp(0, 1)
-    return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors, lacking
+    residual = view.residual.reshape(-1, 3)[pixels]
+    colors = (view.base.reshape(-1, 3)[pixels] + residual).clamp(0, 1)
+    return (points - pose[:3, 3]) @ pose[:3, :3], depth / intrinsics[0, 0], colors, residual
 
 
 def _matrices(view: RenderedView) -> tuple[Tensor, Tensor]:

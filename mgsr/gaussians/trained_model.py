@@ -51,6 +51,11 @@ class TrainedModel:
             reflected,
         )
 
+    def for_gaussians(self) -> TrainedModel:
+        """Return the model as the 3D branch needs it: without surfels, unless they reflect the environment map."""
+        light = self.environment_map
+        return self if light is not None and light.reflector is None else replace(self, surfels=None)
+
     def detached(self) -> TrainedModel:
         """Return a copy that carries no gradients."""
         return TrainedModel(

@@ -141,17 +141,17 @@ def _finish(
     vertices, faces = cleanup.drop_unseen(vertices, faces, sides != 0, whole_pieces=config.close_holes)
     _require_faces(faces, "no camera sees any of the surface", config)
     outlines = [find_outline(silhouette) for silhouette in silhouettes]
-    if outlines and config.outline_smoothing is not None:
-        vertices = fit_outlines(vertices, faces, outlines, config.outline_smoothing)
+    if outlines and config.silhouette_smoothing is not None:
+        vertices = fit_outlines(vertices, faces, outlines, config.silhouette_smoothing)
     held = hold_against_photographs(vertices, faces, photographs, outlines, config, threads, go_on)
     vertices, faces = held.vertices, held.faces
     if held.opened:
         vertices, faces = drop_small_pieces(vertices, faces, config.min_piece)
-    if config.wave_angle and photographs and held.light is not Light.FLASH:
+    if config.regression_angle and photographs and held.light is not Light.FLASH:
         pixel = pixel_size([view.camera for view in photographs], vertices.mean(axis=0))
-        vertices = smooth_waves(vertices, faces, pixel, config.wave_angle)
-    if config.smoothing_angle:
-        vertices = smooth_noise(vertices, faces, config.smoothing_angle)
+        vertices = smooth_waves(vertices, faces, pixel, config.regression_angle)
+    if config.bilateral_angle:
+        vertices = smooth_noise(vertices, faces, config.bilateral_angle)
     if config.close_holes:
         vertices, faces = cleanup.close_loops(vertices, faces)
     if config.max_faces is not None:

@@ -58,14 +58,14 @@ def hold_against_photographs(
     vertices [V,3]; faces [F,3]; outlines: the masks' contours, none without masks; go_on: asked before each further
     step.
     """
-    if not photographs or config.shading_ratio is None:
+    if not photographs or config.max_light_residual is None:
         return Held(vertices, faces)
-    refined, reach, parallax = Refined(vertices, Light.UNKNOWN), config.parallax_reach, False
+    refined, reach, parallax = Refined(vertices, Light.UNKNOWN), config.photometric_reach, False
     for turn, passes in enumerate(_TURNS):
         if turn and not (refined.light in passes and go_on()):
             break
         refined = refine_by_shading(
-            refined.vertices, faces, photographs, outlines, config.shading_ratio, passes, threads, go_on=go_on
+            refined.vertices, faces, photographs, outlines, config.max_light_residual, passes, threads, go_on=go_on
         )
         if reach is not None and outlines and go_on():
             moved = refine_by_parallax(
@@ -75,7 +75,7 @@ def hold_against_photographs(
     shading, held = refined.shading, Held(refined.vertices, faces, refined.light, parallax)
     if shading is None or refined.light is not Light.FLASH or config.close_holes or not go_on():
         return held
-    return _opened(held, photographs, shading, config.disagreement, threads)
+    return _opened(held, photographs, shading, config.photometric_residual, threads)
 
 
 def _opened(held: Held, photographs: Sequence[View], shading: Shading, most: float | None, threads: int | None) -> Held:

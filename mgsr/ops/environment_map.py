@@ -1,4 +1,4 @@
-"""Environment map look-up: the light that a surface mirrors."""
+"""Environment map look-up: the light that a surface reflects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mgsr.ops.arrays import once_differentiable, plain
 def look_up_environment_map(
     maps: torch.Tensor, normals: torch.Tensor, camera: Camera, pixels: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Return the light [H, W, 3] that each pixel's surface mirrors towards the camera: the sum of both maps.
+    """Return the light [H, W, 3] that each pixel's surface reflects towards the camera: the sum of both maps.
 
     maps: [2, S, S, 3], light by direction, row by row; gradients flow. Each is the octahedron |x| + |y| + |z| = 1 seen
     from +z, its far half folded out over the corners: the first in the world's axes, the second in the camera's, its

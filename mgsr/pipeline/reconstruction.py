@@ -123,7 +123,7 @@ def reconstruct(
     Raises ConfigError for an argument or a setting that does not fit; SceneError for a capture that can't be used;
     TrainingError, MeshError, CheckpointError, GpuError, and Cancelled.
     """
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     folder = _path("out", out)
     given = scene if isinstance(scene, Scene) else _path("scene", scene, "a Scene or ")
     budget = [] if time_budget is None else [f"time_budget={time_budget}"]
@@ -135,7 +135,7 @@ def reconstruct(
             if progress is not None:
                 progress(event)
 
-        run_scene(given, folder, config, device, resume, tell, should_stop or never, begun)
+        run_scene(given, folder, config, device, resume, tell, should_stop or never, started_at)
     return load_result(folder)
 
 

@@ -43,13 +43,13 @@ def run_scene(
     resume: bool = False,
     progress: EventCallback = ignore,
     should_stop: StopCheck = never,
-    begun: float | None = None,
+    started_at: float | None = None,
 ) -> Path:
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
     given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
-    should_stop: looked at between iterations and between steps. begun: what time.perf_counter() said when the caller
-    began, from where a time budget counts (config.time_budget); None is now.
+    should_stop: looked at between iterations and between steps. started_at: what time.perf_counter() said when the
+    caller began, from where a time budget counts (config.time_budget); None is now.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
     says so (the checkpoint then holds what was trained).
@@ -59,7 +59,7 @@ def run_scene(
     if isinstance(given, Scene):
         config = as_read(given, config)
     chosen = pick_device(device)
-    since = StepClock(begun)
+    since = StepClock(started_at)
     step = Steps(StepClock(), progress, should_stop)
     budget = make_budget(config, lambda: since.total, chosen, out / CHECKPOINT if resume else None)
     scene = take_scene(given, out, config, step)

@@ -121,13 +121,13 @@ def shown_share(scene: Scene) -> float:
 
 
 def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
-    begun = {"source": str(start.source), "count": len(start.positions)}
+    starting_points = {"source": str(start.source), "count": len(start.positions)}
     facts = scene_facts(scene, unit)  # as the written files have it
     flash = start.lighting
     if flash is not None and scene.train[0].irradiance is not None:
         across = scene.user_from_scene.scale * unit
         facts["flash"] = {"right": round(across * flash.right, 4), "down": round(across * flash.down, 4)}
-    return facts | {"starting_points": begun}
+    return facts | {"starting_points": starting_points}
 
 
 def scene_line(scene: Scene) -> str:

@@ -28,9 +28,9 @@ def always() -> bool:
 class StepClock:
     """Seconds spent in each step, by name, and since the start."""
 
-    def __init__(self, begun: float | None = None) -> None:
-        """begun: what time.perf_counter() said at the start; None is now."""
-        self._begun = time.perf_counter() if begun is None else begun
+    def __init__(self, started_at: float | None = None) -> None:
+        """started_at: what time.perf_counter() said at the start; None is now."""
+        self._begun = time.perf_counter() if started_at is None else started_at
         self.steps: dict[str, float] = {}
 
     @property
@@ -41,11 +41,11 @@ class StepClock:
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
         """Count the block's time to a step; a step may come more than once."""
-        begun = time.perf_counter()
+        started_at = time.perf_counter()
         try:
             yield
         finally:
-            self.steps[name] = self.steps.get(name, 0.0) + time.perf_counter() - begun
+            self.steps[name] = self.steps.get(name, 0.0) + time.perf_counter() - started_at
 
 
 class Steps:

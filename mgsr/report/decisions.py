@@ -171,8 +171,8 @@ def _about_flash(flash: dict[str, float] | None) -> Iterator[Decision]:
 
 def _about_light(data: ReportData) -> Iterator[Decision]:
     asked: dict[str, Any] = data.other.get("settings") or {}
-    if asked.get("mesh", {}).get("shading_ratio", 0) is None:
-        yield Decision("Light that the mesh heeds", "not looked at", "as the settings have it (shading_ratio)")
+    if asked.get("mesh", {}).get("max_light_residual", 0) is None:
+        yield Decision("Light that the mesh heeds", "not looked at", "as the settings have it (max_light_residual)")
     elif data.other.get("light") in LIGHTS:
         yield Decision("Light that the mesh heeds", *LIGHTS[data.other["light"]])
         if "parallax" in data.other:
@@ -199,7 +199,7 @@ def _about_parallax(data: ReportData) -> Decision:
     given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}
     if not given.get("masked") and not _before_plain_backdrop(given, train):
         return Decision(what, "not used", "it needs outlines, of masks or before a plain backdrop, to hold the surface")
-    return Decision(what, "not used", "the settings (parallax_reach) or the time budget have it so")
+    return Decision(what, "not used", "the settings (photometric_reach) or the time budget have it so")
 
 
 def _about_colors(degree: dict[str, Any], reflection: dict[str, Any]) -> Iterator[Decision]:

@@ -9,7 +9,7 @@ from torch import Tensor
 from mgsr.config import EnvironmentMapConfig
 from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.ops.adam import FusedAdam
-from mgsr.training.schedule import fade
+from mgsr.training.schedule import decay
 from mgsr.training.trainable import Trainable
 
 
@@ -26,7 +26,7 @@ class EnvironmentMapTrainer(Trainable[EnvironmentMap]):
 
     def rates(self, progress: float) -> dict[str, float]:
         """Return the learning rates by parameter at `progress` 0..1 of the run (see `Trainable`)."""
-        return {"logits": self.settings.rate * fade(progress, self.settings.fade_from, self.settings.final)}
+        return {"logits": self.settings.rate * decay(progress, self.settings.decay_from, self.settings.final_factor)}
 
     def make_optimizer(self, parameters: dict[str, Tensor]) -> FusedAdam:
         """Return a new optimiser for the maps (see `Trainable`)."""

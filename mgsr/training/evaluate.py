@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -34,8 +33,7 @@ def gaussian_picture(model: TrainedModel) -> Picture:
 
     The 2D branch is rendered only where it is that surface.
     """
-    light = model.environment_map
-    drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
+    drawn = model.for_gaussians()
 
     def picture(camera: Camera, background: Color, light: Tensor | None) -> Tensor:
         _, full = render_both(drawn, camera, color_tensor(background, model.device), depth=False, shading=light)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
@@ -58,11 +58,8 @@ class ErrorGrowth:
 
     @torch.no_grad()
     def _rendered(self, view: TrainingView) -> RenderedView:
-        model = self.train_state.model
-        light = model.environment_map
-        drawn = model if light is not None and light.reflector is None else replace(model, surfels=None)
         behind = color_tensor(self.behind, self.branch.device)
-        _, shown = render_both(drawn, view.camera, behind, shading=view.shading())
+        _, shown = render_both(self.train_state.model.for_gaussians(), view.camera, behind, shading=view.shading())
         assert shown is not None and shown.depth is not None
         target = view.target(behind)
         color, wanted = target.compared(shown.color, target.color)

@@ -75,17 +75,17 @@ class Plan:
 class _Photographs:
     """A stage's views, and reduced copies of them where they are large enough.
 
-    The last `held_back` of both are kept from training. behind: the colour on which renderings of them are judged.
+    The last `held_out` of both are kept from training. behind: the colour on which renderings of them are judged.
     """
 
     views: list[TrainingView]
     small: list[TrainingView] | None
     behind: Color
-    held_back: int = 0
+    held_out: int = 0
 
     @property
     def trained_on(self) -> int:
-        return len(self.views) - self.held_back
+        return len(self.views) - self.held_out
 
     def sparing(self, count: int) -> _Photographs:
         """Return the same with `count` views, at even distances, kept from the stage."""
@@ -175,8 +175,8 @@ def _gaussian_warmup(
 ) -> Stage:
     assert train_state.gaussians is not None
     views = len(photographs.views)
-    held_back = _validation_views(config, views)
-    photographs = photographs.sparing(max(held_back, _spared(config, views) if tried else 0))
+    held_out = _validation_views(config, views)
+    photographs = photographs.sparing(max(held_out, _spared(config, views) if tried else 0))
     surface = None
     if train_state.environment_map is not None and train_state.surfels is not None:
         surface = ReflectingSurface(train_state.environment_map, train_state.surfels)
@@ -184,7 +184,7 @@ def _gaussian_warmup(
     stage = _warmup("warmup_gaussians", train_state, train_state.gaussians, compute, photographs, last, config)
     if tried:
         measure = _measure(train_state, "gaussians", photographs)
-        seen_after = views - held_back
+        seen_after = views - held_out
         stage.selection = ReflectionSelection(
             config.train, train_state.gaussians, train_state.environment_map, measure, seen_after
         )
@@ -201,11 +201,8 @@ def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
     def prune() -> int:
         if not share or any(view.mask is None for view in views):
             return 0
-        kept = (
-            (~least_contributing(contributions(branch.model, [view.camera for view in views]), share))
-            .nonzero()
-            .squeeze(1)
-        )
+        each = contributions(branch.model, [view.camera for view in views])
+        kept = (~least_contributing(each, share)).nonzero().squeeze(1)
         dropped = len(branch.model) - len(kept)
         branch.keep(kept)
         return dropped
@@ -257,8 +254,8 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
     def progress(part: Trainable, iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
-        begun = (part.steps - iteration) / max(1, planned + stage.iterations)
-        return begun + (1 - begun) * iteration / max(1, stage.iterations)
+        share = (part.steps - iteration) / max(1, planned + stage.iterations)
+        return share + (1 - share) * iteration / max(1, stage.iterations)
 
     name = "mutual"
     if train_state.surfels is not None and train_state.gaussians is not None:
@@ -310,8 +307,8 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
 
 def _measure(train_state: TrainState, branch: str, photographs: _Photographs) -> Callable[[], float]:
     """Return a function that measures a branch's PSNR, dB, on the views that are kept from its warm-up."""
-    held_back = photographs.views[photographs.trained_on :]
-    return lambda: mean_psnr(train_state.picture(branch), held_back, photographs.behind)
+    held_out = photographs.views[photographs.trained_on :]
+    return lambda: mean_psnr(train_state.picture(branch), held_out, photographs.behind)
 
 
 def _silhouettes_count(config: Config) -> bool:
@@ -321,8 +318,8 @@ def _silhouettes_count(config: Config) -> bool:
 
 def _validation_views(config: Config, views: int) -> int:
     """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
-    held_back = config.train.paper.stop_rule is StopRule.VALIDATION
-    return min(config.train.paper.validation_views, views // 2) if held_back else 0
+    held_out = config.train.paper.stop_rule is StopRule.VALIDATION
+    return min(config.train.paper.validation_views, views // 2) if held_out else 0
 
 
 def _spared(config: Config, views: int) -> int:

@@ -18,7 +18,7 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
     extent: the scene's, in its unit; the positions' rate is proportional to it. Of colours it is the constant term's
     (see `rest_scale`).
     """
-    faded = fade(progress, config.fade_from, config.final)
+    faded = decay(progress, config.decay_from, config.final_factor)
     position = extent * math.exp((1 - progress) * math.log(config.position) + progress * math.log(config.position_end))
     return {
         "means": position,
@@ -32,7 +32,7 @@ def rates_at(progress: float, config: RatesConfig, extent: float) -> dict[str, f
     }
 
 
-def fade(progress: float, begin: float, final: float) -> float:
+def decay(progress: float, begin: float, final: float) -> float:
     """Return a factor that is 1 until `progress` is `begin`, and then falls exponentially to `final` at 1."""
     return float(final ** (max(0.0, progress - begin) / max(1 - begin, 1e-9)))
 

@@ -74,8 +74,8 @@ class Trainer:
             stage = self.plan.stages[self.stage_index]
             if stage.name == before:
                 break
-            begun = self.seconds - stage.seconds
-            reason = self._run_stage(stage, begun)
+            started_at = self.seconds - stage.seconds
+            reason = self._run_stage(stage, started_at)
             self.guard = None
             dropped = 0 if stage.prune is None else stage.prune()
             self.reports.append(StageReport(stage.name, stage.iteration, stage.seconds, reason, dropped))
@@ -129,13 +129,13 @@ class Trainer:
     def _new_guard(self, stage: Stage) -> Guard:
         return Guard(stage, self.config.watch.check_every, self.incidents)
 
-    def _run_stage(self, stage: Stage, begun: float) -> str:
+    def _run_stage(self, stage: Stage, started_at: float) -> str:
         """Iterate to the stage's end, and return why it ended."""
         reason = "iterations" if self.scheduler is None else "budget"
         guard = self.guard = self.guard or self._new_guard(stage)
         self._apply_schedule(stage)
         while stage.iteration < stage.iterations:
-            stage.seconds = self.seconds - begun
+            stage.seconds = self.seconds - started_at
             self._heed_caller(stage)
             if self.deadline is not None and self.seconds > self.deadline:
                 return "deadline"
@@ -143,7 +143,7 @@ class Trainer:
                 self._select_model(stage, stage.selection)
                 guard.expect_anew()
             loss, converged = self._iterate(stage, guard)
-            stage.seconds = self.seconds - begun
+            stage.seconds = self.seconds - started_at
             last = converged or stage.iteration == stage.iterations
             self._watch(stage, loss, last)
             if converged:
@@ -160,7 +160,7 @@ class Trainer:
     def _select_model(self, stage: Stage, selection: ModelSelection) -> None:
         """Let the stage's model selection decide; a run that stops inside it resumes before it."""
         self.save()
-        begun = self._done(stage)
+        done_before = self._done(stage)
 
         def train(candidate: str, iterations: int) -> None:
             guard = Guard(stage, self.config.watch.check_every, self.incidents)
@@ -171,7 +171,7 @@ class Trainer:
                 if self.progress is not None and (done + 1) % self.config.watch.report_every == 0:
                     report = self._report(stage, loss, last=False)
                     report = replace(report, stage=f"selection_{candidate}", iteration=done + 1, total=iterations)
-                    self.progress(replace(report, done=begun, previews={}))
+                    self.progress(replace(report, done=done_before, previews={}))
 
         selection.run(stage, train)
 

@@ -49,13 +49,13 @@ class Machine:
 
     def work(self, step: str, reference: float) -> float:
         """Do a step, and return the seconds that it took."""
-        begun, left = self.now, reference * self.odd.get(step, 1.0)
+        started_at, left = self.now, reference * self.odd.get(step, 1.0)
         piece = max(left / 20, 0.05)
         while left > 1e-9:
             done = min(piece, left)
             self.now += done * self.speed(self.now) * self.random.lognormal(0.0, 0.15)
             left -= done
-        return self.now - begun
+        return self.now - started_at
 
 
 @dataclass
@@ -108,7 +108,7 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
     surface = machine.work("mesh", costs.surface_cost(facts, mesh))
     rounds = 15 if facts.flash else 4  # that `mgsr.mesh.refinement` asks for
     done = 0
-    while mesh.shading_ratio is not None and done < rounds and budget.go_on():
+    while mesh.max_light_residual is not None and done < rounds and budget.go_on():
         surface += machine.work("mesh", costs.refinement_cost(facts, mesh) / rounds)
         done += 1
     judging = machine.work("evaluate", costs.judging_cost(facts))

@@ -148,7 +148,7 @@ def test_under_a_flash_refining_the_surface_comes_before_longer_training(seconds
     ran = run_on(Machine(steady(1.0)), facts, CONFIG, seconds)
     whole = run_on(Machine(steady(1.0)), facts, CONFIG, 2 * seconds)
     assert 0.9 <= ran.seconds / seconds <= 1.05
-    assert ran.mesh.shading_ratio is not None and 0.25 < ran.refined <= whole.refined
+    assert ran.mesh.max_light_residual is not None and 0.25 < ran.refined <= whole.refined
     if ran.refined < 1:
         draft = make_config("draft").train
         assert ran.stages[2].iteration < 1.3 * draft.mutual.iterations
@@ -157,4 +157,4 @@ def test_under_a_flash_refining_the_surface_comes_before_longer_training(seconds
 def test_a_refinement_that_could_hardly_begin_is_left_out() -> None:
     facts = replace(USUAL, flash=True)
     ran = run_on(Machine(steady(1.0)), facts, CONFIG, 54.0)
-    assert ran.refined == 0 and ran.mesh.shading_ratio is None and 0.9 <= ran.seconds / 54.0 <= 1.05
+    assert ran.refined == 0 and ran.mesh.max_light_residual is None and 0.9 <= ran.seconds / 54.0 <= 1.05

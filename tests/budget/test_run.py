@@ -36,7 +36,7 @@ def processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
 def run(scene: Path, out: Path, seconds: float, **options: Any) -> dict[str, Any]:
     """Run with a budget, and return the report."""
     config = make_config(overrides=[*SMALL, f"time_budget={seconds}"])
-    report = run_scene(scene, out, config, "cpu", begun=time.perf_counter(), **options)
+    report = run_scene(scene, out, config, "cpu", started_at=time.perf_counter(), **options)
     found: dict[str, Any] = json.loads(report.read_text())
     return found
 
@@ -67,11 +67,11 @@ def test_a_resumed_run_goes_on_with_its_seconds(scene: Path, tmp_path: Path) -> 
         if event.training is not None and event.training.stage == "warmup_surfels":
             trained.append(event.training)
 
-    begun = time.perf_counter()
+    started_at = time.perf_counter()
     with pytest.raises(Cancelled, match="warmup_surfels"):
         run(scene, tmp_path / "out", 12.0, progress=note, should_stop=lambda: bool(trained))
-    before, begun = time.perf_counter() - begun, time.perf_counter()
+    before, started_at = time.perf_counter() - started_at, time.perf_counter()
     report = run(scene, tmp_path / "out", 12.0, resume=True)
-    here = time.perf_counter() - begun
+    here = time.perf_counter() - started_at
     assert report["time_budget"]["used"] > here + 0.5 * before
     assert report["iterations"]["warmup_surfels"]["iterations"] > trained[-1].iteration

@@ -38,7 +38,7 @@ def capture(views: list[View], tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture(scope="module")
 def done(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "flash"
-    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *SHORT, "--set", "shading_ratio=none"])
+    result = CliRunner().invoke(app, ["run", str(capture), "-o", str(out), *SHORT, "--set", "max_light_residual=none"])
     assert result.exit_code == 0, result.output
     return out
 

@@ -41,7 +41,7 @@ def test_training_ends_where_the_processor_does(machine: Machine) -> None:
         ours = Training(scene, points, short(), device=machine.device).run()
     theirs = Training(scene, points, short()).run()
     assert abs(ours.curve[-1].psnr - theirs.curve[-1].psnr) < 0.5  # dB; densification tips over on single splats
-    assert abs(len(ours.surfels) - len(theirs.surfels)) < 0.05 * len(theirs.surfels)
+    assert abs(len(ours.model.surfels) - len(theirs.model.surfels)) < 0.05 * len(theirs.surfels)
 
 
 def test_reordered_splats_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,13 +127,13 @@ def test_other_views_confirm_what_the_surface_lacks_and_contradict_a_highlight()
     """
     first, second, third = with_patch(0.9), with_patch(0.8), with_patch(0.45)
     drawn = new_points([first], [visible_error(first, 0.04)], 10_000, torch.Generator())
-    in_patch = drawn.rows(drawn.lacking[:, 0] > 0.3)
+    in_patch = drawn.rows(drawn.residual[:, 0] > 0.3)
     assert len(not_contradicted(in_patch, [first, second]).sizes) == 25
     assert not len(not_contradicted(in_patch, [first, third]).sizes), "the others have too much"
     assert len(not_contradicted(in_patch, [first, second, third]).sizes) == 25, "the sum of the others counts"
     hidden = replace(second, depth=second.depth - 1.0)
     assert not len(not_contradicted(in_patch, [first, hidden]).sizes), "seen by one view alone"
-    unknown = replace(second, lacking=torch.zeros(HEIGHT, WIDTH, 3))
+    unknown = replace(second, residual=torch.zeros(HEIGHT, WIDTH, 3))
     assert not len(not_contradicted(in_patch, [first, unknown]).sizes)
 
 

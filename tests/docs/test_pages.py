@@ -59,7 +59,7 @@ def test_the_table_of_settings_has_every_one_with_its_default() -> None:
 
 def test_comments_that_go_on_belong_to_their_setting() -> None:
     table = settings_markdown()
-    assert "there the soft edges of splats" in table and "where they leave at most this share" in table
+    assert "there the soft edges of splats" in table and "an environment map, leaves at most this share" in table
     assert "count Positions move slowly" not in table
 
 

@@ -59,13 +59,13 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
 
     def tilt(angle: float | None) -> float:
         """Return the mean angle to the ball's own normal, over the surface."""
-        mesh = extract_mesh(noisy, replace(CONFIG, extractor=extractor, smoothing_angle=angle))
+        mesh = extract_mesh(noisy, replace(CONFIG, extractor=extractor, bilateral_angle=angle))
         crosses, middles = face_crosses(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces].mean(axis=1)
         areas = np.linalg.norm(crosses, axis=1)
         cosines = (crosses * middles).sum(1) / (areas * np.linalg.norm(middles, axis=1))
         return float(np.average(np.arccos(np.clip(cosines, -1, 1)), weights=areas))
 
-    assert tilt(CONFIG.smoothing_angle) < 0.6 * tilt(None)
+    assert tilt(CONFIG.bilateral_angle) < 0.6 * tilt(None)
     assert tilt(0) == pytest.approx(tilt(None), rel=1e-12)  # fusion may give the facets in another order
 
 
@@ -73,9 +73,9 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
 def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: Light) -> None:
     seen = photographs(ball(RADIUS), shade, side=64)
     rendered = views_of(rippled(), [view.camera for view in seen])
-    config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, smoothing_angle=None)
+    config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, bilateral_angle=None)
     kept, smoothed = (
-        extract_mesh(rendered, replace(config, wave_angle=angle), photographs=seen, go_on=lambda: False)
+        extract_mesh(rendered, replace(config, regression_angle=angle), photographs=seen, go_on=lambda: False)
         for angle in (None, 10.0)
     )
     assert kept.light is smoothed.light is light

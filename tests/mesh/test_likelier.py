@@ -44,7 +44,7 @@ def test_a_torn_surface_gives_way_to_the_start_bent_to_the_views(monkeypatch: py
     views, (vertices, faces) = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0)
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: True)
     mesh = extract_mesh(
-        views, MeshConfig(shading_ratio=None), (), painted_photographs(64)[:3], start=(0.98 * vertices, faces)
+        views, MeshConfig(max_light_residual=None), (), painted_photographs(64)[:3], start=(0.98 * vertices, faces)
     )
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert mesh.start_kept and len(mesh.faces) == len(faces)
@@ -58,7 +58,7 @@ def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
     for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
         monkeypatch.setattr(extract, "start_is_likelier", lambda *surfaces, kept=kept: kept)
-        mesh = extract_mesh(views, MeshConfig(shading_ratio=None), (), painted_photographs(64)[:3], start=smaller)
+        mesh = extract_mesh(views, MeshConfig(max_light_residual=None), (), painted_photographs(64)[:3], start=smaller)
         assert mesh.start_kept is kept
         assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
-    assert not extract_mesh(views, MeshConfig(shading_ratio=None)).start_kept
+    assert not extract_mesh(views, MeshConfig(max_light_residual=None)).start_kept

@@ -75,5 +75,5 @@ def _view() -> RenderedView:
         reflected=reflected,
         weight=right,
         normal=flat,
-        even=flat * EVEN,
+        unlit=flat * EVEN,
     )

@@ -85,7 +85,7 @@ def test_an_archive_with_the_options_that_were_chosen(visit: Opener) -> None:
         "data.masks": "off",
         "mesh.max_faces": 20000,
         "mesh.close_holes": True,
-        "mesh.shading_ratio": 0.7,
+        "mesh.max_light_residual": 0.7,
     }
 
 

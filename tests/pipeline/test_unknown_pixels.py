@@ -51,7 +51,7 @@ SHORT = [
     "mesh.view_scale=1",
     "mesh.poisson_depth=6",
     "mesh.min_alpha=0.05",
-    "mesh.shading_ratio=1",
+    "mesh.max_light_residual=1",
     "output.texture=64",
 ]
 

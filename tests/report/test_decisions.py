@@ -23,7 +23,7 @@ def test_the_light_is_told() -> None:
     sample = sample_report()
     told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
     assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["a flash on the camera"]
-    without = {"light": "unknown", "settings": {"mesh": {"shading_ratio": None}}}
+    without = {"light": "unknown", "settings": {"mesh": {"max_light_residual": None}}}
     told = tell_decisions(replace(sample, other={**sample.other, **without}))
     assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["not looked at"]
 
@@ -51,7 +51,7 @@ def test_a_flash_is_told_with_its_place() -> None:
         ("surroundings", True, True, "used", "stands still"),
         ("flash", True, True, "used", "flash"),
         ("unknown", False, False, "not used", "masks"),
-        ("unknown", True, False, "not used", "parallax_reach"),
+        ("unknown", True, False, "not used", "photometric_reach"),
     ],
 )
 def test_parallax_is_told_with_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:

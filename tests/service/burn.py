@@ -15,11 +15,11 @@ SLICE = 0.005
 def burn(share: float, seconds: float) -> None:
     """Use `share` of a core for so long, or as much of it as there is."""
     ends = time.monotonic() + seconds
-    while (begun := time.monotonic()) < ends:
+    while (started_at := time.monotonic()) < ends:
         until = time.process_time() + SLICE * share
         while time.process_time() < until:
             sum(range(1000))
-        time.sleep(max(0.0, SLICE - (time.monotonic() - begun)))
+        time.sleep(max(0.0, SLICE - (time.monotonic() - started_at)))
 
 
 if __name__ == "__main__":

@@ -22,14 +22,14 @@ async def poll(port: int, job: str, ends: float, took: list[float]) -> None:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     request = f"GET /jobs/{job} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode()
     while time.monotonic() < ends:
-        begun = time.monotonic()
+        started_at = time.monotonic()
         writer.write(request)
         head = await reader.readuntil(b"\r\n\r\n")
         assert head.startswith(b"HTTP/1.1 200"), head
         length = next(line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length:"))
         await reader.readexactly(int(length.split(b":")[1]))
-        took.append(time.monotonic() - begun)
-        await asyncio.sleep(max(0.0, PERIOD - (time.monotonic() - begun)))
+        took.append(time.monotonic() - started_at)
+        await asyncio.sleep(max(0.0, PERIOD - (time.monotonic() - started_at)))
     writer.close()
 
 
@@ -49,13 +49,13 @@ async def follow(port: int, job: str, ends: float) -> int:
 
 async def crowd(port: int, job: str, seconds: float) -> None:
     """Run all clients at once, and print what they measured."""
-    begun, used = time.monotonic(), time.process_time()
-    ends = begun + seconds
+    started_at, used = time.monotonic(), time.process_time()
+    ends = started_at + seconds
     took: list[float] = []
     following = asyncio.gather(*(follow(port, job, ends) for _ in range(FOLLOWERS)))
     await asyncio.gather(*(poll(port, job, ends, took) for _ in range(POLLERS)))
     events = await following
-    share = (time.process_time() - used) / (time.monotonic() - begun)
+    share = (time.process_time() - used) / (time.monotonic() - started_at)
     print(json.dumps({"took": sorted(took), "events": events, "share": share}))
 
 

@@ -30,8 +30,8 @@ TINY: dict[str, Any] = {
     "train.mutual.iterations": 2,
     "train.surfels.max_start": 600,
     "mesh.poisson_depth": 5,
-    "mesh.outline_smoothing": None,
-    "mesh.shading_ratio": None,
+    "mesh.silhouette_smoothing": None,
+    "mesh.max_light_residual": None,
 }
 TINY_OPTIONS: dict[str, Any] = {"preset": "draft", "method": "2dgs", "settings": TINY}
 # Minutes of work, for tests that stop it.

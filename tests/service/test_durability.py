@@ -104,9 +104,9 @@ def test_a_worker_without_redis_ends_when_asked(tmp_path: Path) -> None:
     with Stack(tmp_path, workers=1) as stack:
         stack.kill("queue")
         time.sleep(2)
-        begun = time.monotonic()
+        started_at = time.monotonic()
         stack.stop("worker0")
-        assert time.monotonic() - begun < 5
+        assert time.monotonic() - started_at < 5
         stack.stop("api")
 
 
@@ -116,15 +116,15 @@ def test_two_hundred_jobs_through_two_workers(tmp_path: Path, tiny_archive: byte
     archive = tmp_path / "scene.zip"
     archive.write_bytes(tiny_archive)
     with Stack(tmp_path, workers=2) as stack:
-        begun = time.monotonic()
+        started_at = time.monotonic()
         with ThreadPoolExecutor(8) as pool:
             jobs = list(pool.map(lambda seed: send(stack, archive, seed), range(200)))
-        print(f"sent in {time.monotonic() - begun:.1f} s")
+        print(f"sent in {time.monotonic() - started_at:.1f} s")
         assert len(set(jobs)) == 200
         for job in jobs:
             assert stack.wait_for(job, "succeeded", seconds=7000, every=1.0)["metrics"]["mesh"]["faces"] > 500
             assert stack.http.get(f"/jobs/{job}/mesh.ply", headers={"Range": "bytes=0-2"}).content == b"ply"
-        print(f"all done in {time.monotonic() - begun:.1f} s")
+        print(f"all done in {time.monotonic() - started_at:.1f} s")
         assert sorted(successes(stack)) == sorted(jobs)
         assert stack.http.get("/jobs", params={"limit": 200}).json()["next"] is None
 
@@ -174,7 +174,7 @@ class Attendance(threading.Thread):
             opened = {job for job, _, _ in self.store.open_rounds()}
             alone = opened - self._waiting() - self.stack.jobs_at_work()
             self._alone = {job: self._alone.get(job, now) for job in alone}
-            self.longest = max([self.longest, *(now - begun for begun in self._alone.values())])
+            self.longest = max([self.longest, *(now - started_at for started_at in self._alone.values())])
             self.looks += 1
 
     def stop(self) -> None:

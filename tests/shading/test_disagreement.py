@@ -20,7 +20,7 @@ from tests.shading.painted import PIXEL, flash_photographs, painted
 
 POLE = np.array([0.36, 0.48, 0.8])
 HOLE = 0.35  # radians around the pole
-CONFIG = MeshConfig(parallax_reach=None)
+CONFIG = MeshConfig(photometric_reach=None)
 
 
 def patches(points: np.ndarray) -> np.ndarray:
@@ -70,6 +70,6 @@ def test_a_surface_without_holes_stays_whole() -> None:
     assert found.opened == 0 and len(found.faces) == len(ball().faces)
 
 
-@pytest.mark.parametrize("kept", [replace(CONFIG, disagreement=None), replace(CONFIG, close_holes=True)])
+@pytest.mark.parametrize("kept", [replace(CONFIG, photometric_residual=None), replace(CONFIG, close_holes=True)])
 def test_all_is_kept_where_asked_for(past_the_hole: list[View], kept: MeshConfig) -> None:
     assert held(past_the_hole, kept).opened == 0

@@ -149,7 +149,7 @@ def test_the_surface_of_a_capture_is_moved_where_outlines_hold_it() -> None:
     moved, left = meshes
     assert moved.light is Light.UNKNOWN and moved.parallax and not left.parallax
     assert error(moved.vertices) < 0.3 * error(left.vertices)
-    assert not extract_mesh(rendered, replace(config, parallax_reach=None), masks, seen).parallax
+    assert not extract_mesh(rendered, replace(config, photometric_reach=None), masks, seen).parallax
     assert not extract_mesh(rendered, config, masks, seen, go_on=lambda: False).parallax
 
 

@@ -18,7 +18,7 @@ from tests.training.ball import ball_points, ball_scene
 
 
 def test_rates_fade_from_start_to_end() -> None:
-    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, fade_from=0.5, final=0.1)
+    config = RatesConfig(position=1.6e-4, position_end=1.6e-6, decay_from=0.5, final_factor=0.1)
     assert rates_at(0.0, config, 2.0)["means"] == pytest.approx(2 * config.position)
     assert rates_at(1.0, config, 2.0)["means"] == pytest.approx(2 * config.position_end)
     assert rates_at(0.5, config, 1.0)["means"] == pytest.approx(1.6e-5)
@@ -81,12 +81,12 @@ def test_small_views_average_light_and_alpha() -> None:
 
 def test_the_flashs_light_goes_with_its_view() -> None:
     lit = np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8)
-    view = replace(ball_scene(48).train[0], shading=lit)
+    view = replace(ball_scene(48).train[0], irradiance=lit)
     (whole,), (small,) = prepare_views([view], masked=True), prepare_views([view], masked=True, reduce=2)
     assert np.allclose(whole.shading().numpy(), lit / 255, atol=1e-6)
     mean = lit.reshape(24, 2, 24, 2).mean(axis=(1, 3)) / 255
     assert np.allclose(small.shading().numpy(), mean, atol=0.51 / 255)
-    assert prepare_views([replace(view, irradiance=None)], masked=True)[0].light() is None
+    assert prepare_views([replace(view, irradiance=None)], masked=True)[0].shading() is None
 
 
 def test_small_views_of_odd_sides() -> None:
@@ -149,7 +149,7 @@ def test_no_test_stops_early() -> None:
     assert feed(EpochMeans(50, 2, 0.01), [0.5] * 100) == 52
 
 
-def test_held_back_waits_for_its_patience() -> None:
+def test_validation_waits_for_its_patience() -> None:
     psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
     test = Validation(0, PaperConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
     stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]

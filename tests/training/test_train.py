@@ -86,10 +86,10 @@ def test_same_seed_same_bytes() -> None:
     [
         ("none", "both"),
         ("epoch", "both"),
-        ("held_back", "both"),
+        ("validation", "both"),
         ("paper", "both"),
         ("none", "auto"),
-        ("held_back", "auto"),
+        ("validation", "auto"),
     ],
 )
 def test_a_resumed_run_equals_one_that_was_not_stopped(

@@ -84,10 +84,10 @@ def test_a_deadline(limited: Stack, tiny_archive: bytes) -> None:
     job = limited.submitted(tiny_archive, LONG_OPTIONS | {"deadline_seconds": 3})
     limited.start("worker0")
     limited.wait_for(job, "running")
-    begun = time.monotonic()
+    started_at = time.monotonic()
     error = failure(limited, job)
     assert error["code"] == "deadline_exceeded" and error["retryable"] and "3 s" in error["message"]
-    assert time.monotonic() - begun < 8
+    assert time.monotonic() - started_at < 8
 
 
 @pytest.mark.slow
@@ -96,10 +96,10 @@ def test_a_process_that_a_stranger_kills_is_started_again(limited: Stack, tiny_a
     limited.start("worker0")
     limited.wait_for(job, "running", step="train")
     os.kill(limited.job_processes()[0], signal.SIGKILL)
-    begun = time.monotonic()
+    started_at = time.monotonic()
     while limited.wait_for(job, "running", "queued")["attempt"] != 2:
         time.sleep(0.1)
-    assert time.monotonic() - begun < 30
+    assert time.monotonic() - started_at < 30
     limited.wait_for(job, "running", step="train")
     limited.http.delete(f"/jobs/{job}")
     limited.wait_for(job, "cancelled")

@@ -119,8 +119,8 @@ def test_a_long_step_before_training_moves_and_says_how_long_it_takes(
 @pytest.mark.parametrize("step", BEFORE)
 def test_each_step_before_training_may_tell_how_far_it_is(tmp_path: Path, step: str) -> None:
     """Check progress within a step; unequal exposures make the start be found again, under their step."""
-    begun, halfway = report(tmp_path, [Event(step, step), Event(step, step, done=0.5)])
-    assert begun["progress"] <= halfway["progress"] <= max(BEFORE.values())
+    first, halfway = report(tmp_path, [Event(step, step), Event(step, step, done=0.5)])
+    assert first["progress"] <= halfway["progress"] <= max(BEFORE.values())
     assert halfway["step_progress"] == 0.5
 
 

@@ -71,9 +71,9 @@ def test_a_failure_does_not_stop_the_others(place: Place, capsys: pytest.Capture
 
 
 def test_a_step_ends_at_its_limit_and_keeps_what_it_printed(place: Place) -> None:
-    begun = time.monotonic()
+    started_at = time.monotonic()
     assert run_part([step("slow", FOREVER, limit=3), step("next", "pass")], place, limit=60) is False
-    assert time.monotonic() - begun < 20
+    assert time.monotonic() - started_at < 20
     assert "measured 1\n" in read(place)
     assert "- slow: FAILED, ended after its limit of 3 s" in summary(place)[0] and "- next: ok" in summary(place)[1]
 

@@ -11,17 +11,19 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from mgsr.config import SurfaceDepth, Teaching, TrainConfig
-from mgsr.losses.alpha import silhouette
-from mgsr.losses.depths import depth_agreement, depth_unit
+from mgsr.config import AlphaLoss, DepthUnit, SurfaceDepth, Teaching, TrainConfig
+from mgsr.gaussians.gaussians import GaussianModel
+from mgsr.gaussians.start import logit
 from mgsr.losses.loss import Loss
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.image_loss import image_loss_term
-from mgsr.ops.pixels import product_term
+from mgsr.ops.pixels import product_term, silhouette_term, squares_term, steps_term
 from mgsr.ops.terms import Term, evaluate
 from mgsr.ops.tv import edge_aware_tv_term
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
+
+LEAST_DISTANCE = 0.1  # scene units
 
 Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
 
@@ -115,6 +117,51 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
     if config.paper.distortion_weight and outputs.distortion is not None:
         terms["surfels.distortion"] = config.paper.distortion_weight * outputs.distortion.mean()
     return terms
+
+
+def environment_map_terms(maps: Tensor, gaussians: GaussianModel, config: TrainConfig) -> Terms:
+    """Return the regularisers of the environment maps [2,S,S,3] and of the splats' reflection weights, by name.
+
+    The maps' smoothness is the mean square of differences between neighbours. Each splat's reflection weight is pulled
+    to where it began, so that a place where no photograph saw a highlight stays as glossy as the rest.
+    """
+    settings = config.environment_map
+    terms: Terms = {"environment_map.smooth": settings.smoothness * steps_term(maps)}
+    if gaussians.weight_logits is not None:
+        away = squares_term(gaussians.weight_logits, offset=logit(config.gaussians.start_weight))
+        terms["environment_map.weights"] = settings.weight_prior * away
+    return terms
+
+
+def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
+    """Return the silhouette loss of the rendered alpha [H,W] against the photograph's mask [H,W], both 0..1.
+
+    kind: the mean absolute difference or the cross entropy. where [H,W]: weights of the pixels, all 1 by default (the
+    mean stays over all pixels). Gradients flow to alpha.
+    """
+    return silhouette_term(alpha, mask, where, entropy=kind is AlphaLoss.BCE)
+
+
+def depth_agreement(
+    gaussian_depth: Tensor, surfel_depth: Tensor, covered: tuple[Tensor, Tensor], unit: float | Tensor
+) -> Term:
+    """Return L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
+
+    Depths [H,W] camera z; covered: two of [H,W], 0 or 1. Gradients flow to both depths.
+    """
+    return squares_term(gaussian_depth, surfel_depth, covered, by=gaussian_depth.numel() * unit**2)
+
+
+def depth_unit(kind: DepthUnit, gaussian_depth: Tensor, distance: float) -> float | Tensor:
+    """Return the unit that `depth_agreement` divides by: the camera's distance from the scene's centre.
+
+    As in the paper, it may be the largest depth instead (one for both, so that depths which agree still agree after
+    it). A distance under 0.1 counts as that: a camera in the middle of the scene, whose radius is 1, would else weigh
+    without bound.
+    """
+    return (
+        max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else gaussian_depth.detach().max().clamp(min=1e-6)
+    )
 
 
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:

@@ -17,9 +17,8 @@ from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.environment_map import RenderedMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.losses.environment_map import environment_map_terms
 from mgsr.losses.loss import Loss
-from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import Terms, environment_map_terms, gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.renderers.environment_map import reflected_environment
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs

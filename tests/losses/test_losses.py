@@ -11,9 +11,15 @@ import torch
 
 from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
-from mgsr.losses.alpha import silhouette
-from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import (
+    depth_agreement,
+    depth_unit,
+    gaussian_terms,
+    mutual_terms,
+    silhouette,
+    surfel_terms,
+    total,
+)
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.terms import scalar

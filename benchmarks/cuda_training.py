@@ -33,7 +33,6 @@ from benchmarks.gpu_check.wheels import fetch_wheels
 from benchmarks.packed_scenes import Packed, pack, read, unpack
 from mgsr.bench.scores import report_scores
 from mgsr.config import Config, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.export.environment_map import StoredEnvironmentMap, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
@@ -151,7 +150,7 @@ def report(progress: Progress) -> None:
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
     """Return seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
-    background = backdrop(scene, config.train.background).color
+    background = scene.backdrop(config.train.background).color
     model, psnr = result.model.to(device), {}
     if model.surfels is not None:
         psnr["surfels"] = mean_psnr(surfel_picture(model.surfels), views, background)

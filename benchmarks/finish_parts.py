@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from benchmarks.evidence.surface_parts import ALL, PartRow
 from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.config import MeshConfig, make_config
 from mgsr.data.readers import load_scene
 from mgsr.geometry.mesh import Mesh

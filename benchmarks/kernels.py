@@ -1,6 +1,6 @@
 """Time and error of every kernel in every variant.
 
-    PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster [--scene s20k_256] [--keep benchmarks/results]
+    python -m benchmarks.kernels ../shared/data/raster [--scene s20k_256] [--keep benchmarks/results]
 
 Each row is one kernel through autograd as training calls it: medians of 20 runs, and its largest and mean error to
 float64. The oracles of tests/oracles are the witnesses; rasterizers are timed on a scene of the raster folder and
@@ -24,8 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.bench.kernel_page import kernel_table
-from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels, write_kernels
+from benchmarks.evidence.kernels import KERNELS, KernelRow, kernel_table, read_kernels, write_kernels
 from mgsr.bench.machine import processor_name, program_commit
 from mgsr.data.camera import Camera
 from mgsr.native import _image, runtime

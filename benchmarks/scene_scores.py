@@ -16,12 +16,12 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.evidence.scene_sets import SetRow
+from benchmarks.evidence.surface_parts import PartRow
 from benchmarks.render_scenes import SHARED
 from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import PartRow
-from mgsr.bench.sets_page import SetRow
 from mgsr.config import make_config
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene

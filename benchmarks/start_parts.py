@@ -18,10 +18,10 @@ from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks.evidence.surface_parts import ALL, PartRow
 from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.config import make_config
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene

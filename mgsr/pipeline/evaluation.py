@@ -13,9 +13,8 @@ from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
 from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.image import image_metrics
-from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import SplitScore, mean_split, split_score
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
 from mgsr.pipeline.rendering import ViewImages
 

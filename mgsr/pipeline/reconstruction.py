@@ -91,7 +91,7 @@ class Reconstruction:
     @property
     def surface_depth(self) -> SurfaceDepth:
         """Which depth of the surfels is the surface."""
-        return SurfaceDepth(self.report.other["settings"]["train"]["surfels"]["depth"])
+        return SurfaceDepth(self.report.other["settings"]["train"]["paper"]["surface_depth"])
 
 
 def reconstruct(

@@ -8,7 +8,6 @@ from typing import Any
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
@@ -157,7 +156,7 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
-        behind = backdrop(scene, run.config.train.background).color
+        behind = scene.backdrop(run.config.train.background).color
         scores = scores | image_scores(rendered, scene, behind)
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]

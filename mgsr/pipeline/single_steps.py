@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import Config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.mesh.surface import ReconstructedMesh
@@ -68,7 +67,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     chosen = pick_device(device)
     scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))))
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
-    behind = backdrop(scene, config.train.background)
+    behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)
     if (out / MESH).is_file():
         scores |= surface_scores(read_mesh(out), find_truth(scene), scene)

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.config import Background
-from mgsr.data.backdrop import backdrop, without_backdrop
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
@@ -138,8 +137,8 @@ def _unmasked_points(
     points, source = sweep_planes(scene.train, progress), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
-    last = backdrop(scene, background)
-    points = without_backdrop(points, last)
+    last = scene.backdrop(background)
+    points = points.rows(~last.hides(points.colors))
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
     points = _without_isolated(points)

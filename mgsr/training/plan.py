@@ -9,7 +9,7 @@ from typing import TypeVar
 import torch
 
 from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, gaussian_settings
-from mgsr.data.backdrop import Backdrop, Color, backdrop
+from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.clearance import Clearance
 from mgsr.densify.contribution import contributions, least_contributing
@@ -107,7 +107,7 @@ def make_plan(
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    behind = backdrop(scene, config.train.background)
+    behind = scene.backdrop(config.train.background)
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     train_state = make_train_state(scene, start, config, reflection, tried, device)
@@ -137,7 +137,7 @@ def make_plan(
 
 def mutual_iterations(config: Config) -> int:
     """Return the iterations of the mutual phase, or of a lone branch in its place."""
-    return round(config.train.mutual.iterations * config.train.mutual.iterations_factor)
+    return round(config.train.mutual.iterations * config.train.paper.iterations_factor)
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
@@ -232,7 +232,7 @@ def _warmup(
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is train_state.surfels else 4))
     measure = _measure(train_state, branch.name, photographs)
-    convergence = make_convergence(warmup, iterations, measure)
+    convergence = make_convergence(warmup, config.train.paper, iterations, measure)
     light = train_state.environment_map if branch is train_state.gaussians else None
     views = photographs.views
     stage = Stage(
@@ -318,8 +318,8 @@ def _silhouettes_count(config: Config) -> bool:
 
 def _validation_views(config: Config, views: int) -> int:
     """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
-    held_out = config.train.warmup.stop_rule is StopRule.VALIDATION
-    return min(config.train.warmup.validation_views, views // 2) if held_out else 0
+    held_out = config.train.paper.stop_rule is StopRule.VALIDATION
+    return min(config.train.paper.validation_views, views // 2) if held_out else 0
 
 
 def _spared(config: Config, views: int) -> int:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsr.config import Reflection, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
@@ -66,7 +65,7 @@ def train_proxy_model(
 
     prepared = prepare_views(views, scene.masked)
     stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
-    plan = Plan(train_state, [stage], [], backdrop(scene, settings.train.background))
+    plan = Plan(train_state, [stage], [], scene.backdrop(settings.train.background))
     Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
     return branch.model
 

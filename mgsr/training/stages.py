@@ -17,9 +17,8 @@ from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.environment_map import RenderedMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.losses.environment_map import environment_map_terms
 from mgsr.losses.loss import Loss
-from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import Terms, environment_map_terms, gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.renderers.environment_map import reflected_environment
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
@@ -203,7 +202,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned = config.warmup.surfel_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
-        regularised = not warming or iteration >= config.surfels.regularise_from * planned
+        regularised = not warming or iteration >= config.paper.regularise_from * planned
         behind = color_tensor(background, branch.device)
         outputs = _see_surfels(branch, view, behind, degree, config)
         terms = surfel_terms(outputs, view.target(behind), config, regularised)
@@ -224,7 +223,7 @@ def gaussians_alone(
         planned = config.warmup.gaussian_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
-        needs_depth = config.tv and config.gaussians.depth_tv_weight > 0
+        needs_depth = config.paper.tv and config.paper.gaussian_depth_tv_weight > 0
         shown: Tensor | None = None
         held: Terms = {}
         if surface is not None and surface.environment_map.used:
@@ -248,7 +247,7 @@ def both_teach(
 
     environment_map: what the surface reflects, which is trained too where it is used.
     """
-    both = config.mutual.teaching is Teaching.BOTH_WAYS
+    both = config.paper.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         behind = color_tensor(background, surfels.device)
@@ -279,7 +278,7 @@ def _degree(iteration: int, planned: int, highest: int, config: TrainConfig, war
 def _see_surfels(
     branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
-    distortion = config.surfels.distortion_weight > 0
+    distortion = config.paper.distortion_weight > 0
     return render_surfels(branch.model, view.camera, behind, degree, distortion, view.shading())
 
 

@@ -10,10 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from benchmarks.evidence.kernels import AS_IT_IS, KERNELS, kernel_section, read_kernels
 from benchmarks.kernel_choices import CHOICES, ROOT, Choice, changed_sources
 from benchmarks.kernels import Case, errors, image_cases, keep, raster_cases, rows_of, splat_cases
-from mgsr.bench.kernel_page import kernel_section
-from mgsr.bench.kernel_results import AS_IT_IS, KERNELS, read_kernels
 from tests.ops.splat_scenes import camera, random_splats
 
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.bench.length_page import early_ends, length_section
+from benchmarks.evidence.training_length import early_ends, length_section
 from tests.bench.samples import sample_row
 
 

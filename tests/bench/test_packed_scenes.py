@@ -74,7 +74,7 @@ def test_everything_comes_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(content.start, name), getattr(points, name))
     for found, expected in zip(content.scene.train + content.scene.test, views + views[:1], strict=True):
         assert found.name == expected.name and found.camera.width == expected.camera.width
-        for name in ("image", "alpha", "lit", "known"):
+        for name in ("image", "alpha", "irradiance", "valid_mask"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
         for name in ("K", "cam_from_world"):
             np.testing.assert_array_equal(getattr(found.camera, name), getattr(expected.camera, name))

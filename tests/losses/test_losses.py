@@ -11,9 +11,15 @@ import torch
 
 from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
-from mgsr.losses.alpha import silhouette
-from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import (
+    depth_agreement,
+    depth_unit,
+    gaussian_terms,
+    mutual_terms,
+    silhouette,
+    surfel_terms,
+    total,
+)
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.terms import scalar
@@ -93,7 +99,7 @@ def test_a_term_without_weight_is_not_computed() -> None:
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
 def test_who_is_taught(teaching: str) -> None:
     """Check that one way the 2D branch's terms leave C_tran alone, and the depth loss the 2D branch's depth."""
-    config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
+    config = make_config(overrides=[f"teaching={teaching}", "surface_depth=expected"]).train
     flat, full = surfels(), gaussians()
     terms = mutual_terms(flat, full, target(), config)
     by_image = torch.autograd.grad(
@@ -134,7 +140,7 @@ def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
     Colour and alpha get no gradient there; far from them, beyond any window, the gradients are those of a photograph
     that shows all.
     """
-    config = replace(make_config().train, alpha_loss=kind)
+    config = make_config(overrides=[f"alpha_loss={kind}"]).train
     config = replace(config, gaussians=replace(config.gaussians, transmitted_tv_weight=0.0))
     invalid = torch.arange(SIZE) * SIZE + 1  # the second column
     results = []

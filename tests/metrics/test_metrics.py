@@ -14,8 +14,7 @@ from mgsr.errors import MeshError, SceneError
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.metrics.image import composited, image_metrics, psnr, psnr_after_gain, ssim
-from mgsr.metrics.normals import normal_metrics
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth, sample_surface
 from tests.metrics.scenes import blender_cameras
 

@@ -10,9 +10,8 @@ import pytest
 
 from mgsr.geometry.mesh import Mesh
 from mgsr.metrics.image import image_metrics
-from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import mean_split, split_score
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import load_truth
 from tests.metrics.altered import SCENE, altered_image, altered_mesh, frames, load
 from tests.metrics.scenes import blender_cameras

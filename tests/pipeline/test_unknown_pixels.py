@@ -12,7 +12,6 @@ import torch
 from scipy.ndimage import binary_dilation
 
 from mgsr.config import Config, DataConfig, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
@@ -47,7 +46,7 @@ SHORT = [
     "model_selection.iterations=4",
     "model_selection.views=2",
     "transmitted_tv_weight=0.1",
-    "gaussians.depth_tv_weight=0.05",
+    "gaussian_depth_tv_weight=0.05",
     "curve_every=10",
     "mesh.view_scale=1",
     "mesh.poisson_depth=6",
@@ -92,7 +91,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     assert mesh.textured is not None
     yield "texture", mesh.textured.picture
     rendered = list(render_views(models, scene.test, config))
-    behind = backdrop(scene, config.train.background).color
+    behind = scene.backdrop(config.train.background).color
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)

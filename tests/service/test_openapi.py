@@ -126,7 +126,7 @@ def test_examples_hold_to_their_schemas(app: FastAPI) -> None:
     assert JobView.model_validate(example).status == "running" and set(example) <= set(JobView.model_fields)
 
 
-def test_options_tell_everything_that_can_be_set(stack: Stack) -> None:
+def test_options_tell_everything_that_users_set(stack: Stack) -> None:
     found = stack.http.get("/options").json()
     assert set(found["presets"]) == {"draft", "standard", "high"} and set(found["methods"]) == {"mgsr", "2dgs", "3dgs"}
     assert found["settings"]["mesh.max_faces"] == {
@@ -135,6 +135,7 @@ def test_options_tell_everything_that_can_be_set(stack: Stack) -> None:
         "default": None,
     }
     assert found["options"]["properties"]["seed"]["minimum"] == 0
+    assert not any(name.startswith("train.paper.") for name in found["settings"])
 
 
 def test_metrics_count_what_happens(stack: Stack) -> None:

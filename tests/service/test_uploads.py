@@ -156,7 +156,7 @@ def test_what_is_malformed_is_refused(strict: Stack, kind: str, body: bytes, sta
         ({"data.masks": "maybe"}, "auto, object, ignore, off"),
         ({"every": 3}, "ambiguous"),
         ({"train.volumes.max_start": 9}, "write 'train.gaussians.max_start'"),
-        ({"train.tv": 1}, "true or false"),
+        ({"train.paper.tv": 1}, "true or false"),
     ],
 )
 def test_a_wrong_setting_is_named_with_the_cure(strict: Stack, settings: dict[str, object], said: str) -> None:

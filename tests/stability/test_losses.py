@@ -12,8 +12,7 @@ from torch import Tensor
 from mgsr.config import DepthUnit, make_config
 from mgsr.data.camera import Camera
 from mgsr.gaussians.start import start_gaussians, start_surfels
-from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import depth_agreement, depth_unit, gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import depth_to_normals, normal_agreement_term
 from mgsr.ops.image_loss import image_loss

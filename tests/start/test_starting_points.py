@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
@@ -17,7 +18,6 @@ from mgsr.data.scene import PointCloud, Scene, Similarity
 from mgsr.data.silhouettes import silhouettes
 from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
-from mgsr.pipeline.example import find_example
 from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
 from mgsr.shading.light_estimate import LightEstimate
 from mgsr.shading.photo_set import PhotoSet

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.config import PaperConfig, RatesConfig, StopRule, WarmupConfig, make_config
 from mgsr.data.backdrop import WHITE, Backdrop
 from mgsr.training.convergence import EpochMeans, LossRange, Validation, make_convergence
 from mgsr.training.plan import make_plan
@@ -151,15 +151,15 @@ def test_no_test_stops_early() -> None:
 
 def test_validation_waits_for_its_patience() -> None:
     psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
-    test = Validation(0, WarmupConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
+    test = Validation(0, PaperConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
     stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
     assert stops == [50]
 
 
 @pytest.mark.parametrize("rule", ["epoch", "validation", "paper"])
 def test_state_goes_through_a_checkpoint(rule: str) -> None:
-    config = WarmupConfig(stop_rule=StopRule(rule), validation_every=1, epoch_span=1)
-    first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))
+    warmup, paper = WarmupConfig(epoch_span=1), PaperConfig(stop_rule=StopRule(rule), validation_every=1)
+    first, second = (make_convergence(warmup, paper, 100, lambda: 1.0) for _ in range(2))
     for i in range(1, 6):
         first.converged(torch.tensor(0.5), i, i % 2 == 0)
     second.restore(first.state())

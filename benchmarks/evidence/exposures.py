@@ -47,8 +47,8 @@ def exposure_section(rows: Sequence[ExposureRow]) -> str:
             "## Photographs of differing exposure",
             f"Each training photograph got a factor of light of its own, whose logarithm deviates by {deviations}. "
             "PSNR is on the object, after a gain of each channel, since nobody can know at which exposure the test "
-            f"photographs were to be taken. Preset {presets}, program at {commits}; made by `python "
-            "benchmarks/exposures.py`.",
+            f"photographs were to be taken. Preset {presets}, program at {commits}; made by `python -m "
+            "benchmarks.exposures`.",
             markdown(["scene", "photographs", "PSNR", "Chamfer", "F", "normal error"], cells),
             *_words(rows),
         )

@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mgsr.bench.comparing import gain, held_against, is_busy, plain_runs
+from benchmarks.evidence.comparing import gain, held_against, is_busy, plain_runs
 from mgsr.bench.results import Row
 from mgsr.bench.table import markdown
 

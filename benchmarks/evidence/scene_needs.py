@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from benchmarks.evidence.comparing import SCORES, held_against, is_busy, plain_runs
 from mgsr.bench.ablations import NEED_ROWS, AblationRow
 from mgsr.bench.cells import of_row
-from mgsr.bench.comparing import SCORES, held_against, is_busy, plain_runs
 from mgsr.bench.results import Row
 from mgsr.bench.table import markdown, number
 

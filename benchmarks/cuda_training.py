@@ -195,7 +195,8 @@ def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str
     subprocess.run([*mgsr, "mesh", *there, "--preset", facts["preset"]], check=True, cwd=ROOT)
     done = subprocess.run([*mgsr, "evaluate", *there], check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     (folder / "scores.json").write_text(done.stdout)
-    return report_scores(json.loads(done.stdout)) | facts["splats"] | {"train_seconds": facts["seconds"]}
+    splats: dict[str, Any] = facts["splats"]
+    return report_scores(json.loads(done.stdout)) | splats | {"train_seconds": facts["seconds"]}
 
 
 def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:

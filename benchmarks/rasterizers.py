@@ -102,13 +102,15 @@ def our_modes(scene: Scene) -> dict[str, Render]:
     view = (scene.camera, scene.background)
 
     def volumes() -> list[Tensor]:
-        return [rasterize_volumes(*scene.leaves, *view, None, VolumeOptions(depth=False)).color]
+        options = VolumeOptions(depth=False)
+        return [rasterize_volumes(means, quats, scales, opacities, colors, *view, None, options).color]
 
     def surfels() -> list[Tensor]:
         return [rasterize_surfels(means, quats, scales[:, :2].contiguous(), opacities, colors, *view).color]
 
     def dual() -> list[Tensor]:
-        out = rasterize_volumes(*scene.leaves, *view, scene.reflected)
+        out = rasterize_volumes(means, quats, scales, opacities, colors, *view, scene.reflected)
+        assert out.reflected is not None and out.weight is not None and out.depth is not None
         return [out.color, out.reflected, out.weight, out.depth]
 
     return {"3d": volumes, "2d": surfels, "dual": dual}
@@ -124,7 +126,8 @@ def gsplat_modes(scene: Scene) -> dict[str, Render]:
     size = {"width": scene.camera.width, "height": scene.camera.height, "packed": False}
 
     def volumes(opacities: Tensor = opacities, colors: Tensor = colors) -> Tensor:
-        return gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
+        color: Tensor = gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
+        return color
 
     def surfels() -> list[Tensor]:
         return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors[None], pose, K, **size)[0]]
@@ -186,7 +189,7 @@ def measure(size: str, runs: int, device: torch.device, beside: bool = True) -> 
 def _row(size: str, mode: str, rows: list[tuple[float, float]], memory: float | None) -> Row:
     forward, backward = zip(*rows, strict=True)
     both = [a + b for a, b in rows]
-    return Row(size, mode, *(statistics.median(column) for column in (forward, backward, both)), memory)
+    return Row(size, mode, statistics.median(forward), statistics.median(backward), statistics.median(both), memory)
 
 
 HEAD = (

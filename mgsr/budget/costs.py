@@ -61,7 +61,8 @@ def start_cost(facts: Facts) -> float:
     if not facts.masked and not facts.learned:
         return search + STEREO * facts.views
     surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    return search + LEARNED * facts.learned + 2.0 + surface
+    seconds: float = search + LEARNED * facts.learned + 2.0 + surface
+    return seconds
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
@@ -88,7 +89,8 @@ def surface_cost(facts: Facts, config: MeshConfig) -> float:
     across = SHOWN * (rendered / facts.views) ** 0.5
     cells = min(2**config.poisson_depth, across) / 256
     waves = WAVES if config.wave_angle and not facts.flash else 0.0
-    return 0.3 + (12.0 + waves) * cells**2 + 0.55 * rendered / 1e6
+    seconds: float = 0.3 + (12.0 + waves) * cells**2 + 0.55 * rendered / 1e6
+    return seconds
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
@@ -102,7 +104,8 @@ def refinement_cost(facts: Facts, config: MeshConfig) -> float:
     shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
     held = (facts.masked or facts.learned) and config.parallax_reach is not None
     cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
-    return (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
+    seconds: float = (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
+    return seconds
 
 
 def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:

@@ -57,7 +57,8 @@ class MirroredLight:
     @property
     def side(self) -> int:
         """Return the number of texels along a side of each map."""
-        return round(((len(self) - 1) / 2) ** 0.5)
+        texels: int = round(((len(self) - 1) / 2) ** 0.5)
+        return texels
 
     def light(self) -> Light:
         """Return the light as shares 0..1, for rendering."""

@@ -139,4 +139,5 @@ def _beside(outline: Outline, steps: np.ndarray, which: np.ndarray | slice = sli
 
     which: the contour points to use, by index; all by default.
     """
-    return outline.points[which, None] + steps[..., None] * outline.outwards[which, None]
+    samples: np.ndarray = outline.points[which, None] + steps[..., None] * outline.outwards[which, None]
+    return samples

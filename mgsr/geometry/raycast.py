@@ -31,7 +31,8 @@ class RayHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [H,W] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class PixelHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [...] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 class RayCaster:
@@ -162,4 +164,5 @@ def pixel_rays(camera: Camera) -> np.ndarray:
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    return (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    rays: np.ndarray = (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    return rays

@@ -33,7 +33,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     crosses = face_crosses(vertices, faces)
     corners = faces.ravel()
     sums = np.stack([np.bincount(corners, np.repeat(crosses[:, axis], 3), len(vertices)) for axis in range(3)], axis=1)
-    return (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
+    normals: np.ndarray = (sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)).astype(np.float32)
+    return normals
 
 
 def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -38,7 +38,8 @@ def smooth_waves(vertices: np.ndarray, faces: np.ndarray, unit: float, angle: fl
     strength = (KEPT * unit / edge_length(before, triangles)) ** 2
     ones, zeros = np.ones(len(before)), np.zeros(len(before))
     moves = bend_to_normals(before, edges(triangles), normals, wanted, ones, strength, ones, zeros)
-    return vertices + interpolation(before, triangles, vertices) @ (moves[:, None] * normals)
+    moved: np.ndarray = vertices + interpolation(before, triangles, vertices) @ (moves[:, None] * normals)
+    return moved
 
 
 def _fitted_normals(places: np.ndarray, faces: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
@@ -119,4 +120,5 @@ def _fit(around: sparse.csr_matrix, table: np.ndarray, own: np.ndarray, here: np
     slopes = np.linalg.solve(flat, tangents @ changes)
     ways = np.einsum("vti,vi->vt", tangents, here - middle)
     values = mean + np.einsum("vt,vti->vi", ways, slopes)
-    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-20)
+    normals: np.ndarray = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-20)
+    return normals

@@ -49,4 +49,5 @@ def bend_to_views(
         hold=np.where(told, 1, STAY),
         offsets=np.where(told, offsets, 0),
     )
-    return vertices + moves[:, None] * normals
+    bent: np.ndarray = vertices + moves[:, None] * normals
+    return bent

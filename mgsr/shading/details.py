@@ -237,4 +237,5 @@ def look_at(surface: Surface, photograph: MixedPhotograph, light: KnownLight) ->
 def apart(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return values [V,K] less their mean over the K photographs, by weights [V,K]."""
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    return values - (weights * values).sum(axis=1, keepdims=True) / total
+    centred: np.ndarray = values - (weights * values).sum(axis=1, keepdims=True) / total
+    return centred

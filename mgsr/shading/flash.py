@@ -44,7 +44,9 @@ class Flash:
     def lamps(self, cameras: Sequence[Camera]) -> np.ndarray:
         """Return the lamp's positions [N,3] for the cameras' photographs, in the scene's frame."""
         sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])
-        return np.stack([camera.center for camera in cameras]) + np.array([self.right, self.down]) @ sides
+        centers = np.stack([camera.center for camera in cameras])
+        positions: np.ndarray = centers + np.array([self.right, self.down]) @ sides
+        return positions
 
 
 def flash_ratio(readings: Readings, normals: np.ndarray) -> float:
@@ -111,7 +113,8 @@ def albedos(
     for _ in range(ROUNDS):
         albedo = scale(brightness, light, current)
         current = trusted(brightness - albedo[:, None] * light, weights, current)
-    return np.maximum(albedo, 0)
+    clipped: np.ndarray = np.maximum(albedo, 0)
+    return clipped
 
 
 def _solve(
@@ -145,12 +148,14 @@ _PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among the
 
 def scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the factor [P] that brings shape [P,K] closest to brightness [P,K], by weighted least squares."""
-    return (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
+    albedo: np.ndarray = (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
+    return albedo
 
 
 def deviation(left: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the weighted root mean square [P] of the residuals [P,K]."""
-    return np.sqrt((weights * left * left).sum(1) / np.maximum(weights.sum(1), 1e-9))
+    deviations: np.ndarray = np.sqrt((weights * left * left).sum(1) / np.maximum(weights.sum(1), 1e-9))
+    return deviations
 
 
 def trusted(left: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
@@ -161,4 +166,5 @@ def trusted(left: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.nd
     """
     spread = deviation(left, current)[:, None] + 1e-6
     high, low = np.maximum(left, 0) / (ABOVE * spread), np.minimum(left, 0) / (BELOW * spread)
-    return weights / ((1 + high**2) * (1 + low**2))
+    reduced: np.ndarray = weights / ((1 + high**2) * (1 + low**2))
+    return reduced

@@ -95,7 +95,8 @@ class Lighting:
         """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
         normals = vertex_normals(self.vertices, self.faces)
         carried = np.concatenate([self.vertices, normals, self.besides[:, None]], axis=1)
-        return carried[self.like].astype(np.float32)
+        values: np.ndarray = carried[self.like].astype(np.float32)
+        return values
 
     @cached_property
     def _gap(self) -> float:

@@ -72,7 +72,8 @@ def refine_by_parallax(
         total = weights + held + STAY
         moves = plate((weights * wanted + held * gaps / pixel) / total, total)
         places = places + pixel * np.clip(moves, -LIMIT, LIMIT)[:, None] * surface.normals
-    return vertices + interpolation(start, triangles, vertices) @ (places - start)
+    moved: np.ndarray = vertices + interpolation(start, triangles, vertices) @ (places - start)
+    return moved
 
 
 def _plate(

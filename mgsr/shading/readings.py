@@ -39,7 +39,8 @@ class Readings:
     @property
     def counts(self) -> np.ndarray:
         """Return how many photographs tell of each point, [P]."""
-        return (self.weights > 0).sum(axis=1)
+        seen: np.ndarray = (self.weights > 0).sum(axis=1)
+        return seen
 
     def at(self, points: np.ndarray) -> Readings:
         """Return the readings of some of the points, by their indices."""
@@ -113,12 +114,14 @@ def seen_frontal(
     normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`.
     """
     index = np.flatnonzero(frontal)
-    return index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
+    seen: np.ndarray = index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
+    return seen
 
 
 def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Interpolate the image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
-    return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+    values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+    return values
 
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:

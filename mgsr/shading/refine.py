@@ -184,7 +184,8 @@ class _Work:
             hold=STAY + TOUCHED * held,
             offsets=offsets * TOUCHED * held / (TOUCHED * held + STAY),
         )
-        return vertices + moves[:, None] * normals
+        bent: np.ndarray = vertices + moves[:, None] * normals
+        return bent
 
 
 def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
@@ -194,4 +195,5 @@ def _fair(vertices: np.ndarray, faces: np.ndarray, angle: float) -> np.ndarray:
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
     """Average values [V] by their weights [V] over about `reach` edges around."""
     sums = spread(np.stack([values * weights, weights], axis=1), laplacian, reach)
-    return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    means: np.ndarray = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    return means

@@ -40,7 +40,8 @@ def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
     It is 1 where nothing changes, and BARELY across an edge. The result has the image's size, less one along that axis.
     """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
-    return np.maximum(np.exp(-((change / EDGE) ** 2)), BARELY)
+    links: np.ndarray = np.maximum(np.exp(-((change / EDGE) ** 2)), BARELY)
+    return links
 
 
 def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
@@ -59,7 +60,8 @@ def _trust(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.nd
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
         parts = [(index[..., :-1], 1.0), (index[..., 1:], -1.0)]
         form = form + _gram(parts, np.moveaxis(smooth, axis, -1), index.size)
-    return splu(form.tocsc()).solve(HOLD * found.ravel().astype(float)).reshape(found.shape)
+    trust: np.ndarray = splu(form.tocsc()).solve(HOLD * found.ravel().astype(float)).reshape(found.shape)
+    return trust
 
 
 def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:

@@ -166,7 +166,8 @@ def _own_contrast(image: np.ndarray) -> np.ndarray:
             alike = np.exp(-((np.abs(other - image).max(axis=2, keepdims=True) / SIMILAR) ** 2))
             sums += np.stack([np.broadcast_to(alike, image.shape), alike * other, alike * other * other])
     mean = sums[1] / sums[0]
-    return np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    contrast: np.ndarray = np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    return contrast
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
@@ -230,7 +231,8 @@ def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
     pixels = np.stack([columns, rows], axis=1) + 0.5
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
     positions: np.ndarray = local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]
-    return positions @ camera.cam_from_world[:3, :3]
+    in_world: np.ndarray = positions @ camera.cam_from_world[:3, :3]
+    return in_world
 
 
 def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
@@ -241,7 +243,8 @@ def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
     if len(first) <= CROWD:
         return first
     distances = cKDTree(near[first]).query(near[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
-    return first[distances <= distances.mean() + LONELY * distances.std()]
+    kept: np.ndarray = first[distances <= distances.mean() + LONELY * distances.std()]
+    return kept
 
 
 def _drawn_in(positions: np.ndarray) -> np.ndarray:
@@ -250,4 +253,5 @@ def _drawn_in(positions: np.ndarray) -> np.ndarray:
     Photographs taken around the ball see less of a place the farther it is.
     """
     radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
-    return positions * (2 - 1 / radius) / radius
+    drawn: np.ndarray = positions * (2 - 1 / radius) / radius
+    return drawn

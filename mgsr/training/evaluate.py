@@ -8,13 +8,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.gaussians.mirrored import MirroredLight
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.volumes import VolumeModel
 from mgsr.renderers.both import render_both
 from mgsr.renderers.surfels import render_surfels
-from mgsr.training.views import Color, TrainingView, color_tensor
+from mgsr.training.views import TrainingView, color_tensor
 
 # A branch's image [H,W,3] of a camera, on a background, lit as `TrainingView.light` says.
 Picture = Callable[[Camera, Color, Tensor | None], Tensor]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -53,12 +53,12 @@ class Parts:
     light: LightInTraining | None
 
     @property
-    def branches(self) -> list[Branch]:
+    def branches(self) -> list[Branch[Any]]:
         """Return the branches that there are."""
         return [branch for branch in (self.surfels, self.volumes) if branch is not None]
 
     @property
-    def trained(self) -> list[Trained]:
+    def trained(self) -> list[Trained[Any]]:
         """Return the branches, and the light where there is one."""
         return [*self.branches, *([] if self.light is None else [self.light])]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -178,7 +178,7 @@ def _volume_warmup(parts: Parts, photographs: _Photographs, last: Stage, config:
     return stage
 
 
-def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
+def _thinning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes a branch's splats of least contribution, and returns their number.
 
     Those go that together carry the share of the light that the branch's settings can do without.
@@ -199,7 +199,7 @@ def _thinning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
 def _warmup(
     name: str,
     parts: Parts,
-    branch: Branch,
+    branch: Branch[Any],
     compute: Callable[..., Step],
     photographs: _Photographs,
     last: Stage,
@@ -212,7 +212,7 @@ def _warmup(
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
-    def progress(_: Trained, iteration: int) -> float:
+    def progress(_: Trained[Any], iteration: int) -> float:
         return iteration / max(1, stage.iterations + last.iterations)
 
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
@@ -237,7 +237,7 @@ def _last_stage(parts: Parts, views: list[TrainingView], stages: list[Stage], co
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
 
-    def progress(part: Trained, iteration: int) -> float:
+    def progress(part: Trained[Any], iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.light))
         begun = (part.steps - iteration) / max(1, planned + stage.iterations)
@@ -271,7 +271,7 @@ def _finish(parts: Parts, views: list[TrainingView], config: Config) -> Stage:
     if light is not None and parts.surfels is not None:
         mirrored = WhatIsMirrored(light, parts.surfels)
 
-    def progress(part: Trained, iteration: int) -> float:
+    def progress(part: Trained[Any], iteration: int) -> float:
         if light is None or light.model.reflector is None:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)

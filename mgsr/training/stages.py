@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.data.backdrop import Color
 from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.mirrored import Light
 from mgsr.gaussians.surfels import SurfelModel
@@ -29,7 +30,7 @@ from mgsr.training.convergence import Convergence
 from mgsr.training.light import LightInTraining
 from mgsr.training.schedule import sh_degree_at
 from mgsr.training.trained import Trained
-from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
+from mgsr.training.views import TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 VolumeBranch = Branch[VolumeModel]
@@ -40,7 +41,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 class Seen:
     """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
 
-    branch: Branch
+    branch: Branch[Any]
     stats: Any
     weight: float
 
@@ -68,7 +69,7 @@ class Growing(Protocol):
     """Something that adapts the splats of one branch to a stage's views (see `mgsr.training.growth`)."""
 
     @property
-    def branch(self) -> Branch: ...
+    def branch(self) -> Branch[Any]: ...
 
     def grow(self, views: Sequence[TrainingView]) -> None: ...
 
@@ -100,13 +101,13 @@ class Stage:
     """
 
     name: str
-    branches: list[Branch]
+    branches: list[Branch[Any]]
     iterations: int
     views: list[TrainingView]
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Trained, int], float]
+    progress: Callable[[Trained[Any], int], float]
     convergence: Convergence | None = None
     light: LightInTraining | None = None
     trial: Trial | None = None
@@ -118,7 +119,7 @@ class Stage:
     seconds: float = 0.0
 
     @property
-    def trained(self) -> list[Trained]:
+    def trained(self) -> list[Trained[Any]]:
         """Return all that the stage trains."""
         return [*self.branches, *([] if self.light is None or not self.light.used else [self.light])]
 
@@ -126,7 +127,7 @@ class Stage:
         """Return the view whose turn it is."""
         return self._current_views()[self.cycle.next()]
 
-    def adapt(self, branch: Branch) -> None:
+    def adapt(self, branch: Branch[Any]) -> None:
         """Add splats to a branch of the stage, and prune it."""
         if self.growth is None or self.growth.branch is not branch:
             branch.adapt()

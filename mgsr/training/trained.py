@@ -98,7 +98,7 @@ class Trained(ABC, Generic[Model]):
             setattr(self.model, name, self.optimizer.params.get(name))
 
 
-def step_trained(progress: Mapping[Trained, float], bad: Tensor | None = None) -> None:
+def step_trained(progress: Mapping[Trained[Any], float], bad: Tensor | None = None) -> None:
     """Take one optimiser step of all these models, on a card in one launch.
 
     progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.

@@ -30,7 +30,8 @@ def mesh_picture(scene_path: Path, mesh_path: Path, name: str) -> np.ndarray:
     """Render the mesh, shaded as clay, from the test view's camera."""
     scene = load_scene(scene_path, DataConfig())
     view = next(view for view in scene.test if view.name == name)
-    mesh = trimesh.load_mesh(mesh_path, process=False)
+    mesh = trimesh.load(mesh_path, process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
     painter = MeshPainter(TriangleMesh(mesh.vertices, mesh.faces, mesh.vertex_normals))
     image = Image.fromarray(painter.shaded(scene.user_from_scene.camera_to_user(view.camera)))
     return np.asarray(Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ def lighting() -> Lighting:
     return Lighting(np.asarray(ball.vertices), np.asarray(ball.faces), besides, np.arange(count)[::-1], 0.2, -0.1, 4.0)
 
 
-def arrays() -> dict[str, np.ndarray]:
+def arrays() -> dict[str, Any]:
     full = lighting()
     lamp = np.array([full.right, full.down, full.lamp])
     return {"vertices": full.vertices, "faces": full.faces, "besides": full.besides, "like": full.like, "lamp": lamp}

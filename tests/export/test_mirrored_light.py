@@ -1,6 +1,9 @@
 """The mirrored light's file."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ import pytest
 from mgsr.errors import SceneError
 from mgsr.export.mirrored_light import StoredLight, load_mirrored_light, write_mirrored_light
 
-MAPS = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
+MAPS: dict[str, Any] = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
 MESH = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
 
 
@@ -66,7 +69,7 @@ def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
         {**MAPS, **MESH, "origin": np.zeros(2)},
     ],
 )
-def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any]) -> None:
     np.savez(tmp_path / "light.npz", **arrays)
     with pytest.raises(SceneError, match=r"light\.npz"):
         load_mirrored_light(tmp_path / "light.npz")

@@ -15,7 +15,7 @@ from mgsr.geometry.triangles import (
 )
 from mgsr.mesh.cleanup import seen_sides, turn_outwards
 from mgsr.mesh.views import sample
-from tests.mesh.shapes import ball, cameras_around, views_of
+from tests.mesh.shapes import ball, cameras_around, joined, views_of
 
 
 def test_holes_and_pieces_are_counted() -> None:
@@ -26,7 +26,7 @@ def test_holes_and_pieces_are_counted() -> None:
     edges = int((np.bincount(rim.edges_unique_inverse) == 1).sum())
     assert topology(*two) == Topology(len(two[0]), len(two[1]), 1, edges, 2)
     assert topology(mesh.vertices, mesh.faces).holes == 0
-    both = trimesh.util.concatenate([mesh, ball(0.2).apply_translation([2, 0, 0])])
+    both = joined(mesh, ball(0.2).apply_translation([2, 0, 0]))
     assert topology(both.vertices, both.faces).components == 2
 
 
@@ -36,7 +36,7 @@ def test_vertex_normals_of_a_ball() -> None:
 
 
 def test_shells_inside_are_unseen_and_turned_pieces_are_turned_back() -> None:
-    shells = trimesh.util.concatenate([ball(0.7), ball(0.5)])
+    shells = joined(ball(0.7), ball(0.5))
     faces = np.array(shells.faces)[:, ::-1]
     sides = seen_sides(np.array(shells.vertices), faces, views_of(shells, cameras_around(12)), gap=0.01)
     outer = np.linalg.norm(shells.vertices, axis=1) > 0.6
@@ -53,7 +53,7 @@ def test_faces_without_area_go() -> None:
 
 
 def test_the_largest_piece_stays() -> None:
-    both = trimesh.util.concatenate([ball(0.7), ball(0.2).apply_translation([2, 0, 0])])
+    both = joined(ball(0.7), ball(0.2).apply_translation([2, 0, 0]))
     vertices, _ = drop_small_pieces(np.array(both.vertices), np.array(both.faces), min_area=1.0)
     assert vertices[:, 0].max() < 1
 

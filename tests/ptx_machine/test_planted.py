@@ -16,6 +16,7 @@ from mgsr.native.cuda.compiler import SOURCES
 from tests.cuda import test_harmonics, test_surfels, test_volumes
 from tests.cuda.machines import PTX, Machine
 from tests.ops.splat_scenes import camera, random_splats
+from tests.ops.test_harmonics import scene
 from tests.ops.test_volumes import dual_splats
 
 Workload = Callable[[Machine], object]
@@ -40,7 +41,7 @@ def surfels(machine: Machine) -> object:
 
 
 def harmonics(machine: Machine) -> object:
-    coeffs, means, v_rgb = test_harmonics.scene(64, 16)
+    coeffs, means, v_rgb = scene(64, 16)
     return test_harmonics.on(machine, coeffs, means, 3, v_rgb)
 
 

@@ -12,7 +12,7 @@ from mgsr.shading.flash import Flash, explain_by_flash
 from mgsr.shading.flash_fit import fit_flash
 from mgsr.shading.hollows import Hollows
 from mgsr.shading.readings import Photograph, Readings, read_photographs
-from tests.mesh.shapes import cameras_around, looking_at_origin
+from tests.mesh.shapes import cameras_around, joined, looking_at_origin
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
 POINTS = np.asarray(BALL.vertices)
@@ -44,7 +44,8 @@ def readings(light: Flash, gloss: float = 0.0) -> Readings:
         weights = np.where(cosine > 0.25, cosine, 0)
         columns.append((eye / distance[:, None], distance, brightness, weights, np.full(len(POINTS), index)))
     towards, distances, brightness, weights, numbers = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
-    return Readings(*(part.astype(np.float32) for part in (towards, distances, brightness, weights)), numbers)
+    floats = [part.astype(np.float32) for part in (towards, distances, brightness, weights)]
+    return Readings(floats[0], floats[1], floats[2], floats[3], numbers)
 
 
 def tilted(degrees: float) -> np.ndarray:
@@ -114,7 +115,7 @@ def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
     plate = trimesh.creation.box((1.0, 1.0, 0.01)).subdivide().subdivide().subdivide()
     screen = trimesh.creation.box((0.01, 1.0, 0.3))
     screen.apply_translation((0.0, 0.0, 0.155))
-    both = trimesh.util.concatenate([plate, screen])
+    both = joined(plate, screen)
     even = np.ones((96, 96), np.float32)
     lamp = np.array([[2.0, 0.0, 2.0]])  # from the right, at 45 degrees
     read = [

@@ -13,7 +13,7 @@ from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
 from mgsr.training.trained import step_trained
-from mgsr.training.trial import CANDIDATES, Candidate, simplest
+from mgsr.training.trial import CANDIDATES, Candidate, ReflectionTrial, simplest
 from tests.training.ball import RADIUS, ball_points, ball_scene
 
 LENGTHS = [
@@ -35,6 +35,7 @@ def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: An
 def test_a_matte_ball_ends_without_reflection() -> None:
     result = trained(0.0)
     assert result.reflection is Reflection.OFF
+    assert result.volumes is not None
     assert result.light is None and not result.volumes.split
     assert list(result.tried) == ["off", "shared"]
 
@@ -43,6 +44,7 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]
     assert result.tried["off"] <= result.degrees[1] <= result.degrees[0]
+    assert result.volumes is not None and result.surfels is not None
     assert result.volumes.sh_degree == 0 and result.surfels.sh_degree == 2
 
 
@@ -57,9 +59,11 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
 def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int, degrees: dict[int, float]) -> None:
     plan = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft", "mgsr", 0, TRIED))
     stage, names, values = plan.stages[1], [], iter(reached)
+    assert isinstance(stage.trial, ReflectionTrial)
     stage.trial.measure = lambda: next(values)
     stage.trial.hold(stage, lambda name, iterations: names.append(name))
     assert names == ["off", "shared", *(f"degree_{degree}" for degree in degrees)]
+    assert plan.parts.volumes is not None
     assert plan.parts.volumes.model.sh_degree == kept and stage.trial.degrees == degrees
 
 
@@ -67,6 +71,7 @@ def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> Non
     result = trained(0.6)
     assert result.tried["shared"] > result.tried["off"] + 0.1
     assert result.reflection is Reflection.SHARED
+    assert result.volumes is not None
     assert result.light is not None and not result.volumes.split
 
 
@@ -109,12 +114,14 @@ def test_views_held_back_are_trained_on_afterwards() -> None:
     stage = plan.stages[1]
     assert (len(stage.views), stage.cycle.count) == (14, 11)
     stage.iteration = 120
+    assert stage.trial is not None
     stage.trial.hold(stage, lambda reflection, iterations: None)
     assert stage.cycle.count == 14 and not stage.trial.due(stage)
 
 
 def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
     branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).parts.volumes
+    assert branch is not None
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.rand_like(tensor)
     step_trained({branch: 0.0})
@@ -133,6 +140,7 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
 def test_widening_keeps_what_the_optimiser_knows() -> None:
     config = make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])
     branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).parts.volumes
+    assert branch is not None
     for tensor in branch.tensors("values").values():
         tensor.grad = None
     for tensor in branch.optimizer.params.values():

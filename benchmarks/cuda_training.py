@@ -122,12 +122,10 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
         if model is not None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
-    light = trained.model.environment_map
-    if light is not None:
-        light = StoredEnvironmentMap(
-            trained.model.environment_map.maps().numpy(), trained.model.environment_map.bounce().numpy()
-        )
-        write_environment_map(out / LEARNT[2], light)
+    environment_map = trained.model.environment_map
+    if environment_map is not None:
+        stored = StoredEnvironmentMap(environment_map.maps().numpy(), environment_map.bounce().numpy())
+        write_environment_map(out / LEARNT[2], stored)
 
 
 def digests(out: Path) -> dict[str, str]:
@@ -192,7 +190,8 @@ def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str
     subprocess.run([*mgsr, "mesh", *there, "--preset", facts["preset"]], check=True, cwd=ROOT)
     done = subprocess.run([*mgsr, "evaluate", *there], check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     (folder / "scores.json").write_text(done.stdout)
-    return report_scores(json.loads(done.stdout)) | facts["splats"] | {"train_seconds": facts["seconds"]}
+    splats: dict[str, Any] = facts["splats"]
+    return report_scores(json.loads(done.stdout)) | splats | {"train_seconds": facts["seconds"]}
 
 
 def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:

@@ -91,9 +91,9 @@ def build(folder: Path) -> None:
     """Build the rasterizers' modules, beside their sources."""
     tools = Path(sys.executable).parent
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_CXX_FLAGS=-w"]
-    configure = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
+    configure: list[str | Path] = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
     subprocess.run(configure, check=True, stdout=subprocess.DEVNULL)
-    make = [tools / "cmake", "--build", folder / "build", "--parallel", "--target", *RASTERIZERS]
+    make: list[str | Path] = [tools / "cmake", "--build", folder / "build", "--parallel", "--target", *RASTERIZERS]
     subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
 
 

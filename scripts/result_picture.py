@@ -31,6 +31,7 @@ def mesh_picture(scene_path: Path, mesh_path: Path, name: str) -> np.ndarray:
     scene = load_scene(scene_path, DataConfig())
     view = next(view for view in scene.test if view.name == name)
     mesh = trimesh.load(mesh_path, process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
     painter = MeshPainter(PaintedMesh(mesh.vertices, mesh.faces).with_normals(mesh.vertex_normals))
     image = Image.fromarray(painter.shaded(scene.user_from_scene.camera_to_user(view.camera)))
     return np.asarray(Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB"))

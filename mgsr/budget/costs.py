@@ -61,7 +61,8 @@ def start_cost(facts: Facts) -> float:
     if not facts.masked and not facts.learned:
         return search + STEREO * facts.views
     surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    return search + LEARNED * facts.learned + 2.0 + surface
+    seconds: float = search + LEARNED * facts.learned + 2.0 + surface
+    return seconds
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
@@ -85,12 +86,14 @@ def usual_count(start: int, facts: Facts) -> int:
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
     base = 0.3 + 12.0 * surface_cells(facts, config) ** 2 + 0.55 * rendered_pixels(facts, config) / 1e6
-    return base + sum(step.cost(facts, config) for step in STEPS if not step.refines)
+    seconds: float = base + sum(step.cost(facts, config) for step in STEPS if not step.refines)
+    return seconds
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds that all steps of the mesh take that refine it by the photographs."""
-    return sum(step.cost(facts, config) for step in STEPS if step.refines)
+    seconds: float = sum(step.cost(facts, config) for step in STEPS if step.refines)
+    return seconds
 
 
 def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:

@@ -149,7 +149,8 @@ def _parse_switch(path: str, text: str) -> bool:
 def _expected(kind: Any) -> str:
     if issubclass(kind, StrEnum):
         return "one of " + ", ".join(kind)
-    return {int: "a whole number", float: "a number"}.get(kind, kind.__name__)
+    words: str = {int: "a whole number", float: "a number"}.get(kind, kind.__name__)
+    return words
 
 
 def _replaced(node: Any, path: list[str], value: Any) -> Any:

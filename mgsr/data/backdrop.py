@@ -39,7 +39,8 @@ class Backdrop:
         """Return [P] bool: which colours [P,3] uint8 sRGB are taken for a plain backdrop; none without one."""
         if not self.plain:
             return np.zeros(len(colors), bool)
-        return (np.abs(colors - 255 * np.array(self.color)) < NEAR).all(axis=1)
+        hidden: np.ndarray = (np.abs(colors - 255 * np.array(self.color)) < NEAR).all(axis=1)
+        return hidden
 
 
 def plain_backdrop(photographs: Sequence[tuple[np.ndarray, np.ndarray | None]]) -> Color | None:

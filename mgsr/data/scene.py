@@ -44,11 +44,13 @@ class Similarity:
 
     def to_user(self, points: np.ndarray) -> np.ndarray:
         """Return points [P,3] of the normalised frame in the user's frame."""
-        return points * self.scale + self.offset
+        placed: np.ndarray = points * self.scale + self.offset
+        return placed
 
     def to_scene(self, points: np.ndarray) -> np.ndarray:
         """Return points [P,3] of the user's frame in the normalised frame."""
-        return (points - self.offset) / self.scale
+        placed: np.ndarray = (points - self.offset) / self.scale
+        return placed
 
     @property
     def inverse(self) -> Similarity:

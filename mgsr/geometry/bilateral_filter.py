@@ -88,7 +88,8 @@ def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarra
     unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
     weights = around.data * np.exp(-unlike / angle**2)
     sums = sparse.csr_matrix((weights, around.indices, around.indptr), around.shape) @ normals
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+    means: np.ndarray = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+    return means
 
 
 def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray, steps: int) -> np.ndarray:

@@ -147,4 +147,5 @@ def _beside(contour: SilhouetteContour, steps: np.ndarray, which: np.ndarray | s
 
     which: the contour points to use, by index; all by default.
     """
-    return contour.points[which, None] + steps[..., None] * contour.outwards[which, None]
+    samples: np.ndarray = contour.points[which, None] + steps[..., None] * contour.outwards[which, None]
+    return samples

@@ -81,4 +81,5 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _solve(matrix: sparse.csr_matrix, right: np.ndarray) -> np.ndarray:
     diagonal = np.maximum(matrix.diagonal(), 1e-12)
     jacobi = LinearOperator(matrix.shape, matvec=lambda values: values / diagonal)
-    return cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]
+    solution: np.ndarray = cg(matrix, right, rtol=1e-4, maxiter=500, M=jacobi)[0]
+    return solution

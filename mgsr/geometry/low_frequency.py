@@ -129,4 +129,5 @@ def _fit(
     slopes = np.linalg.solve(flat, tangents @ changes)
     ways = np.einsum("vti,vi->vt", tangents, here - middle)
     values = mean + np.einsum("vt,vti->vi", ways, slopes)
-    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-20)
+    normals: np.ndarray = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-20)
+    return normals

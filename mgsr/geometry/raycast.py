@@ -30,7 +30,8 @@ class RayHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [H,W] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,8 @@ class PixelHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [...] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 class RayCaster:
@@ -102,16 +104,16 @@ class RayCaster:
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
-    def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
+    def sees(self, camera: Camera, points: np.ndarray, gap: float, valid_mask: np.ndarray | None = None) -> np.ndarray:
         """Return which of the points [P,3] a camera sees, [P] bool.
 
-        Such points lie inside its image, at known pixels, with nothing between.
-        known [H,W] bool: the known pixels; None: all. Each ray ends `gap` before its point, so that the surface which
-        the point lies on does not hide it.
+        Such points lie inside its image, at valid pixels, with nothing between.
+        valid_mask [H,W] bool: the valid pixels; None: all. Each ray ends `gap` before its point, so that the surface
+        which the point lies on does not hide it.
         """
         inside, pixels, _ = camera.project_inside(points)
-        if known is not None:
-            inside = inside[valid_at(known, pixels)]
+        if valid_mask is not None:
+            inside = inside[valid_at(valid_mask, pixels)]
         seen = np.zeros(len(points), bool)
         seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen
@@ -151,4 +153,5 @@ def pixel_rays(camera: Camera) -> np.ndarray:
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    return (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    rays: np.ndarray = (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    return rays

@@ -14,7 +14,8 @@ MARGIN = 1.1  # the octree's cube against the points' box
 
 def cell_size(extent: float, depth: int) -> float:
     """Return the size of the finest octree cell for points within a box whose longest side is `extent`."""
-    return MARGIN * extent / 2**depth
+    size: float = MARGIN * extent / 2**depth
+    return size
 
 
 def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:

@@ -93,7 +93,8 @@ def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
 def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
     around = np.ones((3, 3), np.uint8)
     nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
-    return (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    return inside
 
 
 def _paint(
@@ -159,7 +160,8 @@ def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray,
 
 def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """Interpolate values [V,...] at vertices `corners` [P,3] by their shares [P,3]."""
-    return np.einsum("pkc,pk->pc", values[corners], shares)
+    blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
+    return blended
 
 
 def _fill_nearest(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
@@ -174,4 +176,5 @@ def _fill_nearest(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     sources = np.zeros(labels.max() + 1, np.int64)
     sources[labels.ravel()[texels]] = texels
-    return picture.reshape(-1, 3)[sources[labels]]
+    filled: np.ndarray = picture.reshape(-1, 3)[sources[labels]]
+    return filled

@@ -185,7 +185,8 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
     they look down from one side more than from the others.
     """
     rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
-    rights, mean = rows[:, 0], -rows[:, 1].mean(axis=0)
+    rights = rows[:, 0]
+    mean: np.ndarray = -rows[:, 1].mean(axis=0)
     if np.linalg.norm(mean) < CANCELLED:
         return _side_up(rights)
     mean = mean / np.linalg.norm(mean)
@@ -284,7 +285,8 @@ def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
                 total[mine] += np.where(even, result[others], 0)
                 weight[mine] += even
         result = total / weight
-    return result[hits.hit]
+    evened: np.ndarray = result[hits.hit]
+    return evened
 
 
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:

@@ -67,7 +67,9 @@ def _shown(mesh: Mesh, photograph: LinearPhotograph, gap: float) -> np.ndarray:
     vertices, normals = mesh.vertices, mesh.double_normals
     offsets = photograph.camera.center - vertices
     cosines = (offsets * normals).sum(axis=1) / np.linalg.norm(offsets, axis=1)
-    seen = seen_frontal(mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.known)
+    seen = seen_frontal(
+        mesh.caster, photograph.camera, vertices, normals, cosines > GRAZING, gap, photograph.valid_mask
+    )
     pixels, _ = photograph.camera.project(vertices[seen])
     brightness = np.zeros(len(vertices), np.float32)
     brightness[seen] = read_image(photograph.brightness, pixels)

@@ -216,4 +216,5 @@ def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight
 def centered(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return values [V,K] less their mean over the K photographs, by weights [V,K]."""
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    return values - (weights * values).sum(axis=1, keepdims=True) / total
+    centred: np.ndarray = values - (weights * values).sum(axis=1, keepdims=True) / total
+    return centred

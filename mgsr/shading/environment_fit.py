@@ -45,7 +45,8 @@ class FittedEnvironmentMap:
         cells = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
         rows, columns = _places(cells / np.linalg.norm(cells, axis=-1, keepdims=True))
         wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
-        return map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
+        values: np.ndarray = map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
+        return values
 
     def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
         """Return the light [P] that points with normals [P,3] mirror into the directions view_directions [P,3], all
@@ -58,7 +59,8 @@ def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> n
     """Return the light [...] in unit directions with components x, y and z [...], from a
     `FittedEnvironmentMap.table`."""
     x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
-    return table[(x * CELLS + y) * CELLS + z]
+    values: np.ndarray = table[(x * CELLS + y) * CELLS + z]
+    return values
 
 
 def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
@@ -106,18 +108,23 @@ class _Equations:
         turned = self.rows.T.tocsr()
 
         def apply(light: np.ndarray) -> np.ndarray:
-            return turned @ (weights * self._without_own(self.rows @ light, weights)) + smooth @ light + 1e-6 * light
+            data = turned @ (weights * self._without_own(self.rows @ light, weights))
+            applied: np.ndarray = data + smooth @ light + 1e-6 * light
+            return applied
 
         size = self.rows.shape[1]
         right = turned @ (weights * self._without_own(self.brightness, weights))
-        return cg(LinearOperator((size, size), matvec=apply, dtype=float), right, x0=start, rtol=1e-3, maxiter=100)[0]
+        system = LinearOperator((size, size), matvec=apply, dtype=float)
+        solution: np.ndarray = cg(system, right, x0=start, rtol=1e-3, maxiter=100)[0]
+        return solution
 
     def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
         return self._without_own(self.brightness - self.rows @ light, weights)
 
     def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         means = np.bincount(self.owners, weights * values) / np.maximum(np.bincount(self.owners, weights), 1e-12)
-        return values - means[self.owners]
+        centred: np.ndarray = values - means[self.owners]
+        return centred
 
 
 def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -116,4 +116,5 @@ def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return where a parabola through three neighbours is lowest, in steps from the middle, at most half a step."""
     bend = np.maximum(before + after - 2 * here, 1e-12)
-    return np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    offsets: np.ndarray = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    return offsets

@@ -44,7 +44,9 @@ class Flash:
     def lamps(self, cameras: Sequence[Camera]) -> np.ndarray:
         """Return the lamp's positions [N,3] for the cameras' photographs, in the scene's frame."""
         sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])
-        return np.stack([camera.center for camera in cameras]) + np.array([self.right, self.down]) @ sides
+        centers = np.stack([camera.center for camera in cameras])
+        positions: np.ndarray = centers + np.array([self.right, self.down]) @ sides
+        return positions
 
 
 def flash_ratio(observations: Observations, normals: np.ndarray) -> float:
@@ -114,7 +116,8 @@ def fit_albedo(
     for _ in range(ROUNDS):
         albedo = least_squares_scale(brightness, light, current)
         current = irls_weights(brightness - albedo[:, None] * light, weights, current)
-    return np.maximum(albedo, 0)
+    clipped: np.ndarray = np.maximum(albedo, 0)
+    return clipped
 
 
 def _solve(
@@ -149,12 +152,14 @@ _PLACES = ((0, 1, 2), (1, 3, 4), (2, 4, 5))  # where each entry stands among the
 
 def least_squares_scale(brightness: np.ndarray, shape: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the factor [P] that brings shape [P,K] closest to brightness [P,K], by weighted least squares."""
-    return (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
+    albedo: np.ndarray = (brightness * shape * weights).sum(1) / np.maximum((shape * shape * weights).sum(1), 1e-9)
+    return albedo
 
 
 def deviation(residual: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the weighted root mean square [P] of the residuals [P,K]."""
-    return np.sqrt((weights * residual * residual).sum(1) / np.maximum(weights.sum(1), 1e-9))
+    deviations: np.ndarray = np.sqrt((weights * residual * residual).sum(1) / np.maximum(weights.sum(1), 1e-9))
+    return deviations
 
 
 def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray) -> np.ndarray:
@@ -165,4 +170,5 @@ def irls_weights(residual: np.ndarray, weights: np.ndarray, current: np.ndarray)
     """
     spread = deviation(residual, current)[:, None] + 1e-6
     high, low = np.maximum(residual, 0) / (ABOVE * spread), np.minimum(residual, 0) / (BELOW * spread)
-    return weights / ((1 + high**2) * (1 + low**2))
+    reduced: np.ndarray = weights / ((1 + high**2) * (1 + low**2))
+    return reduced

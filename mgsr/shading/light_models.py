@@ -171,4 +171,5 @@ def _near_sharp_edges(mesh: Mesh, pixel: float, reach: float) -> np.ndarray:
     smooth = mean_normals(normals, laplacian, rounds=1)
     bend = -(steps * smooth).sum(1) * 4 / length**2 * pixel
     sharp = (diffuse(bend[:, None], laplacian, 0.7)[:, 0] > CONVEX).astype(float)
-    return np.clip(4 * diffuse(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
+    nearness: np.ndarray = np.clip(4 * diffuse(sharp[:, None], laplacian, max(reach, 0.7))[:, 0], 0, 1)
+    return nearness

@@ -87,7 +87,8 @@ class Lighting:
     def _attributes(self) -> np.ndarray:
         """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
         attributes = np.concatenate([self.mesh.vertices, self.mesh.normals, self.ambient[:, None]], axis=1)
-        return attributes[self.proxy_vertex].astype(np.float32)
+        values: np.ndarray = attributes[self.proxy_vertex].astype(np.float32)
+        return values
 
     def _parts(self, camera: Camera) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
         """Yield the parts of an image in which the surface may be, some rows at a time.

@@ -40,7 +40,8 @@ class Observations:
     @property
     def counts(self) -> np.ndarray:
         """Return how many photographs tell of each point, [P]."""
-        return (self.weights > 0).sum(axis=1)
+        seen: np.ndarray = (self.weights > 0).sum(axis=1)
+        return seen
 
     def at(self, points: np.ndarray) -> Observations:
         """Return the observations of some of the points, by their indices."""
@@ -56,14 +57,14 @@ class LinearPhotograph:
     """A photograph in linear light.
 
     brightness [H,W] float32: the mean of the channels, 0 where nothing is known; usable [H,W] bool: pixels that show
-    the object alone and are not clipped; known [H,W] bool: pixels that are known together with their neighbours, None
-    if all are.
+    the object alone and are not clipped; valid_mask [H,W] bool: pixels that are valid together with their neighbours,
+    None if all are.
     """
 
     camera: Camera
     brightness: np.ndarray
     usable: np.ndarray
-    known: np.ndarray | None = None
+    valid_mask: np.ndarray | None = None
 
 
 def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
@@ -105,19 +106,22 @@ def seen_frontal(
     normals: np.ndarray,
     frontal: np.ndarray,
     gap: float,
-    known: np.ndarray | None = None,
+    valid_mask: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the indices of the points [P,3] of a mesh that are frontal and that the camera sees.
 
-    normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; known: as for `RayCaster.sees`.
+    normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; valid_mask: as for
+    `RayCaster.sees`.
     """
     index = np.flatnonzero(frontal)
-    return index[caster.sees(camera, points[index] + normals[index] * gap, gap, known)]
+    seen: np.ndarray = index[caster.sees(camera, points[index] + normals[index] * gap, gap, valid_mask)]
+    return seen
 
 
 def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Interpolate the image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
-    return map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+    values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+    return values
 
 
 def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -133,8 +137,8 @@ def _linear(view: View) -> LinearPhotograph:
         usable &= view.alpha >= SOLID * 255
     if view.valid_mask is None:
         return LinearPhotograph(view.camera, linear, usable)
-    known = valid_inside(view.valid_mask, 1)  # so that interpolation between usable pixels meets no unknown one
-    return LinearPhotograph(view.camera, np.where(view.valid_mask, linear, 0), usable & known, known)
+    valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation between usable pixels meets no unknown one
+    return LinearPhotograph(view.camera, np.where(view.valid_mask, linear, 0), usable & valid_mask, valid_mask)
 
 
 def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
@@ -160,7 +164,7 @@ def _read(
     distances = np.linalg.norm(offsets, axis=1)
     view_directions = offsets / distances[:, None]
     cosines = (view_directions * normals).sum(1)
-    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.known)
+    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.valid_mask)
     if lamp is not None:
         index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
     pixels, _ = camera.project(points[index])

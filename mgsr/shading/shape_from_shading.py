@@ -132,4 +132,5 @@ def _fair(mesh: Mesh, angle: float) -> Mesh:
 def _mean_around(values: np.ndarray, weights: np.ndarray, laplacian: sparse.csr_matrix, reach: float) -> np.ndarray:
     """Average values [V] by their weights [V] over about `reach` edges around."""
     sums = diffuse(np.stack([values * weights, weights], axis=1), laplacian, reach)
-    return sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    means: np.ndarray = sums[:, 0] / np.maximum(sums[:, 1], 1e-9)
+    return means

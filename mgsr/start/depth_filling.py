@@ -41,7 +41,8 @@ def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
     that axis.
     """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
-    return np.maximum(np.exp(-((change / EDGE) ** 2)), EDGE_SMOOTHNESS)
+    links: np.ndarray = np.maximum(np.exp(-((change / EDGE) ** 2)), EDGE_SMOOTHNESS)
+    return links
 
 
 def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
@@ -60,7 +61,8 @@ def _confidence(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> 
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
         parts = [(index[..., :-1], 1.0), (index[..., 1:], -1.0)]
         form = form + _gram(parts, np.moveaxis(smooth, axis, -1), index.size)
-    return splu(form.tocsc()).solve(DATA_WEIGHT * found.ravel().astype(float)).reshape(found.shape)
+    trust: np.ndarray = splu(form.tocsc()).solve(DATA_WEIGHT * found.ravel().astype(float)).reshape(found.shape)
+    return trust
 
 
 def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:

@@ -68,24 +68,25 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 class _SweptView:
     """A view as it is compared.
 
-    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; known [h,w] float32: 1 where the photograph shows a
-    pixel, None where it shows all.
+    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; valid_mask [h,w] float32: 1 where the photograph
+    shows a pixel, None where it shows all.
     """
 
     camera: Camera
     image: np.ndarray
     grey: Tensor
-    known: Tensor | None
+    valid_mask: Tensor | None
 
 
 def _swept_view(view: View) -> _SweptView:
-    camera, image, known = view.camera, view.image.astype(np.float32), view.valid_mask
+    camera, image, valid_mask = view.camera, view.image.astype(np.float32), view.valid_mask
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        image, known = valid_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
-    image = filled(image, known)
-    shown = None if known is None else torch.from_numpy(known.astype(np.float32))
+        size = (camera.width, camera.height)
+        image, valid_mask = valid_mean(image, valid_mask, lambda pixels: reduce_area(pixels, *size))
+    image = filled(image, valid_mask)
+    shown = None if valid_mask is None else torch.from_numpy(valid_mask.astype(np.float32))
     return _SweptView(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
 
 
@@ -127,11 +128,11 @@ def _correlations(look: _SweptView, other: _SweptView, inverse: Tensor) -> Tenso
     seen_variance = _window_mean(seen * seen) - seen_mean * seen_mean + NOISE**2
     correlation = (_window_mean(seen * own) - seen_mean * mean) / (variance * seen_variance).clamp(min=1e-12).sqrt()
     compared = (places.abs() < 1).all(dim=-1)
-    if look.known is not None:
-        compared &= look.known > 0
-    if other.known is not None:
+    if look.valid_mask is not None:
+        compared &= look.valid_mask > 0
+    if other.valid_mask is not None:
         shown = functional.grid_sample(
-            other.known[None, None].expand(len(inverse), -1, -1, -1), places, mode="nearest", align_corners=False
+            other.valid_mask[None, None].expand(len(inverse), -1, -1, -1), places, mode="nearest", align_corners=False
         )
         compared &= shown[:, 0] > 0
     return torch.where(compared, correlation, -1.0)
@@ -166,7 +167,8 @@ def _own_contrast(image: np.ndarray) -> np.ndarray:
             alike = np.exp(-((np.abs(other - image).max(axis=2, keepdims=True) / SIMILAR) ** 2))
             sums += np.stack([np.broadcast_to(alike, image.shape), alike * other, alike * other * other])
     mean = sums[1] / sums[0]
-    return np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    contrast: np.ndarray = np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    return contrast
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
@@ -213,7 +215,7 @@ def _filled(looks: Sequence[_SweptView], whole: Sequence[np.ndarray], found: np.
 def _continued(look: _SweptView, depth: np.ndarray) -> np.ndarray:
     """Return the depth map with what `fill_depth` adds; infinite where there is still none."""
     inverse = fill_depth(1 / depth, look.image)
-    there = np.isfinite(inverse) if look.known is None else np.isfinite(inverse) & (look.known.numpy() > 0)
+    there = np.isfinite(inverse) if look.valid_mask is None else np.isfinite(inverse) & (look.valid_mask.numpy() > 0)
     return np.where(there, 1 / inverse, np.inf)
 
 
@@ -230,7 +232,8 @@ def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
     pixels = np.stack([columns, rows], axis=1) + 0.5
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
     positions: np.ndarray = local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]
-    return positions @ camera.cam_from_world[:3, :3]
+    in_world: np.ndarray = positions @ camera.cam_from_world[:3, :3]
+    return in_world
 
 
 def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
@@ -241,7 +244,8 @@ def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
     if len(first) <= CROWD:
         return first
     distances = cKDTree(near[first]).query(near[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
-    return first[distances <= distances.mean() + LONELY * distances.std()]
+    kept: np.ndarray = first[distances <= distances.mean() + LONELY * distances.std()]
+    return kept
 
 
 def _drawn_in(positions: np.ndarray) -> np.ndarray:
@@ -250,4 +254,5 @@ def _drawn_in(positions: np.ndarray) -> np.ndarray:
     Photographs taken around the ball see less of a place the farther it is.
     """
     radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
-    return positions * (2 - 1 / radius) / radius
+    drawn: np.ndarray = positions * (2 - 1 / radius) / radius
+    return drawn

@@ -177,7 +177,8 @@ def _without_voids(mesh: Mesh) -> Mesh:
 
 def _bins(shares: np.ndarray) -> np.ndarray:
     """Return the bins [P] of distances [P] from -1 to 1; what lies beyond falls into the outermost."""
-    return np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
+    bins: np.ndarray = np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
+    return bins
 
 
 def _median(histogram: np.ndarray) -> np.ndarray:

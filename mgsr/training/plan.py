@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
@@ -191,7 +191,7 @@ def _gaussian_warmup(
     return stage
 
 
-def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
+def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes a branch's splats of least contribution, and returns their number.
 
     Those go that together contribute less than the share that the branch's settings allow.
@@ -213,7 +213,7 @@ def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
 def _warmup(
     name: str,
     train_state: TrainState,
-    branch: Branch,
+    branch: Branch[Any],
     compute: Callable[..., Step],
     photographs: _Photographs,
     last: Stage,
@@ -226,7 +226,7 @@ def _warmup(
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
-    def progress(_: Trainable, iteration: int) -> float:
+    def progress(_: Trainable[Any], iteration: int) -> float:
         return iteration / max(1, stage.iterations + last.iterations)
 
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
@@ -251,7 +251,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
 
-    def progress(part: Trainable, iteration: int) -> float:
+    def progress(part: Trainable[Any], iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         share = (part.steps - iteration) / max(1, planned + stage.iterations)
@@ -295,7 +295,7 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
     if light is not None and train_state.surfels is not None:
         surface = ReflectingSurface(light, train_state.surfels)
 
-    def progress(part: Trainable, iteration: int) -> float:
+    def progress(part: Trainable[Any], iteration: int) -> float:
         if light is None or light.model.reflector is None:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.data.backdrop import Color
 from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.environment_map import RenderedMap
 from mgsr.gaussians.gaussians import GaussianModel
@@ -28,7 +29,7 @@ from mgsr.training.convergence import Convergence
 from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.schedule import sh_degree_at
 from mgsr.training.trainable import Trainable
-from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
+from mgsr.training.views import TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 GaussianBranch = Branch[GaussianModel]
@@ -39,7 +40,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 class Seen:
     """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
 
-    branch: Branch
+    branch: Branch[Any]
     stats: Any
     weight: float
 
@@ -67,7 +68,7 @@ class Growing(Protocol):
     """Something that adapts the splats of one branch to a stage's views (see `mgsr.training.growth`)."""
 
     @property
-    def branch(self) -> Branch: ...
+    def branch(self) -> Branch[Any]: ...
 
     def grow(self, views: Sequence[TrainingView]) -> None: ...
 
@@ -99,13 +100,13 @@ class Stage:
     """
 
     name: str
-    branches: list[Branch]
+    branches: list[Branch[Any]]
     iterations: int
     views: list[TrainingView]
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Trainable, int], float]
+    progress: Callable[[Trainable[Any], int], float]
     convergence: Convergence | None = None
     environment_map: EnvironmentMapTrainer | None = None
     selection: ModelSelection | None = None
@@ -117,7 +118,7 @@ class Stage:
     seconds: float = 0.0
 
     @property
-    def trainables(self) -> list[Trainable]:
+    def trainables(self) -> list[Trainable[Any]]:
         """Return all that the stage trains."""
         return [
             *self.branches,
@@ -128,7 +129,7 @@ class Stage:
         """Return the view whose turn it is."""
         return self._current_views()[self.cycle.next()]
 
-    def adapt(self, branch: Branch) -> None:
+    def adapt(self, branch: Branch[Any]) -> None:
         """Add splats to a branch of the stage, and prune it."""
         if self.growth is None or self.growth.branch is not branch:
             branch.adapt()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,9 +24,9 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
     """Build all cases, on a scene of the raster folder's form with a reference that is the tests' own."""
     torch.manual_seed(0)
     folder, view = tmp_path_factory.mktemp("raster"), camera()
-    splats = {name: tensor.float().numpy() for name, tensor in random_splats(40, 3).items()}
+    splats: dict[str, Any] = {name: tensor.float().numpy() for name, tensor in random_splats(40, 3).items()}
     splats["rgb"] = splats.pop("colors")
-    extra = {"K": view.K, "viewmat": view.cam_from_world, "width": view.width, "height": view.height}
+    extra: dict[str, Any] = {"K": view.K, "viewmat": view.cam_from_world, "width": view.width, "height": view.height}
     np.savez(folder / "tiny.npz", **splats, **extra, background=np.zeros(3, np.float32))
     cases = raster_cases(folder / "tiny.npz") + image_cases(32) + splat_cases(50)
     return {case.name: case for case in cases}

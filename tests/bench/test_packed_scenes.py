@@ -23,7 +23,8 @@ CONFIG = make_config("draft", overrides=SETTINGS)
 def littered(view: View) -> View:
     """Return the view with arbitrary colours where its mask is zero."""
     litter = np.random.default_rng(0).integers(0, 256, view.image.shape, np.uint8)
-    return replace(view, image=np.where((view.alpha > 0)[..., None], view.image, litter))
+    assert view.alpha is not None
+    return replace(view, image=np.where(np.asarray(view.alpha > 0)[..., None], view.image, litter))
 
 
 def packed(scene: Scene, folder: Path, start: StartingPoints | None = None) -> Packed:

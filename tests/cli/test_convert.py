@@ -52,12 +52,12 @@ def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
     pose = np.eye(4)
     pose[:3, :3] = [side, -up, np.cross(side, -up)]
     view = View("a", Camera(np.eye(3), pose, 2, 2), np.zeros((2, 2, 3), np.uint8), None)
-    scene = Scene("a", None, "plain", [view], [], None, Similarity())
+    scene = Scene("a", Path(), "plain", [view], [], None, Similarity())
     corners = np.array([[0.0, 0, 0], [1, 0, 0], 3 * up])
     mesh = ReconstructedMesh(corners, np.array([[0, 1, 2]]), np.ones((3, 3), np.float32))
     mesh = mesh.with_normals(np.tile(np.cross(side, up), (3, 1)))
     write_mesh(tmp_path, mesh, scene, OutputConfig())
-    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_mesh()
     np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
 
 

@@ -123,7 +123,7 @@ def test_the_example_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     exec(program(PYTHON, "python"), names)
     assert Image.open("out/beside.png").size == (320, 320)
     assert {path.name for path in Path("out").iterdir()} == {"photos", "small", "beside.png"}
-    assert len(trimesh.load("out/small/mesh.obj", force="mesh").faces) <= 2000
+    assert len(trimesh.load_mesh("out/small/mesh.obj").faces) <= 2000
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,9 @@
 """The environment map's file."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +12,7 @@ from mgsr.errors import SceneError
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
 from mgsr.geometry.mesh import Mesh
 
-MAPS = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
+MAPS: dict[str, Any] = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
 MESH = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
 
 
@@ -68,7 +71,7 @@ def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
         {**MAPS, **MESH, "origin": np.zeros(2)},
     ],
 )
-def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any]) -> None:
     np.savez(tmp_path / "light.npz", **arrays)
     with pytest.raises(SceneError, match=r"light\.npz"):
         load_environment_map(tmp_path / "light.npz")

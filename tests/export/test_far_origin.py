@@ -54,7 +54,8 @@ def places(path: Path) -> np.ndarray:
     vertex = PlyData.read(str(path))["vertex"]
     stored = np.stack([vertex[axis] for axis in "xyz"], axis=1)
     assert stored.dtype == np.float32
-    return stored.astype(np.float64) + named_origin(path.read_bytes())
+    positions: np.ndarray = stored.astype(np.float64) + named_origin(path.read_bytes())
+    return positions
 
 
 def nearest(found: np.ndarray, given: np.ndarray) -> float:
@@ -216,5 +217,5 @@ def test_obj_of_a_small_scene_far_away(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball()
     far = 0.01 * vertices + GEOCENTRIC
     write_obj(tmp_path / "a.obj", *mesh_and_colors(far, faces, normals, colors))
-    mesh = trimesh.load(tmp_path / "a.obj", process=False, force="mesh", maintain_order=True)
+    mesh = trimesh.load_mesh(tmp_path / "a.obj", process=False, maintain_order=True)
     np.testing.assert_allclose(mesh.vertices, far, rtol=0, atol=1e-8)

@@ -63,12 +63,12 @@ def fuzz_file(root: Path, name: str, how: settings) -> None:
 
 
 @pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
-def test_damaged_files(tmp_path, name):
+def test_damaged_files(tmp_path: Path, name: str) -> None:
     fuzz_file(tmp_path, name, QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
-def test_damaged_files_for_long(tmp_path, name):
+def test_damaged_files_for_long(tmp_path: Path, name: str) -> None:
     fuzz_file(tmp_path, name, LONG)

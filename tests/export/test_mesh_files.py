@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,12 +95,13 @@ def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
     picture = np.zeros((8, 8, 3), np.uint8)
     picture[:4, :4], picture[4:, 4:] = (200, 10, 20), (1, 2, 250)
     write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
-    mesh = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False)
+    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
     np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-6)
     np.testing.assert_array_equal(mesh.faces, faces)
-    image = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    visual: Any = mesh.visual
+    image = np.asarray(visual.material.baseColorTexture.convert("RGB"))
     np.testing.assert_array_equal(image, picture)
-    rows, columns = 7 - (mesh.visual.uv[:, 1] * 7).astype(int), (mesh.visual.uv[:, 0] * 7).astype(int)
+    rows, columns = 7 - (visual.uv[:, 1] * 7).astype(int), (visual.uv[:, 0] * 7).astype(int)
     np.testing.assert_array_equal(image[rows, columns], [(200, 10, 20), (0, 0, 0), (1, 2, 250), (0, 0, 0)])
     with pytest.raises(MeshError, match="uvs: expected"):
         write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs[:3], picture)
@@ -120,7 +123,7 @@ def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:
         tmp_path / "mesh.glb",
         *mesh_and_colors(vertices, faces, np.vstack([np.zeros((1, 3)), 0.5 * normals[1:]]), colors),
     )
-    written = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False).vertex_normals
+    written = trimesh.load_mesh(tmp_path / "mesh.glb", process=False).vertex_normals
     np.testing.assert_allclose(written[1:], normals[1:], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(written[0]), 1, atol=1e-6)
 
@@ -139,7 +142,7 @@ def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float,
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], top])
     arrays = (vertices, np.array([[0, 1, 2]]), np.tile(np.cross([1, 0, 0], top) / 3, (3, 1)), np.ones((3, 3)))
     write_glb(tmp_path / "mesh.glb", *mesh_and_colors(*arrays), up)
-    mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_mesh()
     np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
     np.testing.assert_allclose(mesh.face_normals, [[0, 0, 1]], atol=1e-6)
 
@@ -155,7 +158,7 @@ def test_glb_stands_upright_for_any_direction(tmp_path: Path, up: tuple[float, f
     turn = Rotation.from_matrix(pose[:3, :3])
     np.testing.assert_allclose(turn.apply(direction), [0, 1, 0], atol=1e-12)
     assert turn.magnitude() == pytest.approx(np.arccos(direction[1]))
-    np.testing.assert_allclose(scene.to_geometry().vertices, turn.apply(vertices), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(scene.to_mesh().vertices, turn.apply(vertices), rtol=0, atol=1e-6)
 
 
 def test_glb_keeps_far_places_through_a_conversion(tmp_path: Path) -> None:
@@ -174,7 +177,7 @@ def test_srgb_curve_ends() -> None:
 
 
 @pytest.mark.parametrize("write", [write_ply, write_glb, write_obj])
-def test_bad_meshes_are_refused(tmp_path: Path, write) -> None:
+def test_bad_meshes_are_refused(tmp_path: Path, write: Callable[..., Any]) -> None:
     vertices, faces, normals, colors = ball()
     with pytest.raises(MeshError, match="at least one face"):
         write(tmp_path / "mesh", *mesh_and_colors(vertices, faces[:0], normals, colors))

@@ -50,7 +50,8 @@ def sights(camera: Camera) -> np.ndarray:
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.cam_from_world[:3, :3]
-    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    directions: np.ndarray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return directions
 
 
 def test_a_ball_has_its_normals_and_mirrors_nothing_of_itself() -> None:

@@ -15,7 +15,8 @@ ANGLE = 17.0
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    normalised: np.ndarray = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return normalised
 
 
 def tilt(vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 
 from mgsr.geometry.displace import integrate_normals, smooth_displacements
 from mgsr.geometry.mesh import Mesh
@@ -30,6 +31,7 @@ def test_edge_length_of_an_equal_sided_triangle() -> None:
 
 def test_displacements_are_the_minimum_that_a_dense_solver_finds() -> None:
     mesh = ball(0.7).submesh([np.arange(600)], append=True)
+    assert isinstance(mesh, trimesh.Trimesh)
     count = len(mesh.vertices)
     generator = np.random.default_rng(1)
     target, weights = generator.normal(size=count), generator.random(count) + 0.05

@@ -21,7 +21,8 @@ def waved(vertices: np.ndarray, length: float, slope: float) -> np.ndarray:
     """Move vertices outwards and inwards in waves of this length, which tilt the surface by at most `slope` degrees."""
     phases = 2 * np.pi / length * vertices
     heights = np.radians(slope) * length / (2 * np.pi) * np.sin(phases[:, 0]) * np.sin(phases[:, 1])
-    return vertices + heights[:, None] * unit(vertices)
+    moved: np.ndarray = vertices + heights[:, None] * unit(vertices)
+    return moved
 
 
 def off_the_ball(vertices: np.ndarray) -> float:

@@ -10,7 +10,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.triangles import Topology, drop_degenerate, drop_small_pieces, topology
 from mgsr.mesh.cleanup import seen_sides, turn_outwards
 from mgsr.mesh.views import sample
-from tests.mesh.shapes import as_mesh, ball, cameras_around, views_of
+from tests.mesh.shapes import as_mesh, ball, cameras_around, joined, views_of
 
 
 def test_holes_and_pieces_are_counted() -> None:
@@ -21,7 +21,7 @@ def test_holes_and_pieces_are_counted() -> None:
     edges = int((np.bincount(rim.edges_unique_inverse) == 1).sum())
     assert topology(two) == Topology(len(two.vertices), len(two.faces), 1, edges, 2)
     assert topology(as_mesh(mesh)).holes == 0
-    both = trimesh.util.concatenate([mesh, ball(0.2).apply_translation([2, 0, 0])])
+    both = joined(mesh, ball(0.2).apply_translation([2, 0, 0]))
     assert topology(as_mesh(both)).components == 2
 
 
@@ -31,7 +31,7 @@ def test_vertex_normals_of_a_ball() -> None:
 
 
 def test_shells_inside_are_unseen_and_turned_pieces_are_turned_back() -> None:
-    shells = trimesh.util.concatenate([ball(0.7), ball(0.5)])
+    shells = joined(ball(0.7), ball(0.5))
     faces = np.array(shells.faces)[:, ::-1]
     turned_in = Mesh(np.array(shells.vertices), faces)
     sides = seen_sides(turned_in, views_of(shells, cameras_around(12)), gap=0.01)
@@ -49,7 +49,7 @@ def test_faces_without_area_go() -> None:
 
 
 def test_the_largest_piece_stays() -> None:
-    both = trimesh.util.concatenate([ball(0.7), ball(0.2).apply_translation([2, 0, 0])])
+    both = joined(ball(0.7), ball(0.2).apply_translation([2, 0, 0]))
     assert drop_small_pieces(as_mesh(both), min_area=1.0).vertices[:, 0].max() < 1
 
 

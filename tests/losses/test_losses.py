@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
@@ -22,7 +23,7 @@ from mgsr.losses.objective import (
 )
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
-from mgsr.ops.terms import scalar
+from mgsr.ops.terms import Term, scalar
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 
 SIZE = 16
@@ -44,6 +45,12 @@ def gaussians() -> GaussianOutputs:
     image, alpha = random(SIZE, SIZE, 3, seed=2), torch.full((SIZE, SIZE), 0.8, requires_grad=True)
     depth = random(SIZE, SIZE, seed=4)
     return GaussianOutputs(image, random(SIZE, SIZE, 3, seed=3), None, None, depth, alpha, STATS)
+
+
+def of_images(term: Term | Tensor) -> Term:
+    """Return a term that the kernels differentiate."""
+    assert isinstance(term, Term)
+    return term
 
 
 def target(masked: bool = True) -> Target:
@@ -103,11 +110,13 @@ def test_who_is_taught(teaching: str) -> None:
     flat, full = surfels(), gaussians()
     terms = mutual_terms(flat, full, target(), config)
     by_image = torch.autograd.grad(
-        scalar(terms["surfels.transmitted"]), full.transmitted, retain_graph=True, allow_unused=True
+        scalar(of_images(terms["surfels.transmitted"])), full.transmitted, retain_graph=True, allow_unused=True
     )
-    by_depth = torch.autograd.grad(scalar(terms["mutual.depth"]), flat.depth, retain_graph=True, allow_unused=True)
+    depth = of_images(terms["mutual.depth"])
+    by_depth = torch.autograd.grad(scalar(depth), flat.depth, retain_graph=True, allow_unused=True)
     assert (by_image[0] is not None) == (by_depth[0] is not None) == (teaching == "both_ways")
-    assert torch.autograd.grad(scalar(terms["mutual.depth"]), full.depth)[0].abs().sum() > 0
+    assert full.depth is not None
+    assert torch.autograd.grad(scalar(depth), full.depth)[0].abs().sum() > 0
 
 
 def test_the_total_is_the_weighted_sum() -> None:

@@ -66,4 +66,12 @@ def as_mesh(shape: trimesh.Trimesh) -> Mesh:
 
 
 def ball(radius: float = 0.7) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    sphere: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    return sphere
+
+
+def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return one mesh of the parts."""
+    whole = trimesh.util.concatenate(list(meshes))
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole

@@ -17,7 +17,7 @@ from mgsr.mesh.steps import STEPS
 from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
 from mgsr.shading.light_estimate import LightEstimate, LightKind
-from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
+from tests.mesh.shapes import ball, cameras_around, joined, position_color, silhouettes_of, views_of
 from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled
 
 RADIUS = 0.7
@@ -31,7 +31,8 @@ def views() -> list[SurfaceView]:
 
 
 def radial_error(mesh: Mesh) -> np.ndarray:
-    return np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+    errors: np.ndarray = np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+    return errors
 
 
 @BOTH
@@ -97,7 +98,7 @@ def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:
 
 
 def test_a_floater_in_all_views_is_small_and_goes(views: list[SurfaceView]) -> None:
-    both = trimesh.util.concatenate([ball(RADIUS), ball(0.04).apply_translation([0, 0, 0.95])])
+    both = joined(ball(RADIUS), ball(0.04).apply_translation([0, 0, 0.95]))
     mesh = extract_mesh(views_of(both, cameras_around(16)), replace(CONFIG, min_piece=0.02))
     assert np.linalg.norm(mesh.vertices, axis=1).max() < 0.75
 

@@ -16,11 +16,13 @@ from mgsr.geometry.raycast import RayCaster
 from mgsr.metrics.image import composited, image_metrics, psnr, psnr_after_gain, ssim
 from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth, sample_surface
+from tests.mesh.shapes import joined
 from tests.metrics.scenes import blender_cameras
 
 
 def ball(radius: float = 1.0) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    sphere: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    return sphere
 
 
 def camera(distance: float = 3.0, side: int = 96) -> Camera:
@@ -75,9 +77,9 @@ def test_a_larger_ball_is_its_distance_away() -> None:
 
 
 def test_what_nobody_saw_does_not_count() -> None:
-    truth = truth_of(trimesh.util.concatenate([ball(), ball().apply_translation([0, 0, 4])]))
+    truth = truth_of(joined(ball(), ball().apply_translation([0, 0, 4])))
     truth.view_counts[truth.labelled.points[:, 2] > 2] = 1
-    wrong_there = trimesh.util.concatenate([ball(), ball(1.3).apply_translation([0, 0, 4])])
+    wrong_there = joined(ball(), ball(1.3).apply_translation([0, 0, 4]))
     first = ball()
     # A million samples on two balls lie 5e-3 apart, so about half of that is found even where all is right.
     assert surface_metrics(Mesh(wrong_there.vertices, wrong_there.faces), truth)["accuracy"] < 4e-3

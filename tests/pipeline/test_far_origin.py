@@ -27,6 +27,7 @@ from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.report_pictures import draw_surface
 from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
 from mgsr.pipeline.run import _draw
+from mgsr.shading.lighting import Lighting
 from tests.cli.spheres import SPHERES, held_out_camera, write_spheres
 from tests.cli.test_run import SHORT
 from tests.export.test_flash import lighting
@@ -94,6 +95,7 @@ def test_splats_lie_on_the_spheres(done: Path) -> None:
 def test_python_has_it_in_the_captures_frame(capture: Path, done: Path) -> None:
     result = mgsr.load_result(done)
     assert " ".join(f"{value:.0f}" for value in result.origin) == ORIGIN
+    assert result.surfels is not None
     places = result.surfels.means.numpy() + result.origin - AWAY
     gaps = np.min([np.abs(np.linalg.norm(places - center, axis=1) - radius) for center, radius, _ in SPHERES], axis=0)
     assert np.median(gaps) < 0.03 and np.abs(result.mesh.vertices - AWAY).max() < 1.2
@@ -112,7 +114,7 @@ def test_later_commands_see_what_the_run_saw(capture: Path, done: Path, tmp_path
     like_the_run = ["--preset", "draft", "--set", "poisson_depth=6"]
     result = CliRunner().invoke(app, ["mesh", str(capture), "-o", str(tmp_path / "out"), *like_the_run])
     assert result.exit_code == 0, result.output
-    before, again = (trimesh.load(folder / "mesh.ply", force="mesh") for folder in (done, tmp_path / "out"))
+    before, again = (trimesh.load_mesh(folder / "mesh.ply") for folder in (done, tmp_path / "out"))
     np.testing.assert_allclose(again.bounds, before.bounds, rtol=0, atol=0.01)
     # About its middle: the volume is a sum of products of three lengths.
     volumes = [mesh.apply_translation(-AWAY).volume for mesh in (before, again)]
@@ -133,8 +135,13 @@ def test_models_come_back_to_float32_precision(tmp_path: Path, scale: float) -> 
 
 
 def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lambda scene, flash: found.append(flash) or scene)
+    found: list[Lighting] = []
+
+    def lit(scene: Scene, flash: Lighting) -> Scene:
+        found.append(flash)
+        return scene
+
+    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lit)
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
     write_lighting(tmp_path, lighting(), scene)
     as_lit(tmp_path, scene)

@@ -29,6 +29,7 @@ from mgsr.pipeline.run_metadata import scene_facts
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.run import Training
 from tests.data.fisheye import write_fisheye
+from tests.optional import present
 
 SHORT = [
     "warmup.surfel_iterations=20",
@@ -143,9 +144,13 @@ def test_the_hull_is_whole_where_images_cut_the_object_off(tmp_path: Path) -> No
     """
     scene = load_scene(write_fisheye(tmp_path / "scene"), DataConfig())
     assert scene.user_from_scene.scale == pytest.approx(0.8, rel=0.15)
-    cut = [((view.alpha > 127) & view.valid_mask & binary_dilation(~view.valid_mask)).sum() for view in scene.train]
+    pairs = [(present(view.alpha), present(view.valid_mask)) for view in scene.train]
+    cut = [((alpha > 127) & valid & binary_dilation(~valid)).sum() for alpha, valid in pairs]
     assert (np.array(cut) > 10).sum() >= 3
-    bare = [replace(view, alpha=np.where(view.valid_mask, view.alpha, np.uint8(0))) for view in scene.train]
+    bare = [
+        replace(view, alpha=np.where(present(view.valid_mask), present(view.alpha), np.uint8(0)))
+        for view in scene.train
+    ]
     hull = carve(scene_silhouettes(replace(scene, train=bare)), np.zeros(3), 1.05, 64)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

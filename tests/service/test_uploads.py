@@ -32,7 +32,7 @@ ZIP = "Content-Type: application/zip"
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """Yield a service with small limits."""
-    with Stack(tmp_path_factory.mktemp("strict"), **LIMITS) as running:
+    with Stack(tmp_path_factory.mktemp("strict"), 1, **LIMITS) as running:
         yield running
 
 

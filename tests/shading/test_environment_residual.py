@@ -28,7 +28,8 @@ def test_where_a_surface_is_right_it_leaves_least(photographs: Callable[[int], l
     pressed[:, 2] = np.minimum(pressed[:, 2], 0.5 * RADIUS)
     on_ball, on_pressed = environment_residuals([as_mesh(right), Mesh(pressed, right.faces)], PhotoSet(views))
     assert on_ball.ratio < on_pressed.ratio
-    worse, alike = [], []
+    worse: list[np.ndarray] = []
+    alike: list[np.ndarray] = []
     for view in views:
         before, after = on_ball.seen_by(view.camera), on_pressed.seen_by(view.camera)
         told = (before > 0) & (after > 0)

@@ -12,7 +12,7 @@ from mgsr.shading.flash import Flash, normals_from_flash
 from mgsr.shading.flash_fit import fit_flash
 from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
 from mgsr.shading.target_normals import TargetNormals
-from tests.mesh.shapes import as_mesh, cameras_around, looking_at_origin
+from tests.mesh.shapes import as_mesh, cameras_around, joined, looking_at_origin
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
 POINTS = np.asarray(BALL.vertices)
@@ -45,12 +45,9 @@ def observations(light: Flash, gloss: float = 0.0) -> Observations:
         brightness += gloss * np.maximum(cosine, 0) ** 80
         weights = np.where(cosine > 0.25, cosine, 0)
         columns.append((eye / distance[:, None], distance, brightness, weights, np.full(len(POINTS), index)))
-    view_directions, distances, brightness, weights, numbers = (
-        np.stack(part, axis=1) for part in zip(*columns, strict=True)
-    )
-    return Observations(
-        *(part.astype(np.float32) for part in (view_directions, distances, brightness, weights)), numbers
-    )
+    *parts, numbers = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    view_directions, distances, brightness, weights = (part.astype(np.float32) for part in parts)
+    return Observations(view_directions, distances, brightness, weights, numbers)
 
 
 def tilted(degrees: float) -> np.ndarray:
@@ -122,7 +119,7 @@ def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
     plate = trimesh.creation.box((1.0, 1.0, 0.01)).subdivide().subdivide().subdivide()
     screen = trimesh.creation.box((0.01, 1.0, 0.3))
     screen.apply_translation((0.0, 0.0, 0.155))
-    both = trimesh.util.concatenate([plate, screen])
+    both = joined(plate, screen)
     even = np.ones((96, 96), np.float32)
     lamp = np.array([[2.0, 0.0, 2.0]])  # from the right, at 45 degrees
     read = [

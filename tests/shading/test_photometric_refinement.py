@@ -36,7 +36,8 @@ def true_radii(directions: np.ndarray) -> np.ndarray:
     The dent is 1.5 pixels deep and a third of the radius wide.
     """
     angles = np.arccos(np.clip(directions @ DENT, -1, 1))
-    return RADIUS - 1.5 * PIXEL * np.exp(-((angles / 0.33) ** 2))
+    radii: np.ndarray = RADIUS - 1.5 * PIXEL * np.exp(-((angles / 0.33) ** 2))
+    return radii
 
 
 def dented() -> trimesh.Trimesh:
@@ -47,7 +48,8 @@ def dented() -> trimesh.Trimesh:
 
 def of_one_brightness(points: np.ndarray) -> np.ndarray:
     """Return a paint [...,3] of which the mean of the channels is the same everywhere, and the hue is not."""
-    return 0.5 + (painted(points)[..., :1] - 0.5) * np.array([0.8, -0.6, -0.2])
+    colors: np.ndarray = 0.5 + (painted(points)[..., :1] - 0.5) * np.array([0.8, -0.6, -0.2])
+    return colors
 
 
 def plain(points: np.ndarray) -> np.ndarray:
@@ -55,13 +57,15 @@ def plain(points: np.ndarray) -> np.ndarray:
 
 
 def one_lamp(directions: np.ndarray) -> np.ndarray:
-    return 0.08 * np.exp(5 * (directions @ np.array([0.6, 0.2, 0.77]) - 1))
+    light: np.ndarray = 0.08 * np.exp(5 * (directions @ np.array([0.6, 0.2, 0.77]) - 1))
+    return light
 
 
 def many_lamps(directions: np.ndarray) -> np.ndarray:
     """Return the light of lamps all around, some 20 degrees apart, so that highlights are as fine as paint."""
     lamps = trimesh.creation.icosphere(subdivisions=2).vertices
-    return 0.1 * np.exp(80 * (np.max(directions @ lamps.T, axis=-1) - 1))
+    light: np.ndarray = 0.1 * np.exp(80 * (np.max(directions @ lamps.T, axis=-1) - 1))
+    return light
 
 
 def nothing(directions: np.ndarray) -> np.ndarray:

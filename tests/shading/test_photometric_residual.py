@@ -32,7 +32,8 @@ def patches(points: np.ndarray) -> np.ndarray:
 
 
 def angles(directions: np.ndarray) -> np.ndarray:
-    return np.arccos(np.clip(directions @ POLE / np.linalg.norm(directions, axis=1), -1, 1))
+    from_pole: np.ndarray = np.arccos(np.clip(directions @ POLE / np.linalg.norm(directions, axis=1), -1, 1))
+    return from_pole
 
 
 def with_a_hole() -> trimesh.Trimesh:

@@ -47,19 +47,22 @@ def flash(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarr
     """Shade a surface by a lamp on the camera, with a highlight."""
     distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-9)
     cosine = np.clip((normal * offset).sum(-1) / distance, 0, 1)
-    return (0.05 + 6 / distance**2 * cosine)[..., None] * paint + 0.5 * (cosine**60)[..., None]
+    colors: np.ndarray = (0.05 + 6 / distance**2 * cosine)[..., None] * paint + 0.5 * (cosine**60)[..., None]
+    return colors
 
 
 def matte(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Shade a matte surface by a lamp that stands still."""
-    return (0.05 + np.clip(normal @ np.array([0.3, 0.5, 0.81]), 0, 1))[..., None] * paint
+    colors: np.ndarray = (0.05 + np.clip(normal @ np.array([0.3, 0.5, 0.81]), 0, 1))[..., None] * paint
+    return colors
 
 
 def glossy(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Shade a surface as `matte` does, on varnish that mirrors three wide lamps."""
     eye = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-9)
     mirrored = 2 * (eye * normal).sum(-1, keepdims=True) * normal - eye
-    return 0.5 * matte(paint, normal, offset) + lamps(mirrored)[..., None]
+    colors: np.ndarray = 0.5 * matte(paint, normal, offset) + lamps(mirrored)[..., None]
+    return colors
 
 
 def varnished(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -71,12 +74,14 @@ def varnished(paint: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.n
     cosine = np.clip((eye * normal).sum(-1, keepdims=True), 0, 1)
     mirrored = 2 * cosine * normal - eye
     more = 1 + 24 * (1 - cosine) ** 5
-    return 0.5 * matte(paint, normal, offset) + more * lamps(mirrored)[..., None]
+    colors: np.ndarray = 0.5 * matte(paint, normal, offset) + more * lamps(mirrored)[..., None]
+    return colors
 
 
 def lamps(directions: np.ndarray) -> np.ndarray:
     """Return the environment's light [...] in directions [...,3]."""
-    return 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
+    light: np.ndarray = 0.35 * np.exp(6 * (directions @ LAMPS.T - 1)).sum(-1)
+    return light
 
 
 def photographs(

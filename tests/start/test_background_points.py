@@ -18,7 +18,8 @@ BALL = ball_points(4000, RADIUS).positions
 
 def wall_color(places: np.ndarray) -> np.ndarray:
     """Return a smooth pattern, waves of 2 to 3 units."""
-    return 0.5 + 0.35 * np.sin(places * [2.5, 3.0, 2.0] + [0.5, 1.5, 2.5])
+    colors: np.ndarray = 0.5 + 0.35 * np.sin(places * [2.5, 3.0, 2.0] + [0.5, 1.5, 2.5])
+    return colors
 
 
 def room(pattern: bool = True) -> list[View]:

@@ -254,7 +254,8 @@ def test_faint_words_empty_a_deep_cavity(
 
     def depth() -> float:
         seen = fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel).caster.cast(above).depth
-        return float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
+        share: float = float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
+        return share
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)
     assert 0.8 < depth() < 1.02

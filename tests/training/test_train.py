@@ -245,6 +245,6 @@ def test_splats_that_carry_little_light_go_after_the_warm_up(branch: str) -> Non
 
     whole, thinned = trained(*kept), trained(*kept, f"{branch}.densify.prune_contribution=0.1")
     dropped = {report.name: report.dropped for report in thinned.stages}
-    one, two = getattr(whole, branch).means, getattr(thinned, branch).means
+    one, two = (getattr(result.model, branch).means for result in (whole, thinned))
     assert 0 < dropped[f"warmup_{branch}"] == sum(dropped.values()) == len(one) - len(two)
     assert {tuple(row) for row in one.tolist()} > {tuple(row) for row in two.tolist()}

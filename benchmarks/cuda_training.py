@@ -33,7 +33,6 @@ from benchmarks.gpu_check.wheels import fetch_wheels
 from benchmarks.packed_scenes import Packed, pack, read, unpack
 from mgsr.bench.scores import report_scores
 from mgsr.config import Config, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.export.environment_map import StoredEnvironmentMap, write_environment_map
 from mgsr.export.far_origin import about_origin, origin_of_frame
@@ -123,12 +122,10 @@ def write_learnt(out: Path, trained: TrainResult, scene: Scene) -> None:
         if model is not None:
             arrays = {key: tensor.numpy() for key, tensor in model.parameters().items()}
             write_splats(out / name, arrays, frame, low_pass=blur, origin=origin)
-    light = trained.model.environment_map
-    if light is not None:
-        light = StoredEnvironmentMap(
-            trained.model.environment_map.maps().numpy(), trained.model.environment_map.bounce().numpy()
-        )
-        write_environment_map(out / LEARNT[2], light)
+    environment_map = trained.model.environment_map
+    if environment_map is not None:
+        stored = StoredEnvironmentMap(environment_map.maps().numpy(), environment_map.bounce().numpy())
+        write_environment_map(out / LEARNT[2], stored)
 
 
 def digests(out: Path) -> dict[str, str]:
@@ -151,7 +148,7 @@ def report(progress: Progress) -> None:
 def measured(scene: Scene, result: TrainResult, config: Config, device: torch.device) -> dict[str, Any]:
     """Return seconds, iterations, splats, the chosen reflection and the test views' PSNR of each branch."""
     views = prepare_views(scene.test, scene.masked, device=device)
-    background = backdrop(scene, config.train.background).color
+    background = scene.backdrop(config.train.background).color
     model, psnr = result.model.to(device), {}
     if model.surfels is not None:
         psnr["surfels"] = mean_psnr(surfel_picture(model.surfels), views, background)
@@ -193,7 +190,8 @@ def scores_at_home(scene: Path, folder: Path, facts: dict[str, Any]) -> dict[str
     subprocess.run([*mgsr, "mesh", *there, "--preset", facts["preset"]], check=True, cwd=ROOT)
     done = subprocess.run([*mgsr, "evaluate", *there], check=True, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     (folder / "scores.json").write_text(done.stdout)
-    return report_scores(json.loads(done.stdout)) | facts["splats"] | {"train_seconds": facts["seconds"]}
+    splats: dict[str, Any] = facts["splats"]
+    return report_scores(json.loads(done.stdout)) | splats | {"train_seconds": facts["seconds"]}
 
 
 def cpu_rows(scene: str, preset: str) -> list[tuple[str, dict[str, Any]]]:

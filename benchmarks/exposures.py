@@ -1,6 +1,6 @@
 """The cost of differing exposures, with and without their correction.
 
-    python benchmarks/exposures.py SCENE... -o benchmarks/results/exposures.csv [--deviation 0.3] [--preset draft]
+    python -m benchmarks.exposures SCENE... -o benchmarks/results/exposures.csv [--deviation 0.3] [--preset draft]
 
 Each SCENE is a folder whose training photographs are train/*.png (NeRF-synthetic) and that has a mesh_gt.ply. Three
 runs: the scene as it is; a copy whose training photographs got exposures of their own (`--deviation` of the logarithm
@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.evidence.exposures import EVEN, EVENED, KEPT, ExposureRow
 from mgsr.bench.csv_rows import write_csv
-from mgsr.bench.exposure_page import EVEN, EVENED, KEPT, ExposureRow
 from mgsr.bench.machine import program_commit
 from mgsr.config import make_config
 from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8

@@ -18,16 +18,16 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from benchmarks.evidence.surface_parts import ALL, PartRow
 from benchmarks.scene_scores import find, replace_rows
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.config import MeshConfig, make_config
 from mgsr.data.readers import load_scene
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh import extract
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.result_files import at_known_exposures, read_models
@@ -40,7 +40,7 @@ class Parts:
     """The settings of an extraction, and the surface that training began on, None to leave it out."""
 
     config: MeshConfig
-    start: Triangles | None
+    start: Mesh | None
 
 
 WITHOUT: dict[str, Callable[[Parts], Parts]] = {
@@ -87,13 +87,13 @@ def measured(path: Path, run: Path) -> list[PartRow]:
     outlines = scene_silhouettes(outlined)
     whole = Parts(config.mesh, starting_points(scene, 1, config.seed).surface if scene.masked else None)
 
-    def extracted(parts: Parts) -> Mesh:
+    def extracted(parts: Parts) -> ReconstructedMesh:
         mesh = extract_mesh(views, parts.config, outlines, outlined.train, start=parts.start)
-        return replace(mesh, vertices=scene.user_from_scene.to_user(mesh.vertices))
+        return mesh.in_frame(scene.user_from_scene.to_user(mesh.vertices))
 
     rows = []
     with ExitStack() as stack:
-        for name in ("_by_poisson", "start_is_likelier"):
+        for name in ("_by_poisson", "photographs_prefer_start"):
             stack.enter_context(patch.object(extract, name, found_once(getattr(extract, name))))
         extracted(whole)
         for without, parts in {ALL: whole, **{name: change(whole) for name, change in WITHOUT.items()}}.items():

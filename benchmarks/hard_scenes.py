@@ -27,19 +27,22 @@ class Hit:
 
 
 def textured(hit: Hit) -> np.ndarray:
-    return 0.5 + 0.4 * np.sin(hit.points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    colors: np.ndarray = 0.5 + 0.4 * np.sin(hit.points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    return colors
 
 
 def flashed(hit: Hit) -> np.ndarray:
     """Return the colours of a surface under a lamp on the camera, with a highlight."""
     cosine = (hit.normals * hit.to_camera).sum(-1, keepdims=True).clip(0, 1)
-    return textured(hit) * cosine**2 + 0.6 * cosine**60
+    colors: np.ndarray = textured(hit) * cosine**2 + 0.6 * cosine**60
+    return colors
 
 
 def mirrored(hit: Hit) -> np.ndarray:
     """Return the colours of a surface that mirrors an environment of smooth coloured bands."""
     along = (hit.normals * hit.to_camera).sum(-1, keepdims=True)
-    return 0.5 + 0.45 * np.sin((2 * along * hit.normals - hit.to_camera) * [6.0, 5.0, 7.0])
+    colors: np.ndarray = 0.5 + 0.45 * np.sin((2 * along * hit.normals - hit.to_camera) * [6.0, 5.0, 7.0])
+    return colors
 
 
 def spokes() -> Spheres:
@@ -81,7 +84,8 @@ def surface_error(name: str, points: np.ndarray) -> float:
 
 def _dark(train: list[View], held_out: list[View], _: np.random.Generator) -> tuple[list[View], list[View]]:
     """Reduce the light to a fiftieth, which leaves twelve grey levels."""
-    return tuple([replace(v, image=(v.image // 20).astype(np.uint8)) for v in views] for views in (train, held_out))
+    darker = [[replace(v, image=(v.image // 20).astype(np.uint8)) for v in views] for views in (train, held_out)]
+    return darker[0], darker[1]
 
 
 def _exposed(train: list[View], held_out: list[View], random: np.random.Generator) -> tuple[list[View], list[View]]:

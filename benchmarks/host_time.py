@@ -36,8 +36,8 @@ from tests.training.ball import ball_points, ball_scene
 
 SIDE, SPLATS, PAIRS = 24, 80, 1000
 # Operations that only look at memory, or only set it aside.
-FREE = ("view", "t", "expand", "slice", "select", "detach", "unsqueeze", "permute", "as_strided", "alias", "squeeze")
-FREE += ("transpose", "empty", "new_empty", "empty_like", "reshape", "unbind", "_unsafe_view", "split")
+FREE = {"view", "t", "expand", "slice", "select", "detach", "unsqueeze", "permute", "as_strided", "alias", "squeeze"}
+FREE |= {"transpose", "empty", "new_empty", "empty_like", "reshape", "unbind", "_unsafe_view", "split"}
 
 
 @dataclass
@@ -54,7 +54,7 @@ class Operations(TorchDispatchMode):
     """A counter of torch's operations within the block."""
 
     def __init__(self) -> None:
-        super().__init__()
+        TorchDispatchMode.__init__(self)
         self.counts: Counter[str] = Counter()
 
     def __torch_dispatch__(self, op: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:

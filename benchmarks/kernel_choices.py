@@ -1,6 +1,6 @@
 """Time and error of the rasterizers with one choice of theirs made otherwise.
 
-    PYTHONPATH=. python benchmarks/kernel_choices.py ../shared/data/raster [--keep benchmarks/results]
+    python -m benchmarks.kernel_choices ../shared/data/raster [--keep benchmarks/results]
 
 Each choice is a line of the C++ sources. It is changed in a copy of them, which is built beside and measured as
 `kernels.py` does, on this processor's best vector variant; the choices take turns, each in a process of its own, so
@@ -22,9 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mgsr.bench.kernel_page import kernel_table
-from mgsr.bench.kernel_results import AS_IT_IS, KernelRow, read_kernels, write_kernels
-from mgsr.bench.kernel_results import CHOICES as CHOICES_FILE
+from benchmarks.evidence.kernels import AS_IT_IS, KernelRow, kernel_table, read_kernels, write_kernels
+from benchmarks.evidence.kernels import CHOICES as CHOICES_FILE
 
 ROOT = Path(__file__).parents[1]
 RASTERIZERS = ("_gaussians", "_surfels")
@@ -92,9 +91,9 @@ def build(folder: Path) -> None:
     """Build the rasterizers' modules, beside their sources."""
     tools = Path(sys.executable).parent
     options = ["-DCMAKE_BUILD_TYPE=Release", f"-DPython_EXECUTABLE={sys.executable}", "-DCMAKE_CXX_FLAGS=-w"]
-    configure = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
+    configure: list[str | Path] = [tools / "cmake", "-S", folder, "-B", folder / "build", *options]
     subprocess.run(configure, check=True, stdout=subprocess.DEVNULL)
-    make = [tools / "cmake", "--build", folder / "build", "--parallel", "--target", *RASTERIZERS]
+    make: list[str | Path] = [tools / "cmake", "--build", folder / "build", "--parallel", "--target", *RASTERIZERS]
     subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
 
 

@@ -1,6 +1,6 @@
 """Time and error of every kernel in every variant.
 
-    PYTHONPATH=. python benchmarks/kernels.py ../shared/data/raster [--scene s20k_256] [--keep benchmarks/results]
+    python -m benchmarks.kernels ../shared/data/raster [--scene s20k_256] [--keep benchmarks/results]
 
 Each row is one kernel through autograd as training calls it: medians of 20 runs, and its largest and mean error to
 float64. The oracles of tests/oracles are the witnesses; rasterizers are timed on a scene of the raster folder and
@@ -24,8 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mgsr.bench.kernel_page import kernel_table
-from mgsr.bench.kernel_results import KERNELS, KernelRow, read_kernels, write_kernels
+from benchmarks.evidence.kernels import KERNELS, KernelRow, kernel_table, read_kernels, write_kernels
 from mgsr.bench.machine import processor_name, program_commit
 from mgsr.data.camera import Camera
 from mgsr.native import _image, runtime
@@ -145,10 +144,11 @@ def gaussians_of(view: Camera) -> Compute:
     """
 
     def compute(*inputs: Tensor) -> list[Tensor]:
-        *splats, background = inputs
-        if len(splats) == 5:
-            return [rasterize_gaussians(*splats, view, background, None, GaussianOptions(depth=False)).color]
-        out = rasterize_gaussians(*splats[:5], view, background, Reflected(*splats[5:]))
+        means, quats, scales, opacities, colors, *light, background = inputs
+        if not light:
+            options = GaussianOptions(depth=False)
+            return [rasterize_gaussians(means, quats, scales, opacities, colors, view, background, None, options).color]
+        out = rasterize_gaussians(means, quats, scales, opacities, colors, view, background, Reflected(*light))
         assert out.depth is not None and out.reflected is not None and out.weight is not None
         return [out.color, out.depth, out.reflected, out.weight]
 
@@ -157,9 +157,12 @@ def gaussians_of(view: Camera) -> Compute:
 
 def gaussians_oracle_of(view: Camera) -> Compute:
     def compute(*inputs: Tensor) -> list[Tensor]:
-        *splats, background = inputs
-        out = gaussians_oracle.render(*splats[:5], view, background, splats[5:] or None)
-        return [out.color] if len(splats) == 5 else [out.color, out.depth, out.reflected, out.weight]
+        means, quats, scales, opacities, colors, *light, background = inputs
+        out = gaussians_oracle.render(means, quats, scales, opacities, colors, view, background, light or None)
+        if not light:
+            return [out.color]
+        assert out.depth is not None and out.reflected is not None and out.weight is not None
+        return [out.color, out.depth, out.reflected, out.weight]
 
     return compute
 
@@ -168,8 +171,8 @@ def surfels_of(view: Camera, images: tuple[str, ...]) -> Compute:
     options = SurfelOptions(distortion="distortion" in images)
 
     def compute(*inputs: Tensor) -> list[Tensor]:
-        *splats, background = inputs
-        out = rasterize_surfels(*splats, view, background, options)
+        means, quats, scales, opacities, colors, background = inputs
+        out = rasterize_surfels(means, quats, scales, opacities, colors, view, background, options)
         return [getattr(out, image) for image in images]
 
     return compute
@@ -179,8 +182,9 @@ def surfels_oracle_of(view: Camera, images: tuple[str, ...]) -> Compute:
     K, pose = torch.tensor(view.K), torch.tensor(view.cam_from_world)
 
     def compute(*inputs: Tensor) -> list[Tensor]:
-        *splats, background = inputs
-        out = surfels_oracle.render(*splats, K, pose, view.width, view.height, background)
+        means, quats, scales, opacities, colors, background = inputs
+        size = (view.width, view.height)
+        out = surfels_oracle.render(means, quats, scales, opacities, colors, K, pose, *size, background)
         return [getattr(out, image) for image in images]
 
     return compute
@@ -254,9 +258,11 @@ def splat_cases(count: int) -> list[Case]:
     def exact(values: Tensor, slopes: Tensor) -> list[Tensor]:
         return [adam_oracle.steps(values, [slopes] * ADAM_STEPS, ADAM_RATE)]
 
+    def ours(coeffs: Tensor, means: Tensor, center: Tensor) -> list[Tensor]:
+        return [harmonics_to_rgb(coeffs, means, center, 3)]
+
     return [
-        _same("harmonics, degree 3", text, (coeffs, means, center), 2, lambda *x: [harmonics_to_rgb(*x, 3)],
-              colors, colors),
+        _same("harmonics, degree 3", text, (coeffs, means, center), 2, ours, colors, colors),
         _same(f"Adam, {ADAM_STEPS} steps of 59 a splat", text, (values, slopes), 0, adam_steps, exact, exact),
     ]  # fmt: skip
 

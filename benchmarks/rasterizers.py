@@ -102,13 +102,15 @@ def our_modes(scene: Scene) -> dict[str, Render]:
     view = (scene.camera, scene.background)
 
     def gaussians() -> list[Tensor]:
-        return [rasterize_gaussians(*scene.leaves, *view, None, GaussianOptions(depth=False)).color]
+        options = GaussianOptions(depth=False)
+        return [rasterize_gaussians(means, quats, scales, opacities, colors, *view, None, options).color]
 
     def surfels() -> list[Tensor]:
         return [rasterize_surfels(means, quats, scales[:, :2].contiguous(), opacities, colors, *view).color]
 
     def dual() -> list[Tensor]:
-        out = rasterize_gaussians(*scene.leaves, *view, scene.reflected)
+        out = rasterize_gaussians(means, quats, scales, opacities, colors, *view, scene.reflected)
+        assert out.reflected is not None and out.weight is not None and out.depth is not None
         return [out.color, out.reflected, out.weight, out.depth]
 
     return {"3d": gaussians, "2d": surfels, "dual": dual}
@@ -124,7 +126,8 @@ def gsplat_modes(scene: Scene) -> dict[str, Render]:
     size = {"width": scene.camera.width, "height": scene.camera.height, "packed": False}
 
     def gaussians(opacities: Tensor = opacities, colors: Tensor = colors) -> Tensor:
-        return gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
+        color: Tensor = gsplat.rasterization(means, quats, scales, opacities, colors, pose, K, **size)[0]
+        return color
 
     def surfels() -> list[Tensor]:
         return [gsplat.rasterization_2dgs(means, quats, scales, opacities, colors[None], pose, K, **size)[0]]
@@ -186,7 +189,7 @@ def measure(size: str, runs: int, device: torch.device, beside: bool = True) -> 
 def _row(size: str, mode: str, rows: list[tuple[float, float]], memory: float | None) -> Row:
     forward, backward = zip(*rows, strict=True)
     both = [a + b for a, b in rows]
-    return Row(size, mode, *(statistics.median(column) for column in (forward, backward, both)), memory)
+    return Row(size, mode, statistics.median(forward), statistics.median(backward), statistics.median(both), memory)
 
 
 HEAD = (

@@ -64,7 +64,9 @@ def make_photographs(folder: Path, count: int, width: int, height: int, suffix: 
     for i in range(count):
         coarse = OpenImageIO.ImageBuf(rng.random((height // 20, width // 20, 3), dtype=np.float32))
         smooth = OpenImageIO.ImageBufAlgo.resize(coarse, roi=OpenImageIO.ROI(0, width, 0, height, 0, 1, 0, 3))
-        noisy = smooth.get_pixels() + rng.normal(0, 0.01, (height, width, 3)).astype(np.float32)
+        pixels = smooth.get_pixels()
+        assert pixels is not None, smooth.geterror()
+        noisy = pixels + rng.normal(0, 0.01, (height, width, 3)).astype(np.float32)
         picture = OpenImageIO.ImageBuf(np.ascontiguousarray(noisy))
         picture.set_write_format("uint8")
         picture.write(str(folder / f"{i:04d}{suffix}"))
@@ -116,7 +118,9 @@ def in_parallel(work: Callable[[Path], np.ndarray], images: Sequence[Path], keep
 
 def decode(image: Path) -> np.ndarray:
     handle = OpenImageIO.ImageInput.open(str(image))
-    pixels: np.ndarray = handle.read_image(0, 0, 0, handle.spec().nchannels, "uint8")
+    assert handle is not None, OpenImageIO.geterror()
+    pixels = handle.read_image(0, 0, 0, handle.spec().nchannels, "uint8")
+    assert pixels is not None, handle.geterror()
     handle.close()
     return pixels
 
@@ -126,9 +130,10 @@ def remap(image: Path, how: Undistortion, interpolation: int) -> np.ndarray:
 
 
 def read(images: Sequence[Path], size: tuple[int, int], lenses: Sequence[Lens] | None, max_side: int) -> None:
+    of_images: Sequence[Lens | None] = lenses or [None] * len(images)
     photos = [
         Photo(image, calibration(size), size, np.eye(4), image.name, lens=lens)
-        for image, lens in zip(images, lenses or [None] * len(images), strict=True)
+        for image, lens in zip(images, of_images, strict=True)
     ]
     load_views(photos, [image.stem for image in images], DataConfig(max_side=max_side))
 

@@ -161,7 +161,8 @@ def plate(centre: np.ndarray, sizes: np.ndarray) -> Part:
     def distance(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         over = [abs(p - c) - s / 2 for p, c, s in zip((x, y, z), centre, sizes, strict=True)]
         outside = np.sqrt(sum(np.maximum(o, 0) ** 2 for o in over))
-        return outside + np.minimum(np.maximum(np.maximum(over[0], over[1]), over[2]), 0)
+        signed: np.ndarray = outside + np.minimum(np.maximum(np.maximum(over[0], over[1]), over[2]), 0)
+        return signed
 
     return Part(centre - sizes / 2, centre + sizes / 2, distance)
 
@@ -179,7 +180,8 @@ def gill(turn: float, reach: float, lower: float, thickness: float, cap: np.ndar
     def distance(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
         along, across = x * ahead[0] + y * ahead[1], x * beside[0] + y * beside[1]
         from_middle = np.sqrt((along / cap[0]) ** 2 + (across / cap[0]) ** 2 + ((z - cap[2]) / cap[1]) ** 2)
-        return np.maximum(box.distance(along, across, z), (from_middle - 1) * cap[1])
+        signed: np.ndarray = np.maximum(box.distance(along, across, z), (from_middle - 1) * cap[1])
+        return signed
 
     return Part(np.append(ends.min(axis=0), lower), np.append(ends.max(axis=0), cap[1] + cap[2]), distance)
 
@@ -189,7 +191,8 @@ def segment_distance(points: tuple[np.ndarray, ...], start: np.ndarray, end: np.
     along = end - start
     place = sum((p - s) * a for p, s, a in zip(points, start, along, strict=True)) / (along @ along)
     place = np.clip(place, 0, 1)
-    return np.sqrt(sum((p - s - place * a) ** 2 for p, s, a in zip(points, start, along, strict=True)))
+    distances: np.ndarray = np.sqrt(sum((p - s - place * a) ** 2 for p, s, a in zip(points, start, along, strict=True)))
+    return distances
 
 
 def along_line(part: Callable[..., Part], points: np.ndarray, thickness: float) -> list[Part]:

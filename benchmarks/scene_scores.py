@@ -16,19 +16,19 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.evidence.scene_sets import SetRow
+from benchmarks.evidence.surface_parts import PartRow
 from benchmarks.render_scenes import SHARED
 from benchmarks.scene_sets import SCENES, BenchmarkScene
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import PartRow
-from mgsr.bench.sets_page import SetRow
 from mgsr.config import make_config
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.data.silhouettes import silhouettes
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import Mesh
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.run import run_scene
@@ -96,14 +96,14 @@ def hull_scores(path: Path) -> dict[str, float]:
     """Return the scores of the visual hull of a scene's masks against its truth."""
     scene = load_scene(path, make_config("standard").data)
     hull = carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, RESOLUTION)
-    return scores_of(*hull_surface(hull), scene, find_truth(scene))
+    return scores_of(Mesh(*hull_surface(hull)), scene, find_truth(scene))
 
 
-def scores_of(vertices: np.ndarray, faces: np.ndarray, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:
-    """Return the scores of a mesh in the scene's frame, vertices [V,3] and faces [F,3], against the truth."""
-    placed = scene.user_from_scene.to_user(vertices)
-    mesh = Mesh(placed, faces, vertex_normals(placed, faces), np.zeros_like(placed, np.float32))
-    scores: dict[str, float] = surface_scores(mesh, truth, scene)["gt"]
+def scores_of(mesh: Mesh, scene: Scene, truth: TrueSurface | None) -> dict[str, float]:
+    """Return the scores of a mesh in the scene's frame against the truth."""
+    placed = scene.user_from_scene.to_user(mesh.vertices)
+    grey = ReconstructedMesh(placed, mesh.faces, np.zeros_like(placed, np.float32))
+    scores: dict[str, float] = surface_scores(grey, truth, scene)["gt"]
     return scores
 
 

@@ -20,7 +20,6 @@ from benchmarks.packed_scenes import unpack
 from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.machine import program_commit
 from mgsr.config import Growth, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.training.evaluate import gaussian_picture, mean_psnr
 from mgsr.training.run import Training
@@ -100,7 +99,7 @@ def measured(scene: Scene, start: StartingPoints, by: Growth, cap: int, device: 
     model = result.model.to(device)
     assert model.gaussians is not None
     views = prepare_views(scene.test, scene.masked, device=device)
-    psnr = mean_psnr(gaussian_picture(model), views, backdrop(scene, config.train.background).color)
+    psnr = mean_psnr(gaussian_picture(model), views, scene.backdrop(config.train.background).color)
     side = max(max(view.camera.width, view.camera.height) for view in scene.train)
     name = torch.cuda.get_device_name() if device.type == "cuda" else "cpu"
     return CountRow(

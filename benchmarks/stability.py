@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from hard_scenes import SCENES, make_scene, make_start, surface_error
 
+from benchmarks.hard_scenes import SCENES, make_scene, make_start, surface_error
 from mgsr.config import Config, make_config
 from mgsr.data.camera import Camera
 from mgsr.errors import TrainingError
@@ -63,8 +63,8 @@ def run(name: str, seed: int) -> Outcome:
     assert row.psnr_gaussians is not None and row.psnr_surfels is not None
     points = np.concatenate([depth_points(result.model.surfels, view.camera) for view in scene.test])
     failed, seconds = not _finite(result), time.process_time() - started_at
-    error = surface_error(name, points)
-    return Outcome(row.psnr_gaussians, row.psnr_surfels, error, failed, len(result.incidents), seconds)
+    distance = surface_error(name, points)
+    return Outcome(row.psnr_gaussians, row.psnr_surfels, distance, failed, len(result.incidents), seconds)
 
 
 def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
@@ -74,7 +74,8 @@ def depth_points(model: SurfelModel, camera: Camera) -> np.ndarray:
     rows, columns = np.nonzero((alpha > 0.5) & (depth > 0))
     local = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1) @ np.linalg.inv(camera.K).T
     local *= depth[rows, columns][:, None]
-    return (local - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+    points: np.ndarray = (local - camera.cam_from_world[:3, 3]) @ camera.cam_from_world[:3, :3]
+    return points
 
 
 def _finite(result: TrainResult) -> bool:

@@ -18,17 +18,18 @@ from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks.evidence.surface_parts import ALL, PartRow
 from benchmarks.scene_scores import find, replace_rows, scores_of
 from benchmarks.scene_sets import SCENES, SceneSet
 from mgsr.bench.machine import program_commit
-from mgsr.bench.parts_page import ALL, PartRow
 from mgsr.config import make_config
 from mgsr.data.hull import carve
 from mgsr.data.readers import load_scene
 from mgsr.data.silhouettes import silhouettes
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.pipeline.evaluation import find_truth
-from mgsr.shading.refine import Light, Refined
+from mgsr.shading.light_estimate import LightEstimate
 from mgsr.start import masked_surface
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.starting_points import MASK_SIDE, RESOLUTION
@@ -43,16 +44,12 @@ def _replaced(**parts: Any) -> list[AbstractContextManager[Any]]:
     return [patch.object(masked_surface, name, part) for name, part in parts.items()]
 
 
-def _unbent(vertices: np.ndarray, *rest: Any, **more: Any) -> Refined:
-    return Refined(vertices, Light.UNKNOWN)
+def _unmoved(mesh: Mesh, *rest: Any, **more: Any) -> Mesh:
+    return mesh
 
 
-def _unmoved(vertices: np.ndarray, *rest: Any, **more: Any) -> np.ndarray:
-    return vertices
-
-
-def _nothing(*rest: Any) -> tuple[np.ndarray, np.ndarray]:
-    return np.empty((0, 3)), np.empty((0, 3), np.int64)
+def _nothing(*rest: Any) -> Mesh:
+    return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
 
 
 PARTS: dict[str, Part] = {
@@ -60,8 +57,8 @@ PARTS: dict[str, Part] = {
     "stereo at half the size": lambda: _replaced(weigh_gaps=lambda coarse, fine: [0 * each for each in coarse]),
     "total variation": lambda: [patch.object(fusion, "VARIATION", 1e-6)],
     "the hull where it is likelier": lambda: _replaced(CLEARLY=0.0, DISBELIEVED=np.inf),
-    "shading": lambda: _replaced(refine_by_shading=_unbent),
-    "parallax": lambda: _replaced(refine_by_parallax=_unmoved),
+    "shading": lambda: _replaced(estimate_light=lambda *given: LightEstimate(), shape_from_shading=_unmoved),
+    "parallax": lambda: _replaced(refine_photometrically=_unmoved),
 }
 
 
@@ -105,7 +102,7 @@ def measured(path: Path) -> list[PartRow]:
             began = time.process_time()
             surface = find_surface(scene.train, outlines, hull, 0)
             seconds = time.process_time() - began
-        scores = scores_of(surface.vertices, surface.faces, scene, truth)
+        scores = scores_of(surface.mesh, scene, truth)
         rows.append(
             PartRow(path.name, without, 1000 * scores["chamfer"], scores["normal_error"], seconds, program_commit())
         )

@@ -62,7 +62,7 @@ class Lists:
         across = -(-self.width // TILE)
         for tile in np.flatnonzero(np.diff(self.begins)):
             chosen = self.splats[self.begins[tile] : self.begins[tile + 1]]
-            yield chosen, tile % across * TILE, tile // across * TILE
+            yield chosen, int(tile % across * TILE), int(tile // across * TILE)
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ def count_ours(view: View, dual: bool) -> Counter[str]:
 
 
 def _by_warp(of_pixels: np.ndarray) -> np.ndarray:
-    return of_pixels.reshape(len(of_pixels), TILE_PIXELS // BUCKET, BUCKET).any(2)
+    return np.asarray(of_pixels.reshape(len(of_pixels), TILE_PIXELS // BUCKET, BUCKET).any(2))
 
 
 def _count_tile(counts: Counter[str], blended: np.ndarray, touched: np.ndarray, stops: np.ndarray) -> None:

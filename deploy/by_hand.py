@@ -21,6 +21,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,7 +84,8 @@ class Builder:
     def _stage(self, root: Path, instructions: list[Instruction], named: dict[str, Stage]) -> Stage:
         shutil.rmtree(root, ignore_errors=True)
         subprocess.run(["cp", "-a", "--reflink=auto", self._base, root], check=True)
-        stage, args = Stage(root), {}
+        stage = Stage(root)
+        args: dict[str, str] = {}
         for name, rest in instructions:
             print(f"{root.name}: {name} {rest[:110]}", flush=True)
             if name == "RUN":
@@ -137,7 +139,7 @@ def mounted(root: Path, binds: list[str]) -> Iterator[None]:
                 inside.parent.mkdir(parents=True, exist_ok=True)
                 inside.touch()
             subprocess.run(["mount", "--bind", path, inside], check=True)
-            undo.callback(subprocess.run, ["umount", "-l", inside], check=True)
+            undo.callback(partial(subprocess.run, ["umount", "-l", inside], check=True))
             subprocess.run(["mount", "-o", "remount,bind,ro", inside], check=True)
         yield
 

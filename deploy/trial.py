@@ -33,7 +33,7 @@ BEGUN = time.monotonic()
 OPTIONS = {
     "preset": "draft",
     "method": "2dgs",
-    "settings": {"train.warmup.surfel_iterations": 500, "train.warmup.stop_rule": "none"},
+    "settings": {"train.warmup.surfel_iterations": 500, "train.paper.stop_rule": "none"},
 }
 
 

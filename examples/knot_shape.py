@@ -121,7 +121,8 @@ class KnotShape:
         """Return unit outward normals [N,3] at surface points [N,3], by central differences."""
         step = 1e-4 * np.eye(3)
         gradient = np.stack([self.distance(points + s) - self.distance(points - s) for s in step], axis=-1)
-        return gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        unit: Array = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+        return unit
 
     def snapped(self, points: Array) -> Array:
         """Points [N,3] near the surface moved onto it, along the normal."""
@@ -165,7 +166,8 @@ def foot_distance(points: Array) -> Array:
     """Approximate signed distance [N] to the foot, a flat ellipsoid."""
     scaled = (points - FOOT_CENTER) / FOOT_RADII
     norm = np.maximum(np.linalg.norm(scaled, axis=1), 1e-9)
-    return norm * (norm - 1) / np.maximum(np.linalg.norm(scaled / FOOT_RADII, axis=1), 1e-9)
+    distances: Array = norm * (norm - 1) / np.maximum(np.linalg.norm(scaled / FOOT_RADII, axis=1), 1e-9)
+    return distances
 
 
 def smooth_min(a: Array, b: Array, width: float) -> Array:
@@ -190,7 +192,8 @@ def _angle_around(offset: Array, tangent: Array) -> Array:
     """Angle [N] of `offset` around the curve, from the side that faces +y."""
     side = np.cross(tangent, [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.arctan2(np.sum(offset * side, axis=1), offset[:, 1])
+    angles: Array = np.arctan2(np.sum(offset * side, axis=1), offset[:, 1])
+    return angles
 
 
 def _step(x: Array, width: float) -> Array:
@@ -207,11 +210,13 @@ def _knot_colors(tube: NearTube) -> Array:
     stripe = _step(np.cos(3 * tube.angle + 12 * tube.t) - 0.72, 0.12)[:, None]
     dots = _step(np.cos(3 * tube.angle + 12 * tube.t + np.pi) * np.cos(24 * tube.t) - 0.62, 0.1)[:, None]
     color = (1 - stripe) * color + stripe * CREAM
-    return (1 - dots) * color + dots * (0.35 * color + 0.65 * INK)
+    dotted: Array = (1 - dots) * color + dots * (0.35 * color + 0.65 * INK)
+    return dotted
 
 
 def _foot_colors(points: Array) -> Array:
     radius = np.hypot(points[:, 0], points[:, 1])
     around = np.arctan2(points[:, 1], points[:, 0])
     petals = _step(np.cos(10 * around) * np.cos(30 * radius), 0.15)[:, None]
-    return petals * CREAM + (1 - petals) * (0.55 * INK + 0.45 * PALETTE[3])
+    colors: Array = petals * CREAM + (1 - petals) * (0.55 * INK + 0.45 * PALETTE[3])
+    return colors

@@ -102,7 +102,7 @@ class Studio:
         darkest. A ray in thousands finds the flash by way of gloss elsewhere, and would leave a bright speck."""
         seeds = [mi.UInt32(each) for each in range(RENDERS * seed, RENDERS * (seed + 1))]
         renders = [np.array(mi.render(self._scene, spp=SAMPLES, seed=each), dtype=np.float64) for each in seeds]
-        image = np.sort(renders, axis=0)[1:-1].mean(axis=0)
+        image: Array = np.sort(renders, axis=0)[1:-1].mean(axis=0)
         image[..., 3] = np.mean([render[..., 3] for render in renders], axis=0)
         return image
 
@@ -228,7 +228,8 @@ class Tracer:
 
 
 def _unit(vectors: Array) -> Array:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    unit: Array = vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+    return unit
 
 
 def write_transforms(path: Path, folder: str, poses: list[Array]) -> None:

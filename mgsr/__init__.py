@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from mgsr.gaussians.environment_map import EnvironmentMap
     from mgsr.gaussians.gaussians import GaussianModel
     from mgsr.gaussians.surfels import SurfelModel
-    from mgsr.mesh.surface import Mesh
+    from mgsr.geometry.mesh import Mesh
+    from mgsr.mesh.surface import ReconstructedMesh
     from mgsr.pipeline.novel_view import Rendering, render
     from mgsr.pipeline.progress import Event
     from mgsr.pipeline.reconstruction import Reconstruction, load_result, reconstruct
@@ -55,6 +56,7 @@ __all__ = [
     "MeshError",
     "MgsrError",
     "MissingPhotoError",
+    "ReconstructedMesh",
     "Reconstruction",
     "Rendering",
     "Scene",
@@ -77,8 +79,9 @@ _MODULES = {
     "Config": "mgsr.config",
     "DataConfig": "mgsr.config",
     "Event": "mgsr.pipeline.progress",
-    "Mesh": "mgsr.mesh.surface",
+    "Mesh": "mgsr.geometry.mesh",
     "EnvironmentMap": "mgsr.gaussians.environment_map",
+    "ReconstructedMesh": "mgsr.mesh.surface",
     "Reconstruction": "mgsr.pipeline.reconstruction",
     "Rendering": "mgsr.pipeline.novel_view",
     "Scene": "mgsr.data.scene",

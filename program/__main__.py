@@ -5,6 +5,8 @@ from __future__ import annotations
 from mgsr.cli.main import app
 from service.commands import add_commands
 
+__all__ = ["app"]
+
 add_commands(app)
 
 if __name__ == "__main__":

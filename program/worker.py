@@ -5,6 +5,8 @@ from __future__ import annotations
 from mgsr.cli.run import run
 from worker.cli import app
 
+__all__ = ["app"]
+
 app.command()(run)
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Hooks of mkdocs (mkdocs.yml).
 
-Formulas become MathML, which browsers show without scripts; the table of settings is read from mgsr/config.py; pages
+Formulas become MathML, which browsers show without scripts; the tables of settings are read from mgsr/config; pages
 that a build makes are added to the menu; links into the sources lead to them.
 """
 
@@ -17,9 +17,9 @@ from latex2mathml.converter import convert
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))  # mkdocs loads this file by its path
 
-from scripts.options_page import settings_markdown  # noqa: E402
+from scripts.options_page import paper_markdown, settings_markdown  # noqa: E402
 
-SETTINGS = "<!-- settings of mgsr/config.py -->"
+SETTINGS, PAPER = "<!-- settings of mgsr/config -->", "<!-- settings of mgsr/config/paper.py -->"
 FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.S)
 # Made from measurements by other scripts; the menu names them where they are.
 MADE = {"evidence.md": "Evidence"}
@@ -34,7 +34,7 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Put the settings where a page asks for them, and turn links that leave docs/ into names of files."""
-    markdown = markdown.replace(SETTINGS, settings_markdown())
+    markdown = markdown.replace(SETTINGS, settings_markdown()).replace(PAPER, paper_markdown())
     return re.sub(r"\[([^\]]+)\]\(\.\./([^)]+)\)", r"\1 (`\2`)", markdown)
 
 

@@ -1,4 +1,4 @@
-"""The settings of mgsr/config.py as tables in Markdown: name, default, meaning, as the file's own comments have them.
+"""The settings of mgsr/config as tables in Markdown: name, default, meaning, as the comments there have them.
 
 python scripts/options_page.py
 """
@@ -14,16 +14,21 @@ from typing import Any, get_args, get_type_hints
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from mgsr import config as module
-from mgsr.config import METHODS, PRESETS, Config
+from mgsr.config import ABLATIONS, METHODS, PRESETS, Config
 from worker.comments import field_comments
+
+PAPER = "train.paper"
 
 
 def settings_markdown() -> str:
-    """Return a heading and a table for each group of settings, then what the presets and methods change."""
-    comments = field_comments(inspect.getsource(module))
-    parts = [_group(prefix, node, comments) for prefix, node in _groups(Config()) if prefix]
+    """Return a heading and a table for each group that users set, then what the presets and methods change."""
+    parts = [_group(prefix, node) for prefix, node in _groups(Config()) if prefix not in ("", PAPER)]
     return "\n\n".join([*parts, _rows("presets", PRESETS), _rows("methods", METHODS)])
+
+
+def paper_markdown() -> str:
+    """Return the table of the settings that only reproduce the paper's rows, then what each row changes."""
+    return "\n\n".join([_group(PAPER, Config().train.paper), _rows("rows of the paper's ablation", ABLATIONS)])
 
 
 def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
@@ -36,8 +41,8 @@ def _groups(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
     return found
 
 
-def _group(prefix: str, node: Any, comments: dict[str, dict[str, str]]) -> str:
-    hints = get_type_hints(type(node))
+def _group(prefix: str, node: Any) -> str:
+    hints, comments = get_type_hints(type(node)), field_comments(type(node))
     lines = [
         f"### `{prefix}`",
         "",
@@ -49,9 +54,7 @@ def _group(prefix: str, node: Any, comments: dict[str, dict[str, str]]) -> str:
     for field in dataclasses.fields(node):
         value = getattr(node, field.name)
         if not dataclasses.is_dataclass(value):
-            meaning = " ".join(
-                filter(None, (comments[type(node).__name__].get(field.name), _choices(hints[field.name])))
-            )
+            meaning = " ".join(filter(None, (comments.get(field.name), _choices(hints[field.name]))))
             lines.append(f"| `{field.name}` | `{_shown(value)}` | {meaning.replace('|', '&#124;')} |")
     return "\n".join(lines) if len(lines) > 6 else "\n".join(lines[:3])
 
@@ -72,7 +75,7 @@ def _shown(value: Any) -> str:
 
 
 def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
-    """Return a table of what each name of PRESETS or METHODS sets."""
+    """Return a table of what each name of PRESETS, METHODS or ABLATIONS sets."""
     lines = [f"### What the {title} set", "", "| | |", "|---|---|"]
     lines += [
         f"| `{name}` | {', '.join(f'`{key}={value}`' for key, value in changed.items()) or 'the defaults'} |"
@@ -82,4 +85,4 @@ def _rows(title: str, table: dict[str, dict[str, str]]) -> str:
 
 
 if __name__ == "__main__":
-    print(settings_markdown())
+    print(settings_markdown(), paper_markdown(), sep="\n\n")

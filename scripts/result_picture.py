@@ -17,7 +17,7 @@ from PIL import Image
 
 from mgsr.config import DataConfig
 from mgsr.data.readers import load_scene
-from mgsr.report.shading import MeshPainter, TriangleMesh
+from mgsr.report.shading import MeshPainter, PaintedMesh
 
 
 def on_white(path: Path) -> np.ndarray:
@@ -31,7 +31,8 @@ def mesh_picture(scene_path: Path, mesh_path: Path, name: str) -> np.ndarray:
     scene = load_scene(scene_path, DataConfig())
     view = next(view for view in scene.test if view.name == name)
     mesh = trimesh.load(mesh_path, process=False)
-    painter = MeshPainter(TriangleMesh(mesh.vertices, mesh.faces, mesh.vertex_normals))
+    assert isinstance(mesh, trimesh.Trimesh)
+    painter = MeshPainter(PaintedMesh(mesh.vertices, mesh.faces).with_normals(mesh.vertex_normals))
     image = Image.fromarray(painter.shaded(scene.user_from_scene.camera_to_user(view.camera)))
     return np.asarray(Image.alpha_composite(Image.new("RGBA", image.size, "white"), image).convert("RGB"))
 

@@ -30,7 +30,7 @@ SECONDS = float(os.environ.get("MGSR_FUZZ_SECONDS", "600"))
 Change = Callable[[bytes], bytes]
 
 _TOKENS = [b"nan", b"-inf", b"1e999", b"-1", b"0", b"", b"\x00", b"\xff\xff\xff\xff\xff\xff\xff\x7f", b",", b" ", b"\n"]
-_VALUES = [
+_VALUES: list[object] = [
     None,
     True,
     -1,

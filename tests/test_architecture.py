@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -48,7 +49,7 @@ def sources(folder: str) -> list[Path]:
 def part_of(path: Path) -> str:
     """Return the part that a file belongs to.
 
-    mgsr/data/scene.py is `data`, mgsr/config.py is `config`, worker/cli.py is `worker`.
+    mgsr/data/scene.py is `data`, mgsr/config/train.py is `config`, worker/cli.py is `worker`.
     """
     names = path.relative_to(ROOT).with_suffix("").parts
     return names[1] if names[0] == "mgsr" else names[0]
@@ -107,6 +108,35 @@ def test_the_worker_shares_only_the_contract_with_the_service(path: Path) -> Non
 @pytest.mark.parametrize("path", sources("worker"), ids=lambda path: str(path.relative_to(ROOT)))
 def test_the_worker_knows_nothing_of_the_command_line(path: Path) -> None:
     assert not [name for name in imports(path) if name.startswith("mgsr.cli")]
+
+
+def imported_at_once(path: Path) -> set[str]:
+    """Return the modules of mgsr that a file imports while it is being imported, or for its annotations alone."""
+    found: set[str] = set()
+    blocks = [ast.parse(path.read_text(encoding="utf-8")).body]
+    for node in (node for block in blocks for node in block):
+        if isinstance(node, ast.If | ast.Try):
+            blocks.append([*node.body, *node.orelse])
+        if isinstance(node, ast.ImportFrom) and node.module is not None:
+            modules = {f"{node.module}.{alias.name}" for alias in node.names} & MODULES.keys()
+            found |= modules or {node.module} & MODULES.keys()
+    return found
+
+
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for path in sources("mgsr")
+    if path != ROOT / "mgsr/__init__.py"
+}
+
+
+def test_no_modules_import_each_other() -> None:
+    """Check that modules import each other in no circle, however long, not even for their annotations."""
+    graph = {name: imported_at_once(path) for name, path in MODULES.items()}
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(f"imports in a circle: {' <- '.join(error.args[1])}")
 
 
 def test_every_part_has_its_row() -> None:

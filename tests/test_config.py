@@ -30,7 +30,7 @@ def test_bare_and_dotted_keys() -> None:
 def test_optional_and_switch_values() -> None:
     config = make_config(overrides=["surfels.densify.reset_every=300", "tv=no"])
     assert config.train.surfels.densify.reset_every == 300
-    assert config.train.tv is False
+    assert config.train.paper.tv is False
     again = make_config(overrides=["surfels.densify.reset_every=300", "surfels.densify.reset_every=none"])
     assert again.train.surfels.densify.reset_every is None
 
@@ -55,9 +55,9 @@ def test_every_ablation_row_is_valid(row: str) -> None:
 def test_ablation_rows_mean_what_the_paper_says() -> None:
     assert make_config(overrides=ablation_overrides("A")).train.branches is Branches.GAUSSIANS
     assert make_config(overrides=ablation_overrides("A")).train.gaussians.reflection is Reflection.OWN
-    assert make_config(overrides=ablation_overrides("K")).train.mutual.teaching is Teaching.ONE_WAY
-    assert make_config(overrides=ablation_overrides("L")).train.warmup.stop_rule is StopRule.NONE
-    assert not make_config(overrides=ablation_overrides("N")).train.tv
+    assert make_config(overrides=ablation_overrides("K")).train.paper.teaching is Teaching.ONE_WAY
+    assert make_config(overrides=ablation_overrides("L")).train.paper.stop_rule is StopRule.NONE
+    assert not make_config(overrides=ablation_overrides("N")).train.paper.tv
     assert make_config(method="3dgs").train.gaussians.reflection is Reflection.OFF
 
 
@@ -68,6 +68,8 @@ def test_ablation_rows_mean_what_the_paper_says() -> None:
         ("mutal.iterations=3", "train.mutual.iterations"),
         ("every=3", "ambiguous"),
         ("volumes.max_start=9", "write 'gaussians.max_start'"),
+        ("warmup.stop_rule=none", "write 'paper.stop_rule'"),
+        ("train.volumes.depth_tv_weight=1", "write 'train.paper.gaussian_depth_tv_weight'"),
         ("surfels.rates.final=1", "write 'surfels.rates.final_factor'"),
         ("masks=perhaps", "auto, object, ignore, off"),
         ("mutual.iterations=many", "a whole number"),

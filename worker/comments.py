@@ -1,25 +1,24 @@
-"""Read the comments on dataclass fields in a source file: a setting's comment is its documentation."""
+"""Read the comments on the fields of a dataclass: a setting's comment is its documentation."""
 
 from __future__ import annotations
 
 import ast
+import inspect
 import io
 import tokenize
 
 
-def field_comments(source: str) -> dict[str, dict[str, str]]:
-    """Return the comment of each field, by class and field.
+def field_comments(kind: type) -> dict[str, str]:
+    """Return the comment of each field that a dataclass defines, by the field's name.
 
     It is the comment on the field's lines, with the lines below it that continue it in lower case. Without one, it is
     the comment lines above.
     """
+    source = inspect.getsource(kind)
     at = {t.start[0]: (t.string.lstrip("# "), t.line.lstrip().startswith("#")) for t in _tokens(source)}
-    found: dict[str, dict[str, str]] = {}
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.ClassDef):
-            fields = [item for item in node.body if isinstance(item, ast.AnnAssign)]
-            found[node.name] = {ast.unparse(item.target): _comment(item, at) for item in fields}
-    return found
+    (node,) = ast.parse(source).body
+    assert isinstance(node, ast.ClassDef)
+    return {ast.unparse(item.target): _comment(item, at) for item in node.body if isinstance(item, ast.AnnAssign)}
 
 
 def _tokens(source: str) -> list[tokenize.TokenInfo]:

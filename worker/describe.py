@@ -1,6 +1,6 @@
 """Write a description of the library's settings to service/contract/library.json, so that the service needs no library.
 
-Run `python -m worker.describe` after each change of mgsr/config.py or of the version.
+Run `python -m worker.describe` after each change of mgsr/config or of the version.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 
-from mgsr import __version__, config
+from mgsr import __version__
 from mgsr.config import METHODS, PRESETS, RENAMED, Config, field_types
 from service import contract
 from worker.comments import field_comments
@@ -23,11 +23,11 @@ LIBRARY = Path(contract.__file__).with_name("library.json")
 def describe_library() -> dict[str, Any]:
     """Return version, presets, methods, renamed settings, and a JSON schema of every setting.
 
-    A schema has the setting's meaning, from the comments of mgsr/config.py, and its default in the preset standard.
+    A schema has the setting's meaning, from the comments of mgsr/config, and its default in the preset standard.
     """
-    defaults, comments = Config(), field_comments(inspect.getsource(config))
+    defaults = Config()
     settings = {
-        path: _schema(kind) | _meaning(defaults, path, kind, comments) | {"default": _value(defaults, path)}
+        path: _schema(kind) | _meaning(defaults, path, kind) | {"default": _value(defaults, path)}
         for path, kind in field_types(defaults).items()
         if path not in ("preset", "method", "seed")
     }
@@ -51,10 +51,10 @@ def _schema(kind: Any) -> dict[str, Any]:
     return {"type": {bool: "boolean", str: "string"}[kind]}
 
 
-def _meaning(defaults: Config, path: str, kind: Any, comments: dict[str, dict[str, str]]) -> dict[str, str]:
+def _meaning(defaults: Config, path: str, kind: Any) -> dict[str, str]:
     """Return the setting's comment, followed by the meaning of each member of an enum."""
     group, _, name = path.rpartition(".")
-    texts = [comments[type(_value(defaults, group)).__name__].get(name, "")]
+    texts = [field_comments(type(_value(defaults, group))).get(name, "")]
     texts += [" ".join((inspect.getdoc(part) or "").split()) for part in (kind, *get_args(kind)) if _is_choice(part)]
     said = " ".join(filter(None, texts))
     return {"description": said} if said else {}

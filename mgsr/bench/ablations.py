@@ -1,7 +1,4 @@
-"""The paper's ablation rows and ours, by name.
-
-Each says what it changes, what it is to show, and the paper's own figures.
-"""
+"""The ablation rows that `mgsr bench --variant` takes by name: the paper's, and ours."""
 
 from __future__ import annotations
 
@@ -11,23 +8,9 @@ from mgsr.config import ABLATIONS, METHODS
 
 
 @dataclass(frozen=True)
-class PaperMeans:
-    """The means over the paper's 30 OmniObject3D objects (supplement, Tables 6 to 12).
-
-    PSNR in dB, normal consistency times 100, Chamfer times 1000; None where the table gives no mean or the row has no
-    such output.
-    """
-
-    psnr: float | None = None
-    normal_consistency: float | None = None
-    chamfer: float | None = None
-
-
-@dataclass(frozen=True)
 class AblationRow:
-    """One ablation row.
+    """One ablation row: its name, what it changes, and its run, which is a method with ``key=value`` overrides.
 
-    It has a name, what it changes, the run that it is (a method with ``key=value`` overrides), and the paper's means.
     Rows of one run share it: E, I and M are the method itself, B is the method `2dgs`.
     """
 
@@ -35,30 +18,28 @@ class AblationRow:
     meaning: str
     method: str
     overrides: tuple[str, ...]
-    paper: PaperMeans = PaperMeans()
 
 
-def _paper_row(name: str, meaning: str, paper: PaperMeans) -> AblationRow:
+def _paper_row(name: str, meaning: str) -> AblationRow:
     settings = tuple(f"{key}={value}" for key, value in ABLATIONS[name].items())
     if ABLATIONS[name] == METHODS["2dgs"]:
-        return AblationRow(name, meaning, "2dgs", (), paper)
-    return AblationRow(name, meaning, "mgsr", settings, paper)
+        return AblationRow(name, meaning, "2dgs", ())
+    return AblationRow(name, meaning, "mgsr", settings)
 
 
-# A and L leave out objects on which they failed. The supplement gives no means for G, H, J and N.
 PAPER_ROWS = (
-    _paper_row("A", "no 2D branch: 3D Gaussians with the light split alone", PaperMeans(35.1041)),
-    _paper_row("B", "no 3D branch: 2D Gaussians alone", PaperMeans(None, 90.1606, 0.9157)),
-    _paper_row("C", "more weight on the 3D branch", PaperMeans(37.8808, 90.5413, 0.9186)),
-    _paper_row("D", "more weight on the 2D branch", PaperMeans(36.9948, 90.6208, 0.9178)),
-    _paper_row("E", "the method (I and M are the same)", PaperMeans(37.6928, 90.6024, 0.9018)),
-    _paper_row("F", "more weight on the mutual depth loss", PaperMeans(36.4242, 90.5987, 0.9116)),
-    _paper_row("G", "a quarter of the mutual phase", PaperMeans()),
-    _paper_row("H", "half of the mutual phase", PaperMeans()),
-    _paper_row("J", "one and a half times the mutual phase", PaperMeans()),
-    _paper_row("K", "gradients into the taught branch only", PaperMeans(36.6413, 90.5735, 0.9076)),
-    _paper_row("L", "no auto-stop of the warm-up", PaperMeans(37.0137, 90.5650, 0.9179)),
-    _paper_row("N", "no TV losses", PaperMeans()),
+    _paper_row("A", "no 2D branch: 3D Gaussians with the light split alone"),
+    _paper_row("B", "no 3D branch: 2D Gaussians alone"),
+    _paper_row("C", "more weight on the 3D branch"),
+    _paper_row("D", "more weight on the 2D branch"),
+    _paper_row("E", "the method (I and M are the same)"),
+    _paper_row("F", "more weight on the mutual depth loss"),
+    _paper_row("G", "a quarter of the mutual phase"),
+    _paper_row("H", "half of the mutual phase"),
+    _paper_row("J", "one and a half times the mutual phase"),
+    _paper_row("K", "gradients into the taught branch only"),
+    _paper_row("L", "no auto-stop of the warm-up"),
+    _paper_row("N", "no TV losses"),
 )
 
 # Where a default differs from the paper's: the run that takes the paper's choice instead.
@@ -85,7 +66,7 @@ PAPER_CHOICES = (
         "paper-depth-unit", "depths over their maximum (ours over the distance)", "mgsr", ("depth_unit=maximum",)
     ),
     AblationRow("paper-low-pass", "3DGS's low-pass of 0.3 px² (ours 0.05)", "mgsr", ("low_pass=0.3",)),
-    AblationRow("paper-depth", "expected depth (ours median)", "mgsr", ("surfels.depth=expected",)),
+    AblationRow("paper-depth", "expected depth (ours median)", "mgsr", ("surface_depth=expected",)),
     AblationRow("paper-mesh", "TSDF fusion (ours screened Poisson)", "mgsr", ("extractor=tsdf",)),
     AblationRow(
         "paper-parallax",
@@ -144,22 +125,6 @@ NEED_ROWS = (
     AblationRow("need-pixels", "pixels far outside the masks count too", "mgsr", ("crop_margin=none",)),
     AblationRow("need-size", "warm-ups begin with whole photographs", "mgsr", ("warmup.coarse=0",)),
     AblationRow("L", "warm-ups end with their iterations alone", "mgsr", ("stop_rule=none",)),
-)
-
-# What the paper found, as comparisons of the method E with another row: the finding, the row, and the scores that
-# should be better with E.
-FINDINGS = (
-    ("The surfaces help the renders: both branches beat the 3D branch alone", "A", ("psnr", "split_gain")),
-    ("The renders help the surface: both branches beat the 2D branch alone", "B", ("normal_consistency", "chamfer")),
-    ("More weight on the 3D branch costs surface", "C", ("normal_consistency", "chamfer")),
-    ("More weight on the 2D branch costs renders", "D", ("psnr",)),
-    ("More weight on the mutual depth loss does harm", "F", ("psnr", "normal_consistency", "chamfer")),
-    ("A quarter of the mutual phase is too little", "G", ("psnr", "normal_consistency", "chamfer")),
-    ("Half of the mutual phase is too little", "H", ("psnr", "normal_consistency", "chamfer")),
-    ("More of the mutual phase only takes longer", "J", ("seconds",)),
-    ("Gradients into both branches help", "K", ("psnr", "normal_consistency", "chamfer")),
-    ("Auto-stop saves time at equal quality", "L", ("seconds", "psnr", "normal_consistency", "chamfer")),
-    ("TV losses help", "N", ("psnr", "normal_consistency", "chamfer")),
 )
 
 

@@ -54,14 +54,8 @@ def write_plots(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> l
     rows = [row for row in done if not row.variant] or done
     if not rows:
         return []
-    with _style():
+    with plot_style():
         return [error_over_seconds(folder, rows, curves), error_over_gaussians(folder, rows), memory(folder, rows)]
-
-
-def write_kernel_plot(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
-    """Plot (kernel, variant, milliseconds, largest error) on two logarithmic axes."""
-    with _style():
-        return time_and_error(path, points)
 
 
 def error_over_seconds(folder: Path, rows: Sequence[Row], curves: Sequence[Curve]) -> Path:
@@ -97,7 +91,7 @@ def error_over_gaussians(folder: Path, rows: Sequence[Row]) -> Path:
 def memory(folder: Path, rows: Sequence[Row]) -> Path:
     """Plot the most memory that each run held, as bars."""
     known = [row for row in rows if row.memory_mib is not None]
-    figure = _figure(7, 0.8 + 0.22 * len(known))
+    figure = new_figure(7, 0.8 + 0.22 * len(known))
     panel = figure.subplots()
     names = [f"{row.scene} {row.preset}" + (f" seed {row.seed}" if row.seed else "") for row in known]
     panel.barh(range(len(known)), [row.memory_mib or 0 for row in known], color=[_color(row) for row in known])
@@ -108,49 +102,30 @@ def memory(folder: Path, rows: Sequence[Row]) -> Path:
     return _save(figure, folder / "memory.svg", known)
 
 
-def time_and_error(path: Path, points: Sequence[tuple[str, str, float, float]]) -> Path:
-    """Plot kernels by time and error, both axes logarithmic.
-
-    points: (kernel, variant, milliseconds, largest error). A line joins a kernel's variants, and its name stands
-    beside.
-    """
-    figure = _figure(8, 4.5)
-    panel = figure.subplots()
-    shapes = dict(zip(dict.fromkeys(variant for _, variant, _, _ in points), "os^Dv", strict=False))
-    for kernel in dict.fromkeys(name for name, _, _, _ in points):
-        own = [point for point in points if point[0] == kernel]
-        panel.plot([ms for _, _, ms, _ in own], [error for *_, error in own], color=GRID, zorder=1)
-        for _, variant, ms, error in own:
-            panel.scatter(ms, error, marker=shapes[variant], color=COLORS["mgsr"], s=22, zorder=2)
-        panel.annotate(kernel, (own[-1][2], own[-1][3]), xytext=(5, 3), textcoords="offset points", fontsize=7)
-    for variant, shape in shapes.items():
-        panel.scatter([], [], marker=shape, color=COLORS["mgsr"], s=22, label=variant)
-    panel.set(
-        xscale="log",
-        yscale="log",
-        xlabel="milliseconds of the processor (or card), forward and backward",
-        ylabel="largest error",
-    )
-    panel.legend(loc="upper left", bbox_to_anchor=(1, 1))
-    return _write(figure, path)
-
-
-def _style() -> AbstractContextManager[None]:
+def plot_style() -> AbstractContextManager[None]:
     """Apply our style on top of matplotlib's own, whatever the person's is."""
     from matplotlib import style
 
     return style.context(["default", STYLE])
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """Create a figure of a size in inches; not by pyplot, which would keep every figure alive."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def write_svg(figure: Figure, path: Path) -> Path:
+    """Write a figure as SVG whose bytes depend on its contents alone, and return the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    path.write_text(_numbered(path.read_text(encoding="utf-8")), encoding="utf-8")
+    return path
+
+
 def _panels(lines: int, columns: int, x_label: str) -> tuple[Figure, list[list[Axes]]]:
-    figure = _figure(2.4 * columns + 0.6, 1.7 * lines + 0.6)
+    figure = new_figure(2.4 * columns + 0.6, 1.7 * lines + 0.6)
     panels = figure.subplots(lines, columns, squeeze=False, sharex="col")
     for panel in panels[-1]:
         panel.set_xlabel(x_label)
@@ -218,14 +193,7 @@ def _save(figure: Figure, path: Path, rows: Sequence[Row]) -> Path:
     marks = [Line2D([], [], color=COLORS.get(name, OTHER), marker="s", label=name, **dot) for name in methods]
     marks += [Line2D([], [], color=TEXT, marker=MARKERS[name], label=name, **dot) for name in presets]
     figure.legend(handles=marks, loc="outside upper center", ncols=len(marks))
-    return _write(figure, path)
-
-
-def _write(figure: Figure, path: Path) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
-    path.write_text(_numbered(path.read_text(encoding="utf-8")), encoding="utf-8")
-    return path
+    return write_svg(figure, path)
 
 
 def _numbered(svg: str) -> str:

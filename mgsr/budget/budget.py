@@ -303,7 +303,7 @@ def _iterations(config: Config, stage: str) -> int:
         return train.warmup.surfel_iterations
     if stage == "warmup_gaussians":
         return train.warmup.gaussian_iterations
-    return round(train.mutual.iterations * train.mutual.iterations_factor)
+    return round(train.mutual.iterations * train.paper.iterations_factor)
 
 
 def _work(config: Config, stage: str) -> int:

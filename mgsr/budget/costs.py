@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mgsr.config import MeshConfig
+from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
 GROWN = 0.15  # Gaussians that errors add, for each pixel of a view
 STEREO = 0.4  # a view
-WAVES = 2.5  # of the surface, taken off, at 256 cells along a side
-SHOWN = 0.6  # share of an image's side that the object takes up
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
 SEARCHED = 0.45  # a view, for the object's masks
 LEARNED = 12.0  # masks that are learned from small photographs
@@ -61,7 +61,8 @@ def start_cost(facts: Facts) -> float:
     if not facts.masked and not facts.learned:
         return search + STEREO * facts.views
     surface = (43.0 if facts.shiny else 26.0) * (facts.views / 48 * facts.size) ** 0.7
-    return search + LEARNED * facts.learned + 2.0 + surface
+    seconds: float = search + LEARNED * facts.learned + 2.0 + surface
+    return seconds
 
 
 def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float:
@@ -84,25 +85,15 @@ def usual_count(start: int, facts: Facts) -> int:
 
 def surface_cost(facts: Facts, config: MeshConfig) -> float:
     """Return the seconds that rendering the surface's views and extracting it takes, without its refinement."""
-    rendered = min(facts.views * facts.pixels * config.view_scale**2, config.max_pixels)
-    across = SHOWN * (rendered / facts.views) ** 0.5
-    cells = min(2**config.poisson_depth, across) / 256
-    waves = WAVES if config.regression_angle and not facts.flash else 0.0
-    return 0.3 + (12.0 + waves) * cells**2 + 0.55 * rendered / 1e6
+    base = 0.3 + 12.0 * surface_cells(facts, config) ** 2 + 0.55 * rendered_pixels(facts, config) / 1e6
+    seconds: float = base + sum(step.cost(facts, config) for step in STEPS if not step.refines)
+    return seconds
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return the seconds that all rounds of refining the surface by the photographs take.
-
-    They read the photographs at every vertex, of which there is one for each cell of the surface, but none finer than
-    pixels.
-    """
-    if config.max_light_residual is None:
-        return 0.0
-    shading, parallax = (50.0, 33.0) if facts.flash else (2.0 if facts.shiny else 0.0, 10.0)
-    held = (facts.masked or facts.learned) and config.photometric_reach is not None
-    cells = min(1.0, 2**config.poisson_depth / facts.pixels**0.5)
-    return (shading + (parallax if held else 0.0)) * (facts.views / 48 * facts.size) ** 0.7 * cells**1.2
+    """Return the seconds that all steps of the mesh take that refine it by the photographs."""
+    seconds: float = sum(step.cost(facts, config) for step in STEPS if step.refines)
+    return seconds
 
 
 def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:

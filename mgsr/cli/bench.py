@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mgsr.cli.options import refusals
 from mgsr.errors import ConfigError
 from mgsr.pipeline.stop_signals import INTERRUPTED, stop_on_signals
+
+if TYPE_CHECKING:
+    from mgsr.bench.cells import Cell
+    from mgsr.bench.matrix import Bench
 
 ScenesArgument = Annotated[list[Path], typer.Argument(metavar="SCENE...", help="Folders or archives of photographs.")]
 OutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of runs, table and plots.")]
@@ -70,14 +74,13 @@ def bench(
     raise typer.Exit(code)
 
 
-def _run(cells: list, bench: object) -> int:
+def _run(cells: list[Cell], bench: Bench) -> int:
     """Run the cells, and return the exit code: 0, 1 where a cell broke, 130 where it was stopped."""
-    from mgsr.bench.matrix import Bench, run_matrix
+    from mgsr.bench.matrix import run_matrix
     from mgsr.bench.plots import have_matplotlib, write_plots
     from mgsr.bench.results import CURVES, DONE, RUNS, latest, read_curves, read_rows
     from mgsr.bench.running import Stopped
 
-    assert isinstance(bench, Bench)
     try:
         with stop_on_signals() as stop:
             rows, _ = run_matrix(cells, bench, print, stop)

@@ -9,7 +9,9 @@ import typer
 
 from mgsr.cli.options import DeviceOption, PresetOption, ResumeOption, refusals
 from mgsr.cli.run import run
-from mgsr.pipeline.example import find_example
+from mgsr.errors import MgsrError
+
+EXAMPLE = Path("examples/glossy_knot")
 
 DemoOutOption = Annotated[Path, typer.Option("--out", "-o", metavar="OUT", help="The folder of the results.")]
 
@@ -24,3 +26,18 @@ def demo(
     with refusals(resumes=True):
         scene = find_example()
     run(scene, out, preset=preset, device=device, resume=resume)
+
+
+def find_example() -> Path:
+    """Find the example capture, inside an installed package or beside it in the sources.
+
+    Raises MgsrError where there is none.
+    """
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package, package.parent):
+        if (folder / EXAMPLE).is_dir():
+            return folder / EXAMPLE
+    raise MgsrError(
+        f"the example capture: expected {EXAMPLE} in {package} or {package.parent}; install MGSR again, or run a "
+        "capture of your own with `mgsr run`"
+    )

@@ -35,7 +35,7 @@ TimeBudgetOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (mgsr/config.py); may be repeated."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one setting (docs/options.md); may be repeated."),
 ]
 TextureOption = Annotated[
     int | None,

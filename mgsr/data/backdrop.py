@@ -9,14 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-from mgsr.config import Background
-
-if TYPE_CHECKING:
-    from mgsr.data.scene import PointCloud, Scene, View
 
 Color = tuple[float, float, float]
 WHITE: Color = (1.0, 1.0, 1.0)
@@ -41,23 +35,25 @@ class Backdrop:
     random: bool = False
     plain: bool = False
 
-
-def backdrop(scene: Scene, kind: Background) -> Backdrop:
-    """Choose the backdrop of a scene's splats from the background setting, the masks and the photographs."""
-    if kind is Background.RANDOM or (kind is Background.AUTO and scene.masked):
-        return Backdrop(WHITE, random=True)
-    if kind is Background.AUTO and scene.plain_backdrop is not None:
-        return Backdrop(scene.plain_backdrop, plain=True)
-    return Backdrop(BLACK if kind is Background.BLACK else WHITE)
+    def hides(self, colors: np.ndarray) -> np.ndarray:
+        """Return [P] bool: which colours [P,3] uint8 sRGB are taken for a plain backdrop; none without one."""
+        if not self.plain:
+            return np.zeros(len(colors), bool)
+        hidden: np.ndarray = (np.abs(colors - 255 * np.array(self.color)) < NEAR).all(axis=1)
+        return hidden
 
 
-def plain_backdrop(views: Sequence[View]) -> Color | None:
+def plain_backdrop(photographs: Sequence[tuple[np.ndarray, np.ndarray | None]]) -> Color | None:
     """Find the colour, sRGB 0..1, that nearly all borders of the photographs share.
 
+    photographs: each an image [H,W,3] uint8 sRGB, and the pixels [H,W] bool that it shows, None where it shows all.
     Returns None where the borders have no such colour, or where nothing else stands before it. It reads all
     photographs; `Scene.plain_backdrop` caches the result.
     """
-    borders, others = (np.concatenate(parts) for parts in zip(*map(_border_and_rest, views), strict=True))
+    borders, others = (
+        np.concatenate(parts)
+        for parts in zip(*(_border_and_rest(*photograph) for photograph in photographs), strict=True)
+    )
     if not len(borders):
         return None
     color = np.median(borders, axis=0)
@@ -68,18 +64,11 @@ def plain_backdrop(views: Sequence[View]) -> Color | None:
     return red, green, blue
 
 
-def without_backdrop(points: PointCloud, behind: Backdrop) -> PointCloud:
-    """Return the points without those in the colour of a plain backdrop."""
-    if not behind.plain:
-        return points
-    return points.rows((np.abs(points.colors - 255 * np.array(behind.color)) >= NEAR).any(axis=1))
-
-
-def _border_and_rest(view: View) -> tuple[np.ndarray, np.ndarray]:
+def _border_and_rest(pixels: np.ndarray, valid_mask: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels [P,3] float32 of a photograph's border, and its other pixels, without unknown ones."""
-    step = -(-max(view.image.shape[:2]) // SIDE)
-    image = view.image[::step, ::step].astype(np.float32)
-    valid = np.ones(image.shape[:2], bool) if view.valid_mask is None else view.valid_mask[::step, ::step]
+    step = -(-max(pixels.shape[:2]) // SIDE)
+    image = pixels[::step, ::step].astype(np.float32)
+    valid = np.ones(image.shape[:2], bool) if valid_mask is None else valid_mask[::step, ::step]
     width = max(1, round(BORDER * min(image.shape[:2])))
     border = np.ones(image.shape[:2], bool)
     border[width:-width, width:-width] = False

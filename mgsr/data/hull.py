@@ -37,12 +37,14 @@ class Hull:
 
     def reached(self) -> np.ndarray:
         """Return the centres [P,3] of the voxels that the hull reaches into, thin tips included."""
-        return np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
+        centres: np.ndarray = np.argwhere(self.field > -self.voxel / 2) * self.voxel + self.origin
+        return centres
 
     def values(self, points: np.ndarray) -> np.ndarray:
         """Return the field at points [P,3], trilinearly interpolated; far negative outside the grid."""
         place = ((points - self.origin) / self.voxel).T
-        return ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
+        values: np.ndarray = ndimage.map_coordinates(self.field, place, order=1, mode="constant", cval=-1e3)
+        return values
 
 
 def carve(
@@ -128,9 +130,11 @@ def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.nd
     """Return about how far points [P,3] that project outside an image lie from what it shows, in world units."""
     over = np.maximum(np.maximum(-pixels, pixels - [camera.width, camera.height]), 0)
     before = np.linalg.norm(over / camera.K.diagonal()[:2], axis=1) * depth
-    return np.where(depth > 0, before, np.linalg.norm(points - camera.center, axis=1))
+    distances: np.ndarray = np.where(depth > 0, before, np.linalg.norm(points - camera.center, axis=1))
+    return distances
 
 
 def _children(parents: np.ndarray) -> np.ndarray:
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    return (parents[:, None] * 2 + corners).reshape(-1, 3)
+    children: np.ndarray = (parents[:, None] * 2 + corners).reshape(-1, 3)
+    return children

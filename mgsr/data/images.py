@@ -122,7 +122,8 @@ def composite_on_white(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 def to_uint8(values: np.ndarray) -> np.ndarray:
     """Return values, meant for 0..255, rounded and clipped to uint8."""
     rounded = np.rint(values)
-    return np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
+    clipped: np.ndarray = np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
+    return clipped
 
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
@@ -181,10 +182,10 @@ def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.nda
     trouble = _trouble(handle.geterror)
     if pixels is None or trouble:
         raise SceneError(f"{path.name}: damaged image: {trouble or 'no pixels'} (asked for by {source}); copy it again")
-    pixels = pixels.reshape(spec.height, spec.width, end - first)
+    decoded: np.ndarray = pixels.reshape(spec.height, spec.width, end - first)
     if channels.all == tuple(range(first, end)):
-        return pixels
-    return pixels[..., [channel - first for channel in channels.all]]
+        return decoded
+    return decoded[..., [channel - first for channel in channels.all]]
 
 
 def _as_bytes(pixels: np.ndarray, channels: Channels, is_linear: bool) -> np.ndarray:

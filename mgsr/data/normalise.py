@@ -187,7 +187,8 @@ def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     Its distance is four times their largest distance from their mean.
     """
     spread = np.linalg.norm(origins - origins.mean(axis=0), axis=1).max()
-    return origins.mean(axis=0) + directions.mean(axis=0) * 4 * spread
+    point: np.ndarray = origins.mean(axis=0) + directions.mean(axis=0) * 4 * spread
+    return point
 
 
 def _radius_in_view(camera: Camera, center: np.ndarray) -> float:

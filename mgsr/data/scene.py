@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mgsr.config import DataConfig
-from mgsr.data.backdrop import Color, plain_backdrop
+from mgsr.config import Background, DataConfig
+from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
 
 PHOTOGRAPHS = 64  # views that are enough to tell of a surface; more tell little more
@@ -44,11 +44,13 @@ class Similarity:
 
     def to_user(self, points: np.ndarray) -> np.ndarray:
         """Return points [P,3] of the normalised frame in the user's frame."""
-        return points * self.scale + self.offset
+        placed: np.ndarray = points * self.scale + self.offset
+        return placed
 
     def to_scene(self, points: np.ndarray) -> np.ndarray:
         """Return points [P,3] of the user's frame in the normalised frame."""
-        return (points - self.offset) / self.scale
+        placed: np.ndarray = (points - self.offset) / self.scale
+        return placed
 
     @property
     def inverse(self) -> Similarity:
@@ -145,7 +147,15 @@ class Scene:
 
         None without one, and for masked scenes, which need none.
         """
-        return None if self.masked else plain_backdrop(self.train)
+        return None if self.masked else plain_backdrop([(view.image, view.valid_mask) for view in self.train])
+
+    def backdrop(self, kind: Background) -> Backdrop:
+        """Choose what is behind the splats from the background setting, the masks and the photographs."""
+        if kind is Background.RANDOM or (kind is Background.AUTO and self.masked):
+            return Backdrop(WHITE, random=True)
+        if kind is Background.AUTO and self.plain_backdrop is not None:
+            return Backdrop(self.plain_backdrop, plain=True)
+        return Backdrop(BLACK if kind is Background.BLACK else WHITE)
 
 
 def some_of(views: Sequence[View], most: int = PHOTOGRAPHS) -> list[View]:

@@ -204,7 +204,8 @@ def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
     """Return where the mapping keeps its orientation, without the border."""
     turn = (map_x[1:-1, 2:] - map_x[1:-1, :-2]) * (map_y[2:, 1:-1] - map_y[:-2, 1:-1])
     shear = (map_x[2:, 1:-1] - map_x[:-2, 1:-1]) * (map_y[1:-1, 2:] - map_y[1:-1, :-2])
-    return turn > shear
+    kept: np.ndarray = turn > shear
+    return kept
 
 
 def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
@@ -217,7 +218,8 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
     _, pieces = cv2.connectedComponents(shown.view(np.uint8), connectivity=4)
     row, col = min(int(place[1]), len(shown) - 1), min(int(place[0]), shown.shape[1] - 1)
-    return shown & (pieces == pieces[row, col])
+    connected: np.ndarray = shown & (pieces == pieces[row, col])
+    return connected
 
 
 def _kept(valid: np.ndarray) -> tuple[slice, slice]:

@@ -1,10 +1,11 @@
-"""Clone, split and prune (3DGS, section 5).
+"""Clone, split and prune, and lower opacities (3DGS, section 5).
 
 Small splats with a large screen-space gradient are cloned, large ones split in two, faint and huge ones pruned.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -12,6 +13,8 @@ from torch import Tensor
 
 from mgsr.config import DensifyConfig
 from mgsr.densify.state import DensifyState
+
+OPACITY_NAMES = ("opacity_logits", "refl_opacity_logits")
 
 Parameters = dict[str, Tensor]
 
@@ -112,3 +115,12 @@ def _hottest(gradients: Tensor, keep: Tensor, config: DensifyConfig) -> Tensor:
 
 def _rows(parameters: Parameters, mask: Tensor) -> Parameters:
     return {name: tensor[mask] for name, tensor in parameters.items()}
+
+
+def lowered_opacities(parameters: dict[str, Tensor], opacity: float) -> dict[str, Tensor]:
+    """Return the opacity logits of either branch, by name, lowered to at most that of `opacity` (3DGS, section 5.2).
+
+    What isn't needed stays faint then, and is pruned. `parameters` stay as they are.
+    """
+    limit = math.log(opacity / (1 - opacity))
+    return {name: parameters[name].detach().clamp(max=limit) for name in OPACITY_NAMES if name in parameters}

@@ -117,7 +117,8 @@ def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndar
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     for axis, name in enumerate(_RANGES[kind]):
         chunks[f"min_{name}"], chunks[f"max_{name}"] = low[:, axis], high[:, axis]
-    return (values - low[which]) / np.maximum(high - low, 1e-30)[which]
+    shares: np.ndarray = (values - low[which]) / np.maximum(high - low, 1e-30)[which]
+    return shares
 
 
 def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.ndarray) -> np.ndarray:
@@ -128,7 +129,8 @@ def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.nd
     if kind == "color" and "min_r" not in (chunks.dtype.names or ()):
         return shares
     low, high = (np.stack([chunks[f"{end}_{name}"] for name in _RANGES[kind]], axis=1) for end in ("min", "max"))
-    return low[which] + shares * (high - low)[which]
+    values: np.ndarray = low[which] + shares * (high - low)[which]
+    return values
 
 
 def _pack(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
@@ -158,7 +160,8 @@ def _packed_rotations(quats: np.ndarray) -> np.ndarray:
     unit *= np.where(np.take_along_axis(unit, largest[:, None], 1) < 0, -1, 1)
     others = np.array([[i for i in range(4) if i != skipped] for skipped in range(4)])[largest]
     shares = np.take_along_axis(unit, others, 1) * np.sqrt(0.5) + 0.5
-    return _pack(shares, (10, 10, 10)) | largest.astype(np.uint32) << np.uint32(30)
+    packed: np.ndarray = _pack(shares, (10, 10, 10)) | largest.astype(np.uint32) << np.uint32(30)
+    return packed
 
 
 def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:

@@ -73,14 +73,14 @@ def _suffix(target: Path) -> str:
 
 def _convert_mesh(source: Path, target: Path, scale: float, up: UpAxis) -> str:
     mesh = load_mesh(source)
-    arrays = (_scaled(mesh.vertices, scale), mesh.faces, mesh.normals, mesh.colors)
+    scaled = mesh.in_frame(_scaled(mesh.vertices, scale))
     match _suffix(target):
         case ".glb":
-            write_glb(target, *arrays, up=up)
+            write_glb(target, scaled, mesh.colors, up)
         case ".obj":
-            write_obj(target, *arrays)
+            write_obj(target, scaled, mesh.colors)
         case _:
-            write_ply(target, *arrays, unit=read_number(source, UNIT) * scale)
+            write_ply(target, scaled, mesh.colors, unit=read_number(source, UNIT) * scale)
     return f"a mesh of {len(mesh.faces)} faces"
 
 

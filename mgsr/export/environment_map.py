@@ -24,7 +24,7 @@ import numpy as np
 from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError, in_short
 from mgsr.export.far_origin import no_origin
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 
 _PARTS = ("scene", "camera")
 
@@ -33,13 +33,13 @@ _PARTS = ("scene", "camera")
 class StoredEnvironmentMap:
     """The environment maps of a scene.
 
-    maps [2,3,S,S] (the scene's, then the camera's) and bounce [3], 0..1. surface: vertices [V,3] in the user's frame
-    and faces [F,3] of the mesh that reflects, None where the 2D branch does.
+    maps [2,3,S,S] (the scene's, then the camera's) and bounce [3], 0..1. surface: the mesh that
+    reflects, in the user's frame, None where the 2D branch does.
     """
 
     maps: np.ndarray
     bounce: np.ndarray
-    surface: Triangles | None = None
+    surface: Mesh | None = None
 
 
 def write_environment_map(path: Path, stored: StoredEnvironmentMap, origin: np.ndarray | None = None) -> None:
@@ -49,8 +49,8 @@ def write_environment_map(path: Path, stored: StoredEnvironmentMap, origin: np.n
     arrays["bounce"] = np.asarray(stored.bounce, np.float32)
     if stored.surface is not None:
         about = no_origin() if origin is None else origin
-        arrays["vertices"] = (stored.surface[0] - about).astype(np.float32)
-        arrays["faces"] = stored.surface[1].astype(np.int32)
+        arrays["vertices"] = (stored.surface.vertices - about).astype(np.float32)
+        arrays["faces"] = stored.surface.faces.astype(np.int32)
         if about.any():
             arrays["origin"] = about
     with path.open("wb") as file:
@@ -75,7 +75,7 @@ def load_environment_map(path: Path) -> StoredEnvironmentMap:
     return StoredEnvironmentMap(np.moveaxis(np.stack(images), -1, 1), bounce, surface)
 
 
-def _surface(content: dict[str, np.ndarray]) -> Triangles | None:
+def _surface(content: dict[str, np.ndarray]) -> Mesh | None:
     """Return the mesh that reflects. Raises ValueError where it is damaged, KeyError where half of it is missing."""
     if "vertices" not in content and "faces" not in content:
         return None
@@ -86,4 +86,4 @@ def _surface(content: dict[str, np.ndarray]) -> Triangles | None:
         raise ValueError(f"its mesh: expected vertices [V,3] and faces [F,3], got {vertices.shape}, {faces.shape}")
     if not (np.isfinite(vertices).all() and np.isfinite(origin).all()):
         raise ValueError("its mesh: expected finite vertices")
-    return vertices + origin, faces
+    return Mesh(vertices + origin, faces)

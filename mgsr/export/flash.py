@@ -1,8 +1,8 @@
 """`flash.npz`: a flash on the camera, and the surface that it lights, as a run found them before training.
 
-Arrays: `vertices` [V,3] and `faces` [F,3] of the surface, in the user's frame; `besides` [V], the light at each vertex
-that is not the lamp's; `like` [V], the vertex whose place, normal and light each takes, where photographs do not
-confirm its own; `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the
+Arrays: `vertices` [V,3] and `faces` [F,3] of the surface, in the user's frame; `ambient` [V], the light at each vertex
+that is not the lamp's; `proxy_vertex` [V], the vertex whose place, normal and light each takes, where photographs do
+not confirm its own; `lamp` [3]: how far the lamp is to the right of the lens and below it, in the user's unit, and the
 light that it sends to a surface that faces it at a distance of 1. Light is a share of the brightest in the photographs.
 The splats' transmitted colours are those under even light. In a pixel that gets the light l, the transmitted colour c,
 in sRGB, becomes (c + 0.055) l^(1/2.4) - 0.055.
@@ -21,6 +21,7 @@ import numpy as np
 from mgsr.data.npz import read_arrays
 from mgsr.errors import SceneError, in_short
 from mgsr.export.far_origin import no_origin
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.lighting import Lighting
 
 
@@ -28,10 +29,10 @@ def write_flash(path: Path, lighting: Lighting, origin: np.ndarray | None = None
     """Write a flash, in the user's frame. origin [3]: the origin of the file's vertices, None for the frame's own."""
     about = no_origin() if origin is None else origin
     arrays: dict[str, Any] = {
-        "vertices": (lighting.vertices - about).astype(np.float32),
-        "faces": lighting.faces.astype(np.int32),
-        "besides": lighting.besides.astype(np.float32),
-        "like": lighting.like.astype(np.int32),
+        "vertices": (lighting.mesh.vertices - about).astype(np.float32),
+        "faces": lighting.mesh.faces.astype(np.int32),
+        "besides": lighting.ambient.astype(np.float32),
+        "like": lighting.proxy_vertex.astype(np.int32),
         "lamp": np.array([lighting.right, lighting.down, lighting.lamp]),
     }
     if about.any():
@@ -44,20 +45,20 @@ def load_flash(path: Path) -> Lighting:
     """Load a flash, in the user's frame. Raises SceneError for a file that is none."""
     try:
         content = read_arrays(path)
-        vertices, besides, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))
-        faces, like = content["faces"].astype(np.int64), content["like"].astype(np.int64)
+        vertices, ambient, lamp = (content[name].astype(float) for name in ("vertices", "besides", "lamp"))
+        faces, proxy_vertex = content["faces"].astype(np.int64), content["like"].astype(np.int64)
         origin = content.get("origin", no_origin()).astype(float)
     except (ValueError, KeyError) as error:
         raise SceneError(f"{path}: not a flash ({in_short(error)}); train again, or remove it") from error
     count = len(vertices)
-    right = vertices.shape == (count, 3) and besides.shape == like.shape == (count,)
+    right = vertices.shape == (count, 3) and ambient.shape == proxy_vertex.shape == (count,)
     right = right and lamp.shape == origin.shape == (3,)
     right = right and faces.ndim == 2 and faces.shape[1] == 3 and len(faces) > 0
-    right = right and all(indices.min() >= 0 and indices.max() < count for indices in (faces, like))
-    if not right or not all(np.isfinite(array).all() for array in (vertices, besides, lamp, origin)):
+    right = right and all(indices.min() >= 0 and indices.max() < count for indices in (faces, proxy_vertex))
+    if not right or not all(np.isfinite(array).all() for array in (vertices, ambient, lamp, origin)):
         raise SceneError(
             f"{path}: expected vertices [V,3], besides [V], lamp [3], origin [3] of finite numbers, faces [F,3] and "
-            f"like [V] of indices, got {vertices.shape}, {besides.shape}, {lamp.shape}, {origin.shape}, {faces.shape}, "
-            f"{like.shape}; train again, or remove it"
+            f"like [V] of indices, got {vertices.shape}, {ambient.shape}, {lamp.shape}, {origin.shape}, {faces.shape}, "
+            f"{proxy_vertex.shape}; train again, or remove it"
         )
-    return Lighting(vertices + origin, faces, besides, like, *lamp.tolist())
+    return Lighting(Mesh(vertices + origin, faces), ambient, proxy_vertex, *lamp.tolist())

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.geometry.mesh import Mesh
+
 _COMPONENTS = {"<f4": 5126, "<u4": 5125}
 _SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _INDICES, _VERTICES = 34963, 34962
@@ -29,17 +31,15 @@ Up = UpAxis | np.ndarray
 _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1, 0), UpAxis.MINUS_Z: (0, 0, -1)}
 
 
-def glb(
-    vertices: np.ndarray, faces: np.ndarray, attributes: Mapping[str, np.ndarray], up: Up, png: bytes | None = None
-) -> bytes:
+def glb(mesh: Mesh, attributes: Mapping[str, np.ndarray], up: Up, png: bytes | None = None) -> bytes:
     """Return the bytes of a binary glTF file with one mesh.
 
-    vertices: [V,3]. faces: [F,3]. attributes: by glTF's names, arrays [V,n] of little-endian float32. png: the
-    surface's colours, sRGB, by TEXCOORD_0.
+    attributes: by glTF's names, arrays [V,n] of little-endian float32. png: the surface's colours, sRGB, by TEXCOORD_0.
 
     The material is matte and two-sided. Positions are about the mesh's middle. The node puts them back (and turns the
     mesh y-up), so that frames with a far origin keep their precision.
     """
+    vertices, faces = mesh.vertices, mesh.faces
     middle = (vertices.max(0) + vertices.min(0)) / 2
     positions = (vertices - middle).astype("<f4")
     body = _Body()

@@ -10,42 +10,40 @@ from mgsr.data.images import srgb_to_linear
 from mgsr.errors import MeshError
 from mgsr.export.gltf import Up, UpAxis, glb
 from mgsr.export.ply_notes import number_comments
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.precision import box, float_is_too_coarse
 
 
-def check_mesh(vertices: np.ndarray, faces: np.ndarray, **attributes: np.ndarray) -> None:
-    """Raise MeshError for a mesh without faces, and for arrays that don't fit together."""
+def check_mesh(mesh: Mesh, **attributes: np.ndarray) -> None:
+    """Raise MeshError for a mesh without faces, and for arrays that don't fit together.
+
+    attributes [V,3]: beside its normals.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
     if len(faces) == 0:
         raise MeshError("mesh export: expected at least one face, got none; an empty mesh is not written")
-    for name, array in {"vertices": vertices, **attributes}.items():
-        if array.shape != (len(vertices), 3):
-            raise MeshError(f"mesh export: {name}: expected [V={len(vertices)}, 3], got {list(array.shape)}")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshError(f"mesh export: faces: expected [F, 3] indices under V={len(vertices)}, got {list(faces.shape)}")
+    for name, array in {"vertices": vertices, "normals": mesh.normals, **attributes}.items():
+        if array.shape != (len(vertices), 3):
+            raise MeshError(f"mesh export: {name}: expected [V={len(vertices)}, 3], got {list(array.shape)}")
 
 
-def write_ply(
-    path: Path,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
-    colors: np.ndarray,
-    unit: float = 1.0,
-) -> None:
+def write_ply(path: Path, mesh: Mesh, colors: np.ndarray, unit: float = 1.0) -> None:
     """Write a mesh as binary little-endian PLY.
 
-    vertices: [V,3]. faces: [F,3]. normals: unit, [V,3]. colors: [V,3] sRGB 0..1, stored as uchar. unit: the factor of
-    the lengths, for the header.
+    mesh: with its normals. colors: [V,3] sRGB 0..1, stored as uchar. unit: the factor of the lengths, for the header.
 
     Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as it does in frames
     whose origin lies far away. Raises MeshError for arrays that don't fit together.
     """
-    check_mesh(vertices, faces, normals=normals, colors=colors)
+    check_mesh(mesh, colors=colors)
+    vertices, faces = mesh.vertices, mesh.faces
     real = "double" if float_is_too_coarse(*box(vertices)) else "float"
     columns = [(axis, "<f8" if real == "double" else "<f4") for axis in "xyz"]
     columns += [(name, "<f4") for name in ("nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
     rows = np.empty(len(vertices), columns)
-    for names, values in ((("x", "y", "z"), vertices), (("nx", "ny", "nz"), normals)):
+    for names, values in ((("x", "y", "z"), vertices), (("nx", "ny", "nz"), mesh.normals)):
         for axis, name in enumerate(names):
             rows[name] = values[:, axis]
     for axis, name in enumerate(("red", "green", "blue")):
@@ -65,34 +63,19 @@ def _ply_header(vertex_count: int, face_count: int, real: str, unit: float) -> b
     return ("\n".join(lines) + "\n").encode("ascii")
 
 
-def write_glb(
-    path: Path,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
-    colors: np.ndarray,
-    up: Up = UpAxis.Y,
-) -> None:
+def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: Up = UpAxis.Y) -> None:
     """Write a mesh with vertex colours as binary glTF 2.0.
 
     glTF wants linear colours, so they are converted from sRGB. They are stored as float32: 8 linear bits would band in
     dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors as of `write_ply`.
     """
-    check_mesh(vertices, faces, normals=normals, colors=colors)
-    linear = np.ones((len(vertices), 4), "<f4")
+    check_mesh(mesh, colors=colors)
+    linear = np.ones((len(mesh.vertices), 4), "<f4")
     linear[:, :3] = srgb_to_linear(np.clip(colors, 0, 1))
-    path.write_bytes(glb(vertices, faces, {"NORMAL": _unit(normals), "COLOR_0": linear}, up))
+    path.write_bytes(glb(mesh, {"NORMAL": _unit(mesh.normals), "COLOR_0": linear}, up))
 
 
-def write_textured_glb(
-    path: Path,
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray,
-    uvs: np.ndarray,
-    picture: np.ndarray,
-    up: Up = UpAxis.Y,
-) -> None:
+def write_textured_glb(path: Path, mesh: Mesh, uvs: np.ndarray, picture: np.ndarray, up: Up = UpAxis.Y) -> None:
     """Write a mesh with a texture as binary glTF 2.0.
 
     uvs: [V,2] in 0..1 from the upper left corner of `picture` [H,W,3] uint8, sRGB as glTF wants it, stored without
@@ -100,12 +83,12 @@ def write_textured_glb(
     """
     import cv2  # late: training needs no OpenCV
 
-    check_mesh(vertices, faces, normals=normals)
-    if uvs.shape != (len(vertices), 2):
-        raise MeshError(f"mesh export: uvs: expected [V={len(vertices)}, 2], got {list(uvs.shape)}")
+    check_mesh(mesh)
+    if uvs.shape != (len(mesh.vertices), 2):
+        raise MeshError(f"mesh export: uvs: expected [V={len(mesh.vertices)}, 2], got {list(uvs.shape)}")
     _, png = cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))
-    attributes = {"NORMAL": _unit(normals), "TEXCOORD_0": uvs.astype("<f4")}
-    path.write_bytes(glb(vertices, faces, attributes, up, png.tobytes()))
+    attributes = {"NORMAL": _unit(mesh.normals), "TEXCOORD_0": uvs.astype("<f4")}
+    path.write_bytes(glb(mesh, attributes, up, png.tobytes()))
 
 
 def _unit(normals: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.errors import MeshError, in_short
 from mgsr.export.gltf import glb_file
+from mgsr.geometry.mesh import Mesh
 
 # Those that change nothing of what is read here.
 _KNOWN_EXTENSIONS = {"KHR_materials_unlit"}
@@ -21,13 +22,10 @@ _FLOAT = 5126
 _GREY = 0.5
 
 
-@dataclass(frozen=True)
-class StoredMesh:
-    """A mesh: vertices [V,3] float64, faces [F,3], unit normals [V,3], colors [V,3] sRGB 0..1."""
+@dataclass(frozen=True, eq=False)
+class StoredMesh(Mesh):
+    """A mesh of a file, with its normals; colors [V,3] sRGB 0..1."""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
     colors: np.ndarray
 
 
@@ -56,12 +54,12 @@ def load_mesh(path: Path) -> StoredMesh:
     if not parts:
         raise MeshError(f"{path}: expected a mesh with faces, got none; export its faces too")
     starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return StoredMesh(
+    mesh = StoredMesh(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
-        np.concatenate([part.normals for part in parts]),
         np.concatenate([part.colors for part in parts]),
     )
+    return mesh.with_normals(np.concatenate([part.normals for part in parts]))
 
 
 def _read_parts(path: Path) -> list[StoredMesh]:
@@ -96,7 +94,8 @@ def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -
     faces = np.asarray(mesh.faces)
     if np.linalg.det(pose[:3, :3]) < 0:
         faces = faces[:, ::-1]
-    return StoredMesh(vertices, faces, normals, _gltf_colors(mesh, path, materials) if materials else _colors(mesh))
+    colors = _gltf_colors(mesh, path, materials) if materials else _colors(mesh)
+    return StoredMesh(vertices, faces, colors).with_normals(normals)
 
 
 def _colors(mesh: Any) -> np.ndarray:

@@ -48,7 +48,8 @@ def straight_color(on_black: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 def on_background(on_black: np.ndarray, alpha: np.ndarray, background: Color) -> np.ndarray:
     """Return an image [H,W,3] rendered on black with alpha [H,W] 0..1, composited on a colour."""
-    return np.clip(on_black + (1 - alpha[..., None]) * np.array(background), 0, 1)
+    composited: np.ndarray = np.clip(on_black + (1 - alpha[..., None]) * np.array(background), 0, 1)
+    return composited
 
 
 def write_view(folder: Path, name: str, view: RenderedView) -> list[Path]:
@@ -88,7 +89,8 @@ def _rgba(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
+    rounded: np.ndarray = np.rint(np.clip(np.nan_to_num(image), 0, 1) * 255).astype(np.uint8)
+    return rounded
 
 
 def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:

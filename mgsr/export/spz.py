@@ -261,8 +261,10 @@ def _unit(quats: np.ndarray) -> np.ndarray:
     """Return unit quaternions with w >= 0."""
     lengths = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     unit = quats / np.maximum(lengths, 1e-12)
-    return np.where(unit[:, :1] < 0, -unit, unit)
+    turned: np.ndarray = np.where(unit[:, :1] < 0, -unit, unit)
+    return turned
 
 
 def _byte(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    rounded: np.ndarray = np.clip(np.rint(values), 0, 255).astype(np.uint8)
+    return rounded

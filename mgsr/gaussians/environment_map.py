@@ -56,7 +56,8 @@ class EnvironmentMap:
     @property
     def side(self) -> int:
         """Return the number of texels along a side of each map."""
-        return round(((len(self) - 1) / 2) ** 0.5)
+        texels: int = round(((len(self) - 1) / 2) ** 0.5)
+        return texels
 
     def rendered(self) -> RenderedMap:
         """Return the maps as shares 0..1, for rendering."""

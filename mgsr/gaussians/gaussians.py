@@ -62,7 +62,8 @@ class GaussianModel:
     @property
     def sh_degree(self) -> int:
         """Return the spherical-harmonic degree of the transmitted colour."""
-        return round(self.sh.shape[1] ** 0.5) - 1
+        degree: int = round(self.sh.shape[1] ** 0.5) - 1
+        return degree
 
     @property
     def refl_sh_degree(self) -> int:

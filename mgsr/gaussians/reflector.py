@@ -15,9 +15,8 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from mgsr.data.camera import Camera
-from mgsr.geometry.displace import edge_length
-from mgsr.geometry.raycast import PixelHits, RayCaster
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import PixelHits
 
 KEPT = 256 * 2**20  # bytes of what cameras see that are kept
 GAP = 0.005  # of the mesh's longest side, at most
@@ -46,14 +45,12 @@ class ReflectorView:
 
 
 class Reflector:
-    """A mesh that reflects: vertices [V,3] in the scene's frame and outward faces [F,3]."""
+    """A mesh that reflects, in the scene's frame and with outward faces."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        self.vertices, self.faces = vertices, faces
-        self._caster = RayCaster(vertices, faces)
-        self._normals = vertex_normals(vertices, faces).astype(np.float64)
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
         # How far from the surface reflected rays begin: facets bend away from the normals between their corners.
-        self._gap = min(edge_length(vertices, faces), GAP * float(np.ptp(vertices, axis=0).max()))
+        self._gap = min(mesh.edge_length, GAP * float(np.ptp(mesh.vertices, axis=0).max()))
         self._kept: dict[tuple[bytes, bytes, int, int, torch.device], ReflectorView] = {}
         self._size = 0
 
@@ -74,7 +71,7 @@ class Reflector:
     def _trace(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return `ReflectorView`'s arrays: normals [H,W,3], near [N] and bounced [P]."""
         middles = np.stack(np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5), axis=-1)
-        hits = self._caster.cast_pixels(camera, middles)
+        hits = self.mesh.caster.cast_pixels(camera, middles)
         pixels = np.flatnonzero(hits.mask)
         normals = np.zeros((camera.height * camera.width, 3))
         if not len(pixels):
@@ -95,15 +92,16 @@ class Reflector:
         these points, and the unit vectors [Q,3] halfway between the eye and where the second bounce leads.
         """
         first = _environment_map(eye, normals)
-        hits = self._caster.cast_rays(points + self._gap * normals, first)
+        hits = self.mesh.caster.cast_rays(points + self._gap * normals, first)
         bounced = np.flatnonzero(hits.mask)
         _, there = self._at(hits)
         return bounced, _unit(eye[bounced] + _environment_map(-first[bounced], there))
 
     def _at(self, hits: PixelHits) -> tuple[np.ndarray, np.ndarray]:
         """Return the places [P,3] and unit normals [P,3] where rays meet the surface."""
-        corners, shares = self.faces[hits.face[hits.mask]], hits.barycentric[hits.mask].astype(np.float64)
-        place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in (self.vertices, self._normals))
+        corners, shares = self.mesh.faces[hits.face[hits.mask]], hits.barycentric[hits.mask].astype(np.float64)
+        values = self.mesh.vertices, self.mesh.double_normals
+        place, normal = (np.einsum("pk,pki->pi", shares, each[corners]) for each in values)
         return place, _unit(normal)
 
 

@@ -121,7 +121,8 @@ def quats_from_normals(normals: np.ndarray) -> np.ndarray:
     x, y, z = unit.T
     quats = np.stack([1 + z, -y, x, np.zeros_like(x)], axis=1)
     quats[z < -1 + 1e-6] = [0.0, 1.0, 0.0, 0.0]  # straight down: any half turn about a level axis
-    return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    unit_quats: np.ndarray = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    return unit_quats
 
 
 def plane_normals(positions: np.ndarray, neighbours: np.ndarray) -> np.ndarray:

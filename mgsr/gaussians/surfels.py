@@ -46,7 +46,8 @@ class SurfelModel:
     @property
     def sh_degree(self) -> int:
         """Return the spherical-harmonic degree of the stored coefficients."""
-        return round(self.sh.shape[1] ** 0.5) - 1
+        degree: int = round(self.sh.shape[1] ** 0.5) - 1
+        return degree
 
     def scales(self) -> Tensor:
         """Return the standard deviations along the tangents, [N,2], in the scene's unit."""

@@ -41,10 +41,8 @@ class TrainedModel:
         """Return a model of the user's frame in the scene's."""
         reflected = self.environment_map
         if reflected is not None and reflected.reflector is not None:
-            surface = reflected.reflector
-            reflected = replace(
-                reflected, reflector=Reflector(user_from_scene.to_scene(surface.vertices), surface.faces)
-            )
+            mesh = reflected.reflector.mesh
+            reflected = replace(reflected, reflector=Reflector(mesh.moved(user_from_scene.to_scene(mesh.vertices))))
         return TrainedModel(
             None if self.surfels is None else _to_scene(self.surfels, user_from_scene),
             None if self.gaussians is None else _to_scene(self.gaussians, user_from_scene),

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from mgsr.data.camera import Camera
 from mgsr.data.valid_mask import valid_at
@@ -31,7 +30,8 @@ class RayHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [H,W] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class PixelHits:
     @property
     def mask(self) -> np.ndarray:
         """Return where something is hit, [...] bool."""
-        return self.face != NO_FACE
+        hit: np.ndarray = self.face != NO_FACE
+        return hit
 
 
 class RayCaster:
@@ -103,16 +104,16 @@ class RayCaster:
         found = self._scene.compute_closest_points(load_open3d().core.Tensor(self._single(points)))
         return found["primitive_ids"].numpy(), _shares(found["primitive_uvs"].numpy())
 
-    def sees(self, camera: Camera, points: np.ndarray, gap: float, known: np.ndarray | None = None) -> np.ndarray:
+    def sees(self, camera: Camera, points: np.ndarray, gap: float, valid_mask: np.ndarray | None = None) -> np.ndarray:
         """Return which of the points [P,3] a camera sees, [P] bool.
 
-        Such points lie inside its image, at known pixels, with nothing between.
-        known [H,W] bool: the known pixels; None: all. Each ray ends `gap` before its point, so that the surface which
-        the point lies on does not hide it.
+        Such points lie inside its image, at valid pixels, with nothing between.
+        valid_mask [H,W] bool: the valid pixels; None: all. Each ray ends `gap` before its point, so that the surface
+        which the point lies on does not hide it.
         """
         inside, pixels, _ = camera.project_inside(points)
-        if known is not None:
-            inside = inside[valid_at(known, pixels)]
+        if valid_mask is not None:
+            inside = inside[valid_at(valid_mask, pixels)]
         seen = np.zeros(len(points), bool)
         seen[inside] = self.reached(camera.center, points[inside], gap)
         return seen
@@ -144,16 +145,6 @@ def _shares(uv: np.ndarray) -> np.ndarray:
     return shares
 
 
-def interpolation(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> sparse.csr_matrix:
-    """Return the matrix [P,V] that interpolates values of a mesh's vertices at the points [P,3] beside it.
-
-    Each point takes the barycentric mean at the nearest point of the mesh, vertices [V,3] and faces [F,3].
-    """
-    face, shares = RayCaster(vertices, faces).nearest(points)
-    places = (np.repeat(np.arange(len(points)), 3), faces[face].ravel())
-    return sparse.coo_matrix((shares.ravel().astype(np.float64), places), (len(points), len(vertices))).tocsr()
-
-
 def pixel_rays(camera: Camera) -> np.ndarray:
     """Return the world directions [H,W,3] float32 of the rays through the pixel centres, with camera z 1.
 
@@ -162,4 +153,5 @@ def pixel_rays(camera: Camera) -> np.ndarray:
     x = (np.arange(camera.width) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
     y = (np.arange(camera.height) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    return (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    rays: np.ndarray = (local @ camera.cam_from_world[:3, :3]).astype(np.float32)
+    return rays

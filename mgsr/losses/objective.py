@@ -11,17 +11,19 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from mgsr.config import SurfaceDepth, Teaching, TrainConfig
-from mgsr.losses.alpha import silhouette
-from mgsr.losses.depths import depth_agreement, depth_unit
+from mgsr.config import AlphaLoss, DepthUnit, SurfaceDepth, Teaching, TrainConfig
+from mgsr.gaussians.gaussians import GaussianModel
+from mgsr.gaussians.start import logit
 from mgsr.losses.loss import Loss
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
 from mgsr.ops.image_loss import image_loss_term
-from mgsr.ops.pixels import product_term
+from mgsr.ops.pixels import product_term, silhouette_term, squares_term, steps_term
 from mgsr.ops.terms import Term, evaluate
 from mgsr.ops.tv import edge_aware_tv_term
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
+
+LEAST_DISTANCE = 0.1  # scene units
 
 Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentiates
 
@@ -49,12 +51,12 @@ def gaussian_terms(
 
     covered [H,W]: what `target.covered` says of the alpha, where that is known already.
     """
-    settings = config.gaussians
+    settings, depth_tv_weight = config.gaussians, config.paper.gaussian_depth_tv_weight
     terms: Terms = {"gaussians.photo": _photo(outputs.color, target.color, target, config, clip=True)}
     terms |= _silhouette("gaussians", outputs.alpha, target, settings.alpha_weight, config)
-    if config.tv and (settings.transmitted_tv_weight or settings.depth_tv_weight):
+    if config.paper.tv and (settings.transmitted_tv_weight or depth_tv_weight):
         covered = target.covered(outputs.alpha) if covered is None else covered
-    if config.tv and settings.transmitted_tv_weight:
+    if config.paper.tv and settings.transmitted_tv_weight:
         # With masks only inside: the step to a random background is no texture to smooth away.
         inside = None if target.invalid is None else target.valid_weights(torch.ones_like(outputs.alpha))
         inside = inside if target.alpha is None else covered
@@ -64,9 +66,9 @@ def gaussian_terms(
         # The light is never negative, so its mean is its L1 norm.
         added = product_term(outputs.weight, outputs.own_reflected)
         terms["gaussians.reflected_cost"] = settings.reflected_cost * added
-    if config.tv and settings.depth_tv_weight:
+    if config.paper.tv and depth_tv_weight:
         tv = edge_aware_tv_term(_rendered(outputs.depth), target.color, mask=covered)
-        terms["gaussians.depth_tv"] = settings.depth_tv_weight * tv
+        terms["gaussians.depth_tv"] = depth_tv_weight * tv
     return terms
 
 
@@ -76,7 +78,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
     The 2D branch's target is the photograph and the 3D branch's transmitted image, which also guides its smoothness;
     the two depths pull at each other. Taught one way, the transmitted image and the surface's depth stay as they are.
     """
-    settings, both = config.mutual, config.mutual.teaching is Teaching.BOTH_WAYS
+    settings, both = config.mutual, config.paper.teaching is Teaching.BOTH_WAYS
     transmitted = gaussians.transmitted if both else gaussians.transmitted.detach()
     where, on_surfels, on_gaussians = target.off_edge, target.covered(surfels.alpha), target.covered(gaussians.alpha)
     of_surfels: Terms = {
@@ -90,7 +92,7 @@ def mutual_terms(surfels: SurfelOutputs, gaussians: GaussianOutputs, target: Tar
         terms[name] = settings.gaussian_weight * term
     if settings.depth_weight:
         full_depth, depth = _rendered(gaussians.depth), surface_depth(surfels, config)
-        unit = depth_unit(settings.depth_unit, full_depth, target.distance)
+        unit = depth_unit(config.paper.depth_unit, full_depth, target.distance)
         agreement = depth_agreement(full_depth, depth if both else depth.detach(), (on_surfels, on_gaussians), unit)
         terms["mutual.depth"] = settings.depth_weight * agreement
     return terms
@@ -107,19 +109,64 @@ def surface_terms(outputs: SurfelOutputs, target: Target, guide: Tensor, covered
     if settings.normal_weight:
         agreement = normal_agreement_term(outputs.normal, depth, target.camera, outputs.alpha, covered)
         terms["surfels.normal"] = settings.normal_weight * agreement
-    if config.tv and settings.normal_weight * settings.normal_tv_weight:
+    if config.paper.tv and settings.normal_weight * settings.normal_tv_weight:
         tv = edge_aware_tv_term(outputs.normal, guide, mask=covered)
         terms["surfels.normal_tv"] = settings.normal_weight * settings.normal_tv_weight * tv
-    if config.tv and settings.depth_tv_weight:
+    if config.paper.tv and settings.depth_tv_weight:
         terms["surfels.depth_tv"] = settings.depth_tv_weight * edge_aware_tv_term(depth, guide, mask=covered)
-    if settings.distortion_weight and outputs.distortion is not None:
-        terms["surfels.distortion"] = settings.distortion_weight * outputs.distortion.mean()
+    if config.paper.distortion_weight and outputs.distortion is not None:
+        terms["surfels.distortion"] = config.paper.distortion_weight * outputs.distortion.mean()
     return terms
+
+
+def environment_map_terms(maps: Tensor, gaussians: GaussianModel, config: TrainConfig) -> Terms:
+    """Return the regularisers of the environment maps [2,S,S,3] and of the splats' reflection weights, by name.
+
+    The maps' smoothness is the mean square of differences between neighbours. Each splat's reflection weight is pulled
+    to where it began, so that a place where no photograph saw a highlight stays as glossy as the rest.
+    """
+    settings = config.environment_map
+    terms: Terms = {"environment_map.smooth": settings.smoothness * steps_term(maps)}
+    if gaussians.weight_logits is not None:
+        away = squares_term(gaussians.weight_logits, offset=logit(config.gaussians.start_weight))
+        terms["environment_map.weights"] = settings.weight_prior * away
+    return terms
+
+
+def silhouette(alpha: Tensor, mask: Tensor, kind: AlphaLoss, where: Tensor | None = None) -> Term:
+    """Return the silhouette loss of the rendered alpha [H,W] against the photograph's mask [H,W], both 0..1.
+
+    kind: the mean absolute difference or the cross entropy. where [H,W]: weights of the pixels, all 1 by default (the
+    mean stays over all pixels). Gradients flow to alpha.
+    """
+    return silhouette_term(alpha, mask, where, entropy=kind is AlphaLoss.BCE)
+
+
+def depth_agreement(
+    gaussian_depth: Tensor, surfel_depth: Tensor, covered: tuple[Tensor, Tensor], unit: float | Tensor
+) -> Term:
+    """Return L_depth: the mean over all pixels of ((depth_3D - depth_2D) / unit)^2 where both branches cover.
+
+    Depths [H,W] camera z; covered: two of [H,W], 0 or 1. Gradients flow to both depths.
+    """
+    return squares_term(gaussian_depth, surfel_depth, covered, by=gaussian_depth.numel() * unit**2)
+
+
+def depth_unit(kind: DepthUnit, gaussian_depth: Tensor, distance: float) -> float | Tensor:
+    """Return the unit that `depth_agreement` divides by: the camera's distance from the scene's centre.
+
+    As in the paper, it may be the largest depth instead (one for both, so that depths which agree still agree after
+    it). A distance under 0.1 counts as that: a camera in the middle of the scene, whose radius is 1, would else weigh
+    without bound.
+    """
+    return (
+        max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else gaussian_depth.detach().max().clamp(min=1e-6)
+    )
 
 
 def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
     """Return the depth [H,W] that counts as the surface: the expected or the median one, as the settings say."""
-    return outputs.depth if config.surfels.depth is SurfaceDepth.EXPECTED else outputs.median_depth
+    return outputs.depth if config.paper.surface_depth is SurfaceDepth.EXPECTED else outputs.median_depth
 
 
 def _photo(
@@ -143,4 +190,4 @@ def _silhouette(
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)
-    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.alpha_loss, where)}
+    return {f"{branch}.alpha": weight * silhouette(alpha, mask, config.paper.alpha_loss, where)}

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.views import SurfaceView, nearest, project, sample
 from mgsr.parallel import map_ahead
 
-SPREAD = 0.1  # a colour this far from the others' mean counts half
+COLOR_DEVIATION = 0.1  # a colour this far from the others' mean counts half
 ROUNDS = 2
 TOLERANCE = 3.0  # footprints, where views are not held against each other
 
 
 def vertex_colors(
-    vertices: np.ndarray,
-    normals: np.ndarray,
+    mesh: Mesh,
     views: Sequence[SurfaceView],
     min_alpha: float,
     tolerance: float,
@@ -28,7 +28,8 @@ def vertex_colors(
 
     A vertex that no view shows takes the colour of its nearest neighbour that one shows.
     """
-    colors, seen = seen_colors(vertices, normals, views, min_alpha, tolerance, threads)
+    vertices = mesh.vertices
+    colors, seen = seen_colors(vertices, mesh.normals, views, min_alpha, tolerance, threads)
     if seen.any() and not seen.all():
         colors[~seen] = colors[seen][cKDTree(vertices[seen]).query(vertices[~seen])[1]]
     return colors
@@ -48,15 +49,15 @@ def seen_colors(
     bool. A colour is a weighted mean: head-on views count more, and colours far from the others' mean count less. A
     view shows a point that faces it and lies within `tolerance` pixel footprints of its depth.
     """
-    looks = list(map_ahead(lambda view: _look(points, normals, view, min_alpha, tolerance), views, threads))
-    mean, total = _blend(looks, len(points), None)
+    samples = list(map_ahead(lambda view: _view_colors(points, normals, view, min_alpha, tolerance), views, threads))
+    mean, total = _blend(samples, len(points), None)
     for _ in range(ROUNDS):
-        mean, _ = _blend(looks, len(points), mean)
+        mean, _ = _blend(samples, len(points), mean)
     return np.clip(mean, 0, 1), total > 0
 
 
 @dataclass(frozen=True)
-class _Look:
+class _ViewColors:
     """What one view shows: the indices [Q] of the points, their colors [Q,3] and weights [Q]."""
 
     index: np.ndarray
@@ -64,27 +65,29 @@ class _Look:
     weights: np.ndarray
 
 
-def _look(vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float) -> _Look:
+def _view_colors(
+    vertices: np.ndarray, normals: np.ndarray, view: SurfaceView, min_alpha: float, tolerance: float
+) -> _ViewColors:
     index, pixels, depths = project(view.camera, vertices)
     to_camera = view.camera.center.astype(np.float32) - vertices[index].astype(np.float32)
     cosines = (to_camera * normals[index]).sum(1) / np.linalg.norm(to_camera, axis=1)
     limit = tolerance * depths / np.float32(view.camera.K[0, 0]) / np.maximum(cosines, 0.3)
     shown = (cosines > 0.05) & (np.abs(nearest(view.depth, pixels) - depths) <= limit)
     shown &= nearest(view.usable(min_alpha), pixels)
-    return _Look(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
+    return _ViewColors(index[shown], sample(view.color, pixels[shown]), cosines[shown] ** 2)
 
 
-def _blend(looks: Sequence[_Look], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def _blend(samples: Sequence[_ViewColors], count: int, around: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return weighted mean colours [V,3] and the sums of the weights [V]; `around` [V,3] is where colours should lie.
 
     Colours far from `around` lose weight; None: all keep theirs.
     """
     sums, total = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-    for look in looks:
-        weights = look.weights
+    for shown in samples:
+        weights = shown.weights
         if around is not None:
-            off = look.colors - around[look.index]
-            weights = weights / (1 + (off * off).sum(1) / SPREAD**2)
-        sums[look.index] += look.colors * weights[:, None]
-        total[look.index] += weights
+            off = shown.colors - around[shown.index]
+            weights = weights / (1 + (off * off).sum(1) / COLOR_DEVIATION**2)
+        sums[shown.index] += shown.colors * weights[:, None]
+        total[shown.index] += weights
     return sums / np.maximum(total, 1e-12)[:, None], total

@@ -56,11 +56,11 @@ def compare_views(
     count = len(points)
     against, confirming = np.zeros(count, np.int32), np.zeros(count, np.int32)
     sums = np.zeros((count, 5), np.float32)  # weight, weight * offset along the normal, weight * normal
-    for look in map_ahead(lambda view: _look(points, view, rules, tolerance), views, threads):
-        against[look.contradicted] += 1
-        confirming[look.confirmed] += 1
-        sums[look.confirmed] += look.weights[:, None] * np.column_stack(
-            [np.ones_like(look.offsets), look.offsets, look.normals]
+    for verdict in map_ahead(lambda view: _verdict(points, view, rules, tolerance), views, threads):
+        against[verdict.contradicted] += 1
+        confirming[verdict.confirmed] += 1
+        sums[verdict.confirmed] += verdict.weights[:, None] * np.column_stack(
+            [np.ones_like(verdict.offsets), verdict.offsets, verdict.normals]
         )
     return Agreement(_moved(points, sums), (against < 2) | (against <= confirming))
 
@@ -74,7 +74,7 @@ def _moved(points: OrientedPoints, sums: np.ndarray) -> OrientedPoints:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _Verdict:
     """What one view says of the points.
 
     contradicted: the indices of those that it contradicts; confirmed [Q]: of those that it confirms; weights [Q]: of
@@ -89,7 +89,7 @@ class _Look:
     normals: np.ndarray
 
 
-def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float) -> _Look:
+def _verdict(points: OrientedPoints, view: SurfaceView, rules: PixelRules, tolerance: float) -> _Verdict:
     camera = view.camera
     index, pixels, depths = project(camera, points.positions)
     rays = (points.positions[index] - camera.center.astype(np.float32)) / depths[:, None]
@@ -107,9 +107,9 @@ def _look(points: OrientedPoints, view: SurfaceView, rules: PixelRules, toleranc
     seen = sample(_weighted_surface(view, rules), pixels[near])
     gaps = seen[:, 1] / np.maximum(seen[:, 0], 1e-6) - depths[near]
     weights = seen[:, 0] * np.clip(1 - (gaps / limit[near]) ** 2, 0, 1) ** 2
-    sure = weights > 0
+    confirmed = weights > 0
     offsets = gaps * slants[near]
-    return _Look(contradicted, index[near][sure], weights[sure], offsets[sure], seen[sure, 2:])
+    return _Verdict(contradicted, index[near][confirmed], weights[confirmed], offsets[confirmed], seen[confirmed, 2:])
 
 
 def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
@@ -124,7 +124,7 @@ def _weighted_surface(view: SurfaceView, rules: PixelRules) -> np.ndarray:
     return np.where(weights > 0, values * weights, 0)
 
 
-class Hull:
+class SilhouetteHull:
     """The visual hull: the space that all silhouettes allow."""
 
     def __init__(self, silhouettes: Sequence[Silhouette]) -> None:

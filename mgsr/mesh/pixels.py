@@ -60,12 +60,14 @@ def back_project(view: SurfaceView, rays: np.ndarray | None = None) -> np.ndarra
     rays: as of `pixel_rays`, if they are known already.
     """
     rays = pixel_rays(view.camera) if rays is None else rays
-    return view.camera.center.astype(np.float32) + rays * view.depth[..., None]
+    points: np.ndarray = view.camera.center.astype(np.float32) + rays * view.depth[..., None]
+    return points
 
 
 def footprint(view: SurfaceView) -> np.ndarray:
     """Return the size [H,W] of a pixel on the surface it shows, in the scene's unit."""
-    return view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
+    sizes: np.ndarray = view.depth / np.sqrt(view.camera.K[0, 0] * view.camera.K[1, 1]).astype(np.float32)
+    return sizes
 
 
 def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | None:
@@ -78,7 +80,8 @@ def median_footprint(views: Sequence[SurfaceView], min_alpha: float) -> float | 
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
+    lengths: np.ndarray = np.sqrt(np.einsum("hwc,hwc->hw", vectors, vectors))
+    return lengths
 
 
 _ALL, _HEAD, _TAIL = slice(None), slice(None, -1), slice(1, None)

@@ -63,7 +63,8 @@ class CellSums:
         order = np.lexsort([-self.sums[:, 6], cells])
         first, inverse = np.unique(cells, return_inverse=True)
         heaviest = order[np.searchsorted(cells[order], first)]
-        return (self.sums[:, 3:6] * self.sums[heaviest[inverse], 3:6]).sum(1) < 0
+        opposed: np.ndarray = (self.sums[:, 3:6] * self.sums[heaviest[inverse], 3:6]).sum(1) < 0
+        return opposed
 
 
 def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
@@ -72,7 +73,8 @@ def _cell_keys(points: OrientedPoints, cell: float) -> np.ndarray:
     axis = np.abs(points.normals).argmax(1)
     side = np.take_along_axis(points.normals, axis[:, None], 1)[:, 0] > 0
     packed = (cells[:, 0] << 40) | (cells[:, 1] << 20) | cells[:, 2]
-    return packed * 6 + axis * 2 + side
+    keys: np.ndarray = packed * 6 + axis * 2 + side
+    return keys
 
 
 def _sum_by_key(keys: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

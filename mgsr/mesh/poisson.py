@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mgsr.geometry.triangles import keep_faces
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.points import OrientedPoints
 from mgsr.open3d_library import load_open3d
 
@@ -14,11 +14,12 @@ MARGIN = 1.1  # the octree's cube against the points' box
 
 def cell_size(extent: float, depth: int) -> float:
     """Return the size of the finest octree cell for points within a box whose longest side is `extent`."""
-    return MARGIN * extent / 2**depth
+    size: float = MARGIN * extent / 2**depth
+    return size
 
 
-def poisson_surface(points: OrientedPoints, depth: int) -> tuple[np.ndarray, np.ndarray]:
-    """Reconstruct the closed surface: vertices [V,3] and faces [F,3], counter-clockwise from outside.
+def poisson_surface(points: OrientedPoints, depth: int) -> Mesh:
+    """Reconstruct the closed surface.
 
     It runs on one thread: on several its sums come in another order each time, and so do its vertices.
 
@@ -31,12 +32,10 @@ def poisson_surface(points: OrientedPoints, depth: int) -> tuple[np.ndarray, np.
     mesh, _ = open3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
         cloud, depth=depth, scale=MARGIN, linear_fit=False, n_threads=1
     )
-    return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
 
 
-def trim_unsupported(
-    vertices: np.ndarray, faces: np.ndarray, points: OrientedPoints, reach: float
-) -> tuple[np.ndarray, np.ndarray]:
+def trim_unsupported(mesh: Mesh, points: OrientedPoints, reach: float) -> Mesh:
     """Return the mesh without the faces that Poisson put where no point is within `reach`."""
-    near = np.isfinite(cKDTree(points.positions).query(vertices, distance_upper_bound=reach, workers=-1)[0])
-    return keep_faces(vertices, faces, near[faces].all(1))
+    near = np.isfinite(cKDTree(points.positions).query(mesh.vertices, distance_upper_bound=reach, workers=-1)[0])
+    return mesh.keep_faces(near[mesh.faces].all(1))

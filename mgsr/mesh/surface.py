@@ -1,46 +1,45 @@
-"""The extracted surface."""
+"""The meshes that a run makes: with vertex colours, and with a texture."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mgsr.shading.refine import Light
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.steps.step import StepReport
+from mgsr.shading.light_estimate import LightKind
 
 
-@dataclass(frozen=True)
-class TexturedMesh:
-    """A mesh with a texture.
+@dataclass(frozen=True, eq=False)
+class TexturedMesh(Mesh):
+    """A mesh with a texture, whose vertices come once for each chart of the texture that they lie on.
 
-    vertices [V,3] float64, once for each chart of the texture that they lie on; faces [F,3] int64; normals [V,3]
-    float32 unit; uvs [V,2] float32, 0..1 from the texture's upper left corner; picture [S,S,3] uint8 sRGB: the texture.
+    uvs [V,2] float32, 0..1 from the texture's upper left corner; picture [S,S,3] uint8 sRGB: the texture.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
     uvs: np.ndarray
     picture: np.ndarray
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """An extracted mesh with vertex colours.
+@dataclass(frozen=True, eq=False)
+class ReconstructedMesh(Mesh):
+    """The mesh of a run, with vertex colours.
 
-    vertices [V,3] float64; faces [F,3] int64, counter-clockwise from outside; normals [V,3] float32, unit and outward;
-    colors [V,3] float32 sRGB 0..1; light: what lit the photographs, as far as they tell; a flash's shading refined the
-    mesh. parallax: whether photometric refinement moved it; opened: the share of its area that was removed, as the
-    photographs contradict it; textured: the same surface with a texture, where one was asked for; start_kept: whether
-    it is the surface that training began on, as the photographs speak for it.
+    vertices are float64, faces int64 and outward; colors [V,3] float32 sRGB 0..1; light: the light of the photographs,
+    as far as they tell; start_kept: whether it is the surface that training began on, as the photographs speak for it;
+    steps: what each step of its finishing did, by name; textured: the same surface with a texture, where one was asked
+    for.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray
     colors: np.ndarray
-    light: Light = Light.UNKNOWN
-    parallax: bool = False
-    opened: float = 0.0
-    textured: TexturedMesh | None = None
+    light: LightKind = LightKind.UNKNOWN
     start_kept: bool = False
+    steps: Mapping[str, StepReport] = field(default_factory=dict)
+    textured: TexturedMesh | None = None
+
+    def with_report(self, light: LightKind, start_kept: bool, steps: Mapping[str, StepReport]) -> ReconstructedMesh:
+        """Return the mesh with what a report says of how it was made."""
+        mesh = replace(self, light=light, start_kept=start_kept, steps=steps)
+        return mesh.with_normals(self.normals)

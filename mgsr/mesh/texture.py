@@ -12,10 +12,10 @@ import numpy as np
 from mgsr.config import MeshConfig
 from mgsr.errors import MeshError
 from mgsr.geometry.decimate import decimate
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster, RayHits
-from mgsr.geometry.triangles import vertex_normals
 from mgsr.mesh.colors import TOLERANCE, seen_colors
-from mgsr.mesh.surface import Mesh, TexturedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.views import SurfaceView
 
 # Texels between two charts. What lies between is filled with the nearest chart's colours, so that neither bilinear
@@ -38,7 +38,7 @@ def require_unfolding() -> None:
 
 
 def texture_mesh(
-    mesh: Mesh,
+    mesh: ReconstructedMesh,
     views: Sequence[SurfaceView],
     side: int,
     max_faces: int | None,
@@ -54,18 +54,17 @@ def texture_mesh(
     Raises MeshError where xatlas is not installed.
     """
     require_unfolding()
-    vertices, faces = mesh.vertices, mesh.faces
+    plain = Mesh(mesh.vertices, mesh.faces)
     if max_faces is not None:
-        vertices, faces = decimate(vertices, faces, max_faces)
-    normals = vertex_normals(vertices, faces)
-    origin, corners, uvs = _unfold(vertices, faces, side)
-    unfolded = TexturedMesh(vertices[origin], corners, normals[origin], uvs, np.zeros((side, side, 3), np.uint8))
-    caster = RayCaster(vertices, faces)
-    held = [_held_to(caster, view) for view in views]
-    return replace(unfolded, picture=_paint(unfolded, mesh, held, config, threads))
+        plain = decimate(plain, max_faces)
+    origin, corners, uvs = _unfold(plain, side)
+    blank = np.zeros((side, side, 3), np.uint8)
+    unfolded = TexturedMesh(plain.vertices[origin], corners, uvs, blank).with_normals(plain.normals[origin])
+    visible = [_with_depth_of(plain.caster, view) for view in views]
+    return replace(unfolded, picture=_paint(unfolded, mesh, visible, config, threads)).with_normals(unfolded.normals)
 
 
-def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _unfold(mesh: Mesh, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Unfold the surface into charts laid side by side.
 
     Returns the original vertex of each new one [W], faces [F,3] of new vertices, and the new vertices' texture
@@ -73,6 +72,7 @@ def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndar
     """
     import xatlas  # late: only textures need it
 
+    vertices, faces = mesh.vertices, mesh.faces
     middle = (vertices.max(0) + vertices.min(0)) / 2
     atlas = xatlas.Atlas()
     atlas.add_mesh((vertices - middle).astype(np.float32), faces.astype(np.uint32))
@@ -83,7 +83,7 @@ def _unfold(vertices: np.ndarray, faces: np.ndarray, side: int) -> tuple[np.ndar
     return origin.astype(np.int64), corners.astype(np.int64), uvs
 
 
-def _held_to(caster: RayCaster, view: SurfaceView) -> SurfaceView:
+def _with_depth_of(caster: RayCaster, view: SurfaceView) -> SurfaceView:
     """Return the view with the mesh's own depth, and without pixels at its edges, which mix two surfaces' colours."""
     hits = caster.cast(view.camera)
     inside = _inside(hits, view)
@@ -93,12 +93,13 @@ def _held_to(caster: RayCaster, view: SurfaceView) -> SurfaceView:
 def _inside(hits: RayHits, view: SurfaceView) -> np.ndarray:
     around = np.ones((3, 3), np.uint8)
     nearest, farthest = cv2.erode(hits.depth, around), cv2.dilate(hits.depth, around)
-    return (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    inside: np.ndarray = (nearest > 0) & (farthest - nearest <= _EDGE * hits.depth / view.camera.K[0, 0])
+    return inside
 
 
 def _paint(
     unfolded: TexturedMesh,
-    mesh: Mesh,
+    mesh: ReconstructedMesh,
     views: Sequence[SurfaceView],
     config: MeshConfig,
     threads: int | None,
@@ -123,19 +124,18 @@ def _paint(
         painted[part] = colors
     picture = np.zeros((side * side, 3), np.uint8)
     picture[texels] = np.rint(np.clip(painted, 0, 1) * 255)
-    return _spread(picture.reshape(side, side, 3), texels)
+    return _fill_nearest(picture.reshape(side, side, 3), texels)
 
 
 class _VertexColors:
     """The mesh's own colours at any point beside it."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: ReconstructedMesh) -> None:
         self._mesh = mesh
-        self._caster = RayCaster(mesh.vertices, mesh.faces)
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """Return the colours [P,3] of the mesh's places nearest to the points [P,3]."""
-        faces, shares = self._caster.nearest(points)
+        faces, shares = self._mesh.caster.nearest(points)
         return _blend(self._mesh.colors, self._mesh.faces[faces], shares)
 
 
@@ -146,7 +146,7 @@ def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray,
     """
     flat = np.zeros((len(unfolded.uvs), 3), np.float32)
     flat[:, :2] = unfolded.uvs * side
-    caster = RayCaster(flat, unfolded.faces)
+    caster = Mesh(flat, unfolded.faces).caster
     texels, faces, shares = [], [], []
     for top in range(0, side, _ROWS_AT_ONCE):
         rows, columns = np.mgrid[top : min(top + _ROWS_AT_ONCE, side), :side].astype(np.float32) + 0.5
@@ -160,10 +160,11 @@ def _charted(unfolded: TexturedMesh, side: int) -> tuple[np.ndarray, np.ndarray,
 
 def _blend(values: np.ndarray, corners: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """Interpolate values [V,...] at vertices `corners` [P,3] by their shares [P,3]."""
-    return np.einsum("pkc,pk->pc", values[corners], shares)
+    blended: np.ndarray = np.einsum("pkc,pk->pc", values[corners], shares)
+    return blended
 
 
-def _spread(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
+def _fill_nearest(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
     """Fill every texel but the given ones with the nearest given one's colour.
 
     picture [S,S,3]; texels [T]: counted row by row.
@@ -175,4 +176,5 @@ def _spread(picture: np.ndarray, texels: np.ndarray) -> np.ndarray:
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     sources = np.zeros(labels.max() + 1, np.int64)
     sources[labels.ravel()[texels]] = texels
-    return picture.reshape(-1, 3)[sources[labels]]
+    filled: np.ndarray = picture.reshape(-1, 3)[sources[labels]]
+    return filled

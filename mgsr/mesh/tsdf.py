@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.pixels import PixelRules, surface_pixels
 from mgsr.mesh.views import SurfaceView
 from mgsr.open3d_library import load_open3d
@@ -16,25 +17,25 @@ BLOCK = 16  # voxels along a block's edge
 
 def tsdf_surface(
     views: Sequence[SurfaceView], voxel: float, truncation: float, min_weight: float, rules: PixelRules
-) -> tuple[np.ndarray, np.ndarray]:
-    """Fuse the views' depths, and return the zero surface's vertices [V,3] and faces [F,3].
+) -> Mesh:
+    """Fuse the views' depths, and return the zero surface; it is empty where no surface was seen.
 
-    Faces are counter-clockwise from outside. Both arrays are empty where no surface was seen. voxel: the grid's spacing
+    voxel: the grid's spacing
     in the scene's unit; truncation: in voxels; min_weight: in how many views a voxel must have been seen.
     """
     grid = _empty_grid(voxel)
     for view in views:
         _integrate(grid, view, voxel, truncation, rules)
     if grid.hashmap().size() == 0:
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     try:
         mesh = grid.extract_triangle_mesh(weight_threshold=min_weight).to_legacy()
     except RuntimeError as error:
         # Where the surface has no vertex, Open3D trips over the colours that it does not have either.
         if "SetVertexColors" not in str(error):
             raise
-        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
-    return np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64)
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles).astype(np.int64))
 
 
 def _empty_grid(voxel: float) -> Any:

@@ -40,7 +40,8 @@ class SurfaceView:
     def usable(self, min_alpha: float) -> np.ndarray:
         """Return the pixels that show a surface, [H,W] bool."""
         valid = (self.alpha >= min_alpha) & (self.depth > 0) & np.isfinite(self.depth)
-        return valid if self.mask is None else valid & self.mask
+        usable: np.ndarray = valid if self.mask is None else valid & self.mask
+        return usable
 
 
 def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -53,7 +54,8 @@ def sample(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     fx, fy = (x - left).astype(np.float32).reshape(shape), (y - top).astype(np.float32).reshape(shape)
     above = image[top, left] * (1 - fx) + image[top, left + 1] * fx
     below = image[top + 1, left] * (1 - fx) + image[top + 1, left + 1] * fx
-    return above * (1 - fy) + below * fy
+    values: np.ndarray = above * (1 - fy) + below * fy
+    return values
 
 
 def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -74,4 +76,5 @@ def project(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 def nearest(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """Return the values of image [H,W,...] at the pixels that hold the coordinates [P,2], which must lie inside it."""
     columns, rows = pixels.astype(np.int64).T
-    return image[rows, columns]
+    values: np.ndarray = image[rows, columns]
+    return values

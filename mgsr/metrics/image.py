@@ -17,7 +17,8 @@ def composited(rgba: np.ndarray, background: Color = WHITE) -> np.ndarray:
     if image.shape[-1] == 3:
         return image
     alpha = image[..., 3:]
-    return image[..., :3] * alpha + (1 - alpha) * np.array(background)
+    on_color: np.ndarray = image[..., :3] * alpha + (1 - alpha) * np.array(background)
+    return on_color
 
 
 def decibels(error: float) -> float:

@@ -1,11 +1,16 @@
-"""Surface metrics: how close a mesh comes to the true surface, by sampled points."""
+"""Metrics of a mesh against the true surface: by sampled points, and by rays through the test views' pixels."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mgsr.data.camera import Camera
 from mgsr.errors import MeshError
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayHits
 from mgsr.metrics.truth import DENSE, POINTS, Samples, TrueSurface, sample_surface
 
 CLIP = 0.1  # radii; what is farther off counts as this far
@@ -13,7 +18,7 @@ F_LIMITS = {"f_005": 0.005, "f_010": 0.01, "f_020": 0.02}  # radii
 MIN_VIEWS = 2
 
 
-def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface) -> dict[str, float]:
+def surface_metrics(mesh: Mesh, truth: TrueSurface) -> dict[str, float]:
     """Measure distances and normals of a mesh, in the truth's frame, against the truth; return them by name.
 
     Distances are in the truth's bounding radius. accuracy: mean distance of area-uniform points of the mesh to the
@@ -25,15 +30,15 @@ def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface)
 
     Raises MeshError for a mesh without faces.
     """
-    if len(faces) == 0:
+    if len(mesh.faces) == 0:
         raise MeshError("surface metrics: expected a mesh with faces, got none; extract a surface first")
-    sparse, dense = (sample_surface(vertices, faces, count, seed) for seed, count in enumerate((POINTS, DENSE)))
+    sparse, dense = (sample_surface(mesh, count, seed) for seed, count in enumerate((POINTS, DENSE)))
     seen = truth.view_counts >= MIN_VIEWS
     seen_truth = Samples(truth.labelled.points[seen], truth.labelled.normals[seen])
     nearest = cKDTree(truth.labelled.points).query(sparse.points, workers=-1)[1]
     kept, labels = Samples(sparse.points[seen[nearest]], sparse.normals[seen[nearest]]), nearest[seen[nearest]]
     # Unbalanced trees give the same neighbours and are built in half the time, which is most of it.
-    true_dense = sample_surface(truth.vertices, truth.faces, DENSE, seed=2)
+    true_dense = sample_surface(truth.mesh, DENSE, seed=2)
     to_truth = cKDTree(true_dense.points, balanced_tree=False).query(kept.points, workers=-1)[0] / truth.radius
     to_mesh, index = cKDTree(dense.points, balanced_tree=False).query(seen_truth.points, workers=-1)
     cosines = [
@@ -44,6 +49,31 @@ def surface_metrics(vertices: np.ndarray, faces: np.ndarray, truth: TrueSurface)
         "normal_consistency": float(np.mean([_mean(np.abs(cosine)) for cosine in cosines])),
         "normal_consistency_signed": float(np.mean([_mean(cosine) for cosine in cosines])),
     }
+
+
+def normal_metrics(mesh: Mesh, truth: TrueSurface, cameras: Sequence[Camera]) -> dict[str, float]:
+    """Return the mean errors over the cameras (user's frame) of a mesh's normals, silhouettes and depths, by name.
+
+    normal_error: degrees between face normals where both are hit; normal_error_median; mask_iou of the silhouettes;
+    depth_error, in the truth's bounding radius. A view in which no pixel shows both is left out of all but mask_iou;
+    all are NaN where every view is.
+    """
+    ours, true = mesh.caster, truth.mesh.caster
+    views = [compare_hits(ours.cast(camera), true.cast(camera), truth.radius) for camera in cameras]
+    names = ("normal_error", "normal_error_median", "mask_iou", "depth_error")
+    return {name: _mean(np.array([view[name] for view in views if name in view])) for name in names}
+
+
+def compare_hits(hits: RayHits, true: RayHits, radius: float) -> dict[str, float]:
+    """Return one view's errors by name; only mask_iou where the two share no pixel."""
+    both, either = hits.mask & true.mask, hits.mask | true.mask
+    values = {"mask_iou": float(both.sum() / max(either.sum(), 1))}
+    if both.any():
+        cosines = (hits.normal[both] * true.normal[both]).sum(1, dtype=np.float64)
+        errors = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+        values["normal_error"], values["normal_error_median"] = float(errors.mean()), float(np.median(errors))
+        values["depth_error"] = float(np.abs(hits.depth - true.depth)[both].mean()) / radius
+    return values
 
 
 def _distances(to_truth: np.ndarray, to_mesh: np.ndarray) -> dict[str, float]:

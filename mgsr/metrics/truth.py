@@ -11,7 +11,7 @@ import trimesh
 
 from mgsr.data.camera import Camera
 from mgsr.errors import SceneError
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.mesh import Mesh
 
 POINTS = 100_000
 DENSE = 1_000_000
@@ -29,14 +29,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class TrueSurface:
-    """The true surface in the user's frame: vertices [V,3], faces [F,3].
+    """The true surface in the user's frame.
 
     labelled: samples of it; view_counts [P]: how many training views see each sample; radius of the bounding sphere
     about the middle of the box, the unit of all distances.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
+    mesh: Mesh
     labelled: Samples
     view_counts: np.ndarray
     radius: float
@@ -51,32 +50,30 @@ def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | N
     path = folder / TRUTH
     if not path.is_file():
         return None
-    mesh = trimesh.load_mesh(path, process=False)
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    if len(faces) == 0:
+    stored = trimesh.load_mesh(path, process=False)
+    mesh = Mesh(np.asarray(stored.vertices, np.float64), np.asarray(stored.faces, np.int64))
+    if len(mesh.faces) == 0:
         raise SceneError(f"{path}: expected a triangle mesh, found no faces; remove it or write the true surface")
-    radius = float(np.linalg.norm(vertices - (vertices.min(0) + vertices.max(0)) / 2, axis=1).max())
-    labelled, counts = _labels(folder / "points_gt.npz", vertices, faces, train_cameras, radius)
-    return TrueSurface(vertices, faces, labelled, counts, radius)
+    middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
+    radius = float(np.linalg.norm(mesh.vertices - middle, axis=1).max())
+    labelled, counts = _labels(folder / "points_gt.npz", mesh, train_cameras, radius)
+    return TrueSurface(mesh, labelled, counts, radius)
 
 
-def _labels(
-    path: Path, vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], radius: float
-) -> tuple[Samples, np.ndarray]:
+def _labels(path: Path, mesh: Mesh, cameras: Sequence[Camera], radius: float) -> tuple[Samples, np.ndarray]:
     if path.is_file():
         stored = np.load(path)
         points, normals = stored["points"].astype(np.float64), stored["normals"].astype(np.float64)
         return Samples(points, normals), stored["n_views"]
-    labelled = sample_surface(vertices, faces, POINTS, seed=3)
-    caster = RayCaster(vertices, faces)
+    labelled = sample_surface(mesh, POINTS, seed=3)
     counts = np.zeros(POINTS, np.int32)
     for camera in cameras:
-        counts += caster.sees(camera, labelled.points, gap=1e-4 * radius)
+        counts += mesh.caster.sees(camera, labelled.points, gap=1e-4 * radius)
     return labelled, counts
 
 
-def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> Samples:
+def sample_surface(mesh: Mesh, count: int, seed: int) -> Samples:
     """Sample `count` points on a mesh, area-uniform."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    points, index = trimesh.sample.sample_surface(mesh, count, seed=seed)
-    return Samples(np.asarray(points), np.asarray(mesh.face_normals)[index])
+    drawn = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    points, index = trimesh.sample.sample_surface(drawn, count, seed=seed)
+    return Samples(np.asarray(points), np.asarray(drawn.face_normals)[index])

@@ -81,5 +81,6 @@ def _vjp(kind: Activation, used: Tensor, v_used: Tensor | None) -> Tensor | None
     if v_used is None:
         return None
     if kind is Activation.SIGMOID:
-        return torch.ops.aten.sigmoid_backward(v_used, used)
+        v_logits: Tensor = torch.ops.aten.sigmoid_backward(v_used, used)
+        return v_logits
     return (v_used * used).masked_fill_(used >= LARGEST_SCALE, 0.0)

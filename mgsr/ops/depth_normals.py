@@ -33,7 +33,8 @@ def depth_to_normals(depth: torch.Tensor, camera: Camera, alpha: torch.Tensor | 
     if (sizes["H"], sizes["W"]) != (camera.height, camera.width):
         expected, came = f"[{camera.height}, {camera.width}]", f"[{sizes['H']}, {sizes['W']}]"
         raise TensorError(f"depth: expected the camera's {expected}, got {came}; use camera.resized(width, height)")
-    return _DepthNormals.apply(depth, camera, alpha)
+    normals: torch.Tensor = _DepthNormals.apply(depth, camera, alpha)
+    return normals
 
 
 def normal_agreement_term(

@@ -40,7 +40,8 @@ def look_up_environment_map(
     if pixels is not None and (pixels.ndim != 1 or pixels.dtype != torch.int64 or pixels.device != normals.device):
         came = f"{pixels.dtype} {list(pixels.shape)} on {pixels.device}"
         raise TensorError(f"pixels: expected int64 [P] on {normals.device}, got {came}")
-    return _EnvironmentMapLookup.apply(maps, normals, camera, pixels)
+    light: torch.Tensor = _EnvironmentMapLookup.apply(maps, normals, camera, pixels)
+    return light
 
 
 def _geometry(camera: Camera) -> tuple[list[float], tuple[float, float, float, float]]:

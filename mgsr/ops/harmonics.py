@@ -32,7 +32,8 @@ def harmonics_to_rgb(
     check_tensors(coeffs=(coeffs, "N K 3"), means=(means, "N 3"))
     check_tensors(camera_center=(camera_center, "3"))
     check_degree(coeffs, degree)
-    return _Harmonics.apply(coeffs, means, camera_center, degree)
+    colors: torch.Tensor = _Harmonics.apply(coeffs, means, camera_center, degree)
+    return colors
 
 
 def check_degree(coeffs: torch.Tensor, degree: int) -> None:

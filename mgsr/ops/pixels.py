@@ -9,9 +9,9 @@ from torch import Tensor
 
 from mgsr.checks import check_tensors
 from mgsr.native.cuda.launcher import launcher_for
-from mgsr.native.cuda.terms import Sums, TermKernels
+from mgsr.native.cuda.terms import Region, Sums, TermKernels
 from mgsr.ops.arrays import plain
-from mgsr.ops.terms import Region, Slope, Term, Total, wanted
+from mgsr.ops.terms import Slope, Term, Total, wanted
 
 LEAST = 1e-4  # of alpha, and of 1 - alpha, in a cross entropy
 

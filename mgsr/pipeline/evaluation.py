@@ -11,11 +11,10 @@ from mgsr.data.backdrop import WHITE, Color
 from mgsr.data.images import read_image
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import straight_color
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.image import image_metrics
-from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import SplitScore, mean_split, split_score
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth
 from mgsr.pipeline.rendering import ViewImages
 
@@ -47,14 +46,14 @@ def find_truth(scene: Scene) -> TrueSurface | None:
     return load_truth(scene.root, [to_user(view.camera) for view in scene.train])
 
 
-def surface_scores(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
+def surface_scores(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> dict[str, Any]:
     """Score a mesh of the user's frame against the truth, as {"gt": scores}; None in their place without a truth."""
     if truth is None:
         return {"gt": None}
-    scores = surface_metrics(mesh.vertices, mesh.faces, truth)
+    scores = surface_metrics(mesh, truth)
     if scene.test:
         cameras = [scene.user_from_scene.camera_to_user(view.camera) for view in scene.test]
-        scores |= normal_metrics(mesh.vertices, mesh.faces, truth, cameras)
+        scores |= normal_metrics(mesh, truth, cameras)
     return {"gt": scores}
 
 

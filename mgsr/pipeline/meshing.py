@@ -8,9 +8,9 @@ from dataclasses import replace
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.texture import texture_mesh
 from mgsr.pipeline.rendering import outlined_scene, scene_silhouettes, surface_views
 from mgsr.pipeline.steps import always
@@ -21,8 +21,8 @@ def make_mesh(
     scene: Scene,
     config: Config,
     go_on: Callable[[], bool] = always,
-    start: Triangles | None = None,
-) -> Mesh:
+    start: Mesh | None = None,
+) -> ReconstructedMesh:
     """Extract the surface, in the user's frame.
 
     go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
@@ -35,5 +35,6 @@ def make_mesh(
     textured = None
     if config.output.texture is not None:
         textured = texture_mesh(mesh, views, config.output.texture, config.output.texture_faces, config.mesh)
-        textured = replace(textured, vertices=to_user(textured.vertices))
-    return replace(mesh, vertices=to_user(mesh.vertices), textured=textured)
+        textured = textured.in_frame(to_user(textured.vertices))
+    mesh = mesh.in_frame(to_user(mesh.vertices))
+    return replace(mesh, textured=textured).with_normals(mesh.normals)

@@ -10,7 +10,6 @@ import numpy as np
 
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config, DataConfig, Exposure, object_box
-from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import evened
 from mgsr.data.masks import with_masks
 from mgsr.data.object_scene import with_object
@@ -168,7 +167,7 @@ def _as_lit(scene: Scene, lighting: Lighting | None, config: Config, out: Path, 
 
 def _learn_masks(scene: Scene, config: Config, step: Steps) -> list[np.ndarray] | None:
     """Learn masks [H,W] uint8 of the training views for the start, where a plain backdrop lets them be learned."""
-    if not backdrop(scene, config.train.background).plain:
+    if not scene.backdrop(config.train.background).plain:
         return None
     text = "learning where the object ends"
     with step("outlines", text):

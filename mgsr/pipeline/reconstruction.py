@@ -19,7 +19,8 @@ from mgsr.gaussians.environment_map import EnvironmentMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.steps.step import StepReport
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.progress import Event, EventCallback
 from mgsr.pipeline.result_files import read_lighting, read_mesh, read_models, read_report
@@ -28,8 +29,8 @@ from mgsr.pipeline.run import run_scene
 from mgsr.pipeline.run_log import RunLog
 from mgsr.pipeline.steps import never
 from mgsr.report.data import ReportData
+from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.refine import Light
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Reconstruction:
     in the unit ball.
     """
 
-    mesh: Mesh
+    mesh: ReconstructedMesh
     model: TrainedModel
     flash: Lighting | None
     report: ReportData
@@ -90,7 +91,7 @@ class Reconstruction:
     @property
     def surface_depth(self) -> SurfaceDepth:
         """Which depth of the surfels is the surface."""
-        return SurfaceDepth(self.report.other["settings"]["train"]["surfels"]["depth"])
+        return SurfaceDepth(self.report.other["settings"]["train"]["paper"]["surface_depth"])
 
 
 def reconstruct(
@@ -151,13 +152,14 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
         unit = float(report.other["settings"]["output"]["scale"])
         frame = report.other["input"]["user_from_scene"]
         normalisation = Similarity(frame["scale"] / unit, np.array(frame["offset"], np.float64) / unit)
-        known = {name: report.other[name] for name in ("parallax", "opened", "start_kept")}
-        light = Light(report.other["light"])
+        start_kept = report.other["start_kept"]
+        steps = {name: StepReport(**step) for name, step in report.other["mesh_steps"].items()}
+        light = LightKind(report.other["light"])
     except (LookupError, TypeError, ValueError) as error:
         raise MgsrError(f"{folder}: its report is of another version ({in_short(error)}); run again") from error
     origin = origin_of_frame(normalisation)
     return Reconstruction(
-        mesh=replace(read_mesh(folder), light=light, **known),
+        mesh=read_mesh(folder).with_report(light, start_kept, steps),
         model=read_models(folder, Similarity(offset=origin)),
         flash=read_lighting(folder),
         report=report,

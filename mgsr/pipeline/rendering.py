@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import Config, MeshColor, SurfaceDepth
-from mgsr.data.backdrop import Color, backdrop
+from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.masks import leave_borders_free, with_masks
@@ -58,7 +58,7 @@ def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> 
     Colours are the 3D branch's where there is one, depth and normal the 2D branch's where there is one.
     """
     for view in views:
-        yield render_camera(model, view.camera, config.train.surfels.depth, view.irradiance, view.name)
+        yield render_camera(model, view.camera, config.train.paper.surface_depth, view.irradiance, view.name)
 
 
 @torch.no_grad()
@@ -102,7 +102,7 @@ def rendered_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
 
     They show the transmitted colour, so without highlights, where there is a light split and `mesh.color` asks for it.
     """
-    behind = backdrop(scene, config.train.background).color
+    behind = scene.backdrop(config.train.background).color
     return replace(
         scene,
         train=[_as_photograph(model, view, config, behind) for view in scene.train],
@@ -127,7 +127,7 @@ def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     There the branches' opacity needs to cover nothing but the object. Without masks and backdrop, the scene stays as it
     is.
     """
-    if not backdrop(scene, config.train.background).plain:
+    if not scene.backdrop(config.train.background).plain:
         return scene
     with torch.no_grad():
         masks = [to_uint8(255 * _opacity(model, view.camera)) for view in scene.train]
@@ -160,7 +160,7 @@ def _resized(valid: np.ndarray | None, camera: Camera) -> np.ndarray | None:
 
 def _surface_view(model: TrainedModel, camera: Camera, config: Config, mask: np.ndarray | None) -> SurfaceView:
     flat, full = _see(model, camera, depth=model.surfels is None)
-    depth, normal = _surface(flat, full, camera, config.train.surfels.depth)
+    depth, normal = _surface(flat, full, camera, config.train.paper.surface_depth)
     shape = flat if flat is not None else full
     assert shape is not None
     return SurfaceView(camera, depth, normal, _numpy(shape.alpha), _surface_color(flat, full, config.mesh.color), mask)

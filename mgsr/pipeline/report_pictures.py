@@ -11,7 +11,7 @@ from mgsr.data.backdrop import Color
 from mgsr.data.scene import Scene, View
 from mgsr.export.renders import on_background
 from mgsr.gaussians.environment_map import EnvironmentMap
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline.evaluation import photograph
 from mgsr.pipeline.rendering import ViewImages
@@ -26,7 +26,7 @@ from mgsr.report.pictures import (
     normal_picture,
     premultiplied_picture,
 )
-from mgsr.report.shading import MeshPainter, TriangleMesh, surface_pictures, up_direction
+from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures, up_direction
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class SurfaceDrawings:
     views: list[np.ndarray]
 
 
-def draw_surface(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+def draw_surface(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
     """Draw the surface for the report; mesh and truth are in the user's frame."""
-    shown = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.colors)
+    shown = PaintedMesh(mesh.vertices, mesh.faces, mesh.colors).with_normals(mesh.normals)
     painter = MeshPainter(shown)
     to_user = scene.user_from_scene.camera_to_user
     views = [painter.shaded(to_user(view.camera)) for view in scene.test[:MOST_VIEWS]]
     front = to_user((scene.test or scene.train)[0].camera).center
-    true_mesh = None if truth is None else TriangleMesh(truth.vertices, truth.faces)
+    true_mesh = None if truth is None else truth.mesh
     return SurfaceDrawings(surface_pictures(shown, _up(scene), front, true_mesh), views)
 
 

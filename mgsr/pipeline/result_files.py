@@ -30,7 +30,7 @@ from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.reflector import Reflector
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.atomic_write import atomic_write
 from mgsr.pipeline.rendering import ViewImages
 from mgsr.pipeline.result_paths import (
@@ -166,8 +166,8 @@ def read_models(out: Path, user_from_scene: Similarity) -> TrainedModel:
 
 def _stored(environment_map: EnvironmentMap, scene: Scene) -> StoredEnvironmentMap:
     """Return an environment map in the user's frame."""
-    surface = environment_map.reflector
-    placed = None if surface is None else (scene.user_from_scene.to_user(surface.vertices), surface.faces)
+    mesh = None if environment_map.reflector is None else environment_map.reflector.mesh
+    placed = None if mesh is None else mesh.moved(scene.user_from_scene.to_user(mesh.vertices))
     return StoredEnvironmentMap(environment_map.maps().numpy(), environment_map.bounce().numpy(), placed)
 
 
@@ -176,31 +176,31 @@ def _read_environment_map(path: Path, user_from_scene: Similarity) -> Environmen
     stored = load_environment_map(path)
     reflector = None
     if stored.surface is not None:
-        reflector = Reflector(user_from_scene.to_scene(stored.surface[0]), stored.surface[1])
+        mesh = stored.surface
+        reflector = Reflector(mesh.moved(user_from_scene.to_scene(mesh.vertices)))
     return EnvironmentMap.of(stored.maps, stored.bounce, reflector)
 
 
-def write_mesh(out: Path, mesh: Mesh, scene: Scene, output: OutputConfig) -> None:
+def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputConfig) -> None:
     """Write mesh.ply and mesh.glb, and mesh.obj and mesh_textured.glb if they are asked for.
 
     The mesh is in the user's frame; lengths are in the output's unit. Files that are not asked for are removed.
     """
-    arrays = (mesh.vertices * output.scale, mesh.faces, mesh.normals, mesh.colors)
+    scaled = mesh.in_frame(mesh.vertices * output.scale)
     up = _up(scene, output)
     with atomic_write(out / MESH) as path:
-        write_ply(path, *arrays, unit=output.scale)
+        write_ply(path, scaled, mesh.colors, output.scale)
     with atomic_write(out / MESH_GLB) as path:
-        write_glb(path, *arrays, up=up)
+        write_glb(path, scaled, mesh.colors, up)
     for name in (MESH_OBJ, MESH_TEXTURED):
         (out / name).unlink(missing_ok=True)
     if output.obj:
         with atomic_write(out / MESH_OBJ) as path:
-            write_obj(path, *arrays)
+            write_obj(path, scaled, mesh.colors)
     if mesh.textured is not None:
-        textured = mesh.textured
-        picture = (textured.faces, textured.normals, textured.uvs, textured.picture)
+        textured = mesh.textured.in_frame(mesh.textured.vertices * output.scale)
         with atomic_write(out / MESH_TEXTURED) as path:
-            write_textured_glb(path, textured.vertices * output.scale, *picture, up=up)
+            write_textured_glb(path, textured, textured.uvs, textured.picture, up)
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:
@@ -210,7 +210,7 @@ def _up(scene: Scene, output: OutputConfig) -> UpDirection:
     return up_direction([view.camera for view in scene.train])
 
 
-def read_mesh(out: Path) -> Mesh:
+def read_mesh(out: Path) -> ReconstructedMesh:
     """Read the mesh that an earlier run left in `out`, in the user's frame and unit.
 
     Raises MgsrError where there is none.
@@ -223,7 +223,7 @@ def read_mesh(out: Path) -> Mesh:
     colors = np.asarray(mesh.visual.vertex_colors[:, :3], np.float32) / 255
     normals = np.asarray(mesh.vertex_normals, np.float32)
     vertices = np.asarray(mesh.vertices, np.float64) / read_number(out / MESH, UNIT)
-    return Mesh(vertices, np.asarray(mesh.faces, np.int64), normals, colors)
+    return ReconstructedMesh(vertices, np.asarray(mesh.faces, np.int64), colors).with_normals(normals)
 
 
 def write_renders(out: Path, rendered: Sequence[ViewImages], scene: Scene, output: OutputConfig) -> None:

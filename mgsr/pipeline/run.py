@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from mgsr.budget.budget import TimeBudget
 from mgsr.config import Config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.scene import Scene
 from mgsr.errors import ConfigError
 from mgsr.export.far_origin import about_origin, origin_of_frame
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.mesh.surface import Mesh
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.mesh.texture import require_unfolding
 from mgsr.metrics.truth import TrueSurface
 from mgsr.pipeline import result_files
@@ -125,7 +123,7 @@ class _Run:
 class _Surface:
     """The mesh in the user's frame, its scores, and its pictures for the report."""
 
-    mesh: Mesh
+    mesh: ReconstructedMesh
     scores: dict[str, Any]
     drawn: SurfaceDrawings
 
@@ -142,14 +140,14 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
         return _Surface(mesh, surface_scores(mesh, truth, run.scene), _draw(mesh, truth, run.scene))
 
 
-def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: Mesh) -> bool:
+def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
     """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
     anew for it."""
     # A mesh of few faces, or too little time to learn the map anew, would reflect worse than the splats.
     fit = run.config.mesh.max_faces is None
     if run.budget is not None:
         fit = fit and run.budget.room(run.model(trained).counts) >= run.config.train.environment_map.iterations
-    return fit and training.set_reflector(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces)
+    return fit and training.set_reflector(Mesh(run.scene.user_from_scene.to_scene(mesh.vertices), mesh.faces))
 
 
 def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
@@ -158,7 +156,7 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     with run.step("render", f"rendering and measuring {len(scene.test)} test views"):
         rendered = list(render_views(run.model(trained), scene.test, run.config))
         result_files.write_renders(run.out, rendered, scene, run.config.output)
-        behind = backdrop(scene, run.config.train.background).color
+        behind = scene.backdrop(run.config.train.background).color
         scores = scores | image_scores(rendered, scene, behind)
     with run.step("report", "writing the report"):
         psnr = [view["psnr"] for view in scores["views"].values()]
@@ -170,12 +168,12 @@ def _write_results(run: _Run, trained: TrainResult, surface: _Surface) -> Path:
     return run.out / REPORT
 
 
-def _draw(mesh: Mesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
+def _draw(mesh: ReconstructedMesh, truth: TrueSurface | None, scene: Scene) -> SurfaceDrawings:
     """Return pictures of a mesh of the user's frame. They are drawn about the origin of the scene's files, as rays are
     cast in float32."""
     origin = origin_of_frame(scene.user_from_scene)
-    mesh = replace(mesh, vertices=mesh.vertices - origin)
-    truth = None if truth is None else replace(truth, vertices=truth.vertices - origin)
+    mesh = mesh.in_frame(mesh.vertices - origin)
+    truth = None if truth is None else replace(truth, mesh=truth.mesh.in_frame(truth.mesh.vertices - origin))
     near = replace(scene, user_from_scene=about_origin(scene.user_from_scene, 1.0, origin))
     return draw_surface(mesh, truth, near)
 
@@ -211,9 +209,9 @@ class _Training:
                 scheduler=run.budget,
             )
 
-    def set_reflector(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+    def set_reflector(self, mesh: Mesh) -> bool:
         """See `Training.set_reflector`."""
-        return self._training.set_reflector(vertices, faces)
+        return self._training.set_reflector(mesh)
 
     def run(self, before_surface: bool = False) -> TrainResult:
         """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""

@@ -17,7 +17,7 @@ from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.export.far_origin import origin_notes, origin_of_frame
 from mgsr.geometry.triangles import topology
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.native.runtime import isas
 from mgsr.pipeline.device import Device
 from mgsr.pipeline.steps import StepClock
@@ -36,7 +36,7 @@ def run_report(
     config: Config,
     device: Device,
     trained: TrainResult,
-    mesh: Mesh,
+    mesh: ReconstructedMesh,
     scores: dict[str, Any],
     clock: StepClock,
     time_budget: dict[str, Any] | None = None,
@@ -46,7 +46,7 @@ def run_report(
     scores: psnr_test, ssim_test, gt and whatever else was measured.
     """
     known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
-    counts = topology(mesh.vertices, mesh.faces)
+    counts = topology(mesh)
     return ReportData(
         scene=scene.name,
         preset=config.preset,
@@ -66,9 +66,8 @@ def run_report(
         other={
             "input": _input(scene, start, config.output.scale),
             "light": str(mesh.light),
-            "parallax": mesh.parallax,
-            "opened": mesh.opened,
             "start_kept": mesh.start_kept,
+            "mesh_steps": {name: asdict(step) for name, step in mesh.steps.items()},
             "reflection": {"chosen": trained.model.reflection, "tried": trained.tried},
             "sh_degree": {
                 "chosen": None if trained.model.gaussians is None else trained.model.gaussians.sh_degree,

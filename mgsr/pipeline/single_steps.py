@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from mgsr.config import Config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.device import pick_device
 from mgsr.pipeline.evaluation import find_truth, image_scores, surface_scores
 from mgsr.pipeline.meshing import make_mesh
@@ -29,7 +28,7 @@ from mgsr.report.data import finite
 from mgsr.start.starting_points import starting_points
 
 
-def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> Mesh:
+def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> ReconstructedMesh:
     """Extract the surface from the splats in `out`, write its files there, and return it in the user's frame.
 
     Raises ConfigError, SceneError, GpuError, MeshError, and MgsrError where there are no splats.
@@ -68,7 +67,7 @@ def score_again(path: Path, out: Path, config: Config, device: str = "auto") -> 
     chosen = pick_device(device)
     scene = as_lit(out, with_found_object(out, at_known_exposures(out, load_scene(path, config.data))))
     models = read_models(out, scene.user_from_scene).to(chosen.torch)
-    behind = backdrop(scene, config.train.background)
+    behind = scene.backdrop(config.train.background)
     scores = image_scores(list(render_views(models, scene.test, config)), scene, behind.color)
     if (out / MESH).is_file():
         scores |= surface_scores(read_mesh(out), find_truth(scene), scene)

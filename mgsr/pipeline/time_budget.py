@@ -11,7 +11,6 @@ from mgsr.budget.budget import TimeBudget
 from mgsr.budget.costs import Facts, load_cost, start_cost
 from mgsr.budget.line import HIGHEST
 from mgsr.config import PRESETS, Config, Object
-from mgsr.data.backdrop import backdrop
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene
 from mgsr.metrics.truth import TRUTH
@@ -45,7 +44,7 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
     shiny = flash = True
     if start is not None and start.shiny is not None:
         shiny, flash = start.shiny, start.lighting is not None
-    truth, learned = (scene.root / TRUTH).is_file(), backdrop(scene, config.train.background).plain
+    truth, learned = (scene.root / TRUTH).is_file(), scene.backdrop(config.train.background).plain
     searched = searches_object(scene, config)
     return Facts(len(cameras), len(scene.test), pixels, truth, shiny, scene.masked, learned, flash, searched)
 
@@ -53,7 +52,7 @@ def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) 
 def searches_object(scene: Scene, config: Config) -> bool:
     """Return whether a run looks for an object in the scene, which as it was read has no masks."""
     asked = config.data.object is Object.AUTO or config.data.object_box is not None
-    return asked and not scene.masked and not backdrop(scene, config.train.background).plain
+    return asked and not scene.masked and not scene.backdrop(config.train.background).plain
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:

@@ -91,7 +91,8 @@ class ReportData:
         """Return the object of report.json: only plain types, and None for what is not a finite number."""
         plain = asdict(self)
         other = plain.pop("other")
-        return finite(other | plain)
+        written: dict[str, Any] = finite(other | plain)
+        return written
 
     @staticmethod
     def from_json(report: Mapping[str, Any]) -> ReportData:

@@ -34,10 +34,10 @@ LIGHTS = {
         "a flash on the camera",
         "it explains how a point's brightness changes from view to view: shading bent the surface",
     ),
-    "surroundings": (
-        "environment map",
-        "one map of them explains how a point changes from view to view: their shading bent the start, and tells how "
-        "far parallax can be believed",
+    "environment": (
+        "an environment map",
+        "one map explains how a point changes from view to view: shape from shading bent the first surface, and what "
+        "gloss reflects counts less in the photometric refinement",
     ),
     "unknown": ("none", "neither a flash nor an environment map explains how points change from view to view"),
 }
@@ -172,17 +172,17 @@ def _about_flash(flash: dict[str, float] | None) -> Iterator[Decision]:
 def _about_light(data: ReportData) -> Iterator[Decision]:
     asked: dict[str, Any] = data.other.get("settings") or {}
     if asked.get("mesh", {}).get("max_light_residual", 0) is None:
-        yield Decision("Light that the mesh heeds", "not looked at", "as the settings have it (max_light_residual)")
+        yield Decision("Light model of the mesh", "not looked at", "as the settings have it (max_light_residual)")
     elif data.other.get("light") in LIGHTS:
-        yield Decision("Light that the mesh heeds", *LIGHTS[data.other["light"]])
-        if "parallax" in data.other:
-            yield _about_parallax(data)
+        yield Decision("Light model of the mesh", *LIGHTS[data.other["light"]])
+        if "mesh_steps" in data.other:
+            yield _about_photometric_refinement(data)
         if data.other.get("start_kept"):
             why = "the surface that training made is torn, or the photographs agree less about what lies on it"
             yield Decision("Surface that was refined", "the one that training began on", why)
-        if data.other.get("opened"):
-            why = "the flash explains what photographs show of the rest; of this each shows something else: a hole, say"
-            yield Decision("Surface that was taken out", f"{data.other['opened']:.1%} of it", why)
+        if (removed := _removed_area(data)) > 0:
+            why = "photographs under the flash contradict each other about it, as they do where a hole is covered"
+            yield Decision("Removed area", f"{removed:.1%}", why)
     reflection: dict[str, Any] = data.other.get("reflection") or {}
     if reflection.get("chosen") in REFLECTIONS and data.method == "mgsr":
         settings: dict[str, Any] = asked.get("train", {}).get("gaussians", {})
@@ -191,9 +191,15 @@ def _about_light(data: ReportData) -> Iterator[Decision]:
         yield from _about_colors(data.other.get("sh_degree") or {}, reflection)
 
 
-def _about_parallax(data: ReportData) -> Decision:
-    what = "Parallax that moved the surface"
-    if data.other["parallax"]:
+def _removed_area(data: ReportData) -> float:
+    """Return the share of the mesh's area that was removed, as photographs contradict it."""
+    step = data.other.get("mesh_steps", {}).get("remove_contradicted")
+    return 0.0 if step is None else float(step["outcome"]["removed_area"])
+
+
+def _about_photometric_refinement(data: ReportData) -> Decision:
+    what = "Photometric refinement of the surface"
+    if "photometric_refinement" in data.other["mesh_steps"]:
         still = "the light stands still" if data.other["light"] != "flash" else "the flash's light is known for each"
         return Decision(what, "used", f"{still}, so photographs should agree about each place")
     given, train = data.other.get("input") or {}, (data.other.get("settings") or {}).get("train") or {}

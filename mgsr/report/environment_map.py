@@ -40,7 +40,8 @@ def _around(up: np.ndarray) -> np.ndarray:
     side /= np.linalg.norm(side)
     rows, columns = (np.mgrid[:HEIGHT, : 2 * HEIGHT] + 0.5) / HEIGHT * np.pi
     flat = np.cos(columns)[..., None] * side + np.sin(columns)[..., None] * np.cross(up, side)
-    return np.cos(rows)[..., None] * up + np.sin(rows)[..., None] * flat
+    directions: np.ndarray = np.cos(rows)[..., None] * up + np.sin(rows)[..., None] * flat
+    return directions
 
 
 def _half() -> tuple[np.ndarray, np.ndarray]:
@@ -59,4 +60,5 @@ def _looked_up(light: torch.Tensor, directions: np.ndarray) -> np.ndarray:
 
 
 def _picture(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    rounded: np.ndarray = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    return rounded

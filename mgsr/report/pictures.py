@@ -81,7 +81,8 @@ def color_picture(color: np.ndarray, alpha: np.ndarray | None = None) -> np.ndar
     With alpha, the colours are taken as straight ones.
     """
     channels = color if alpha is None else np.concatenate([color, alpha[..., None]], axis=-1)
-    return np.clip(np.rint(np.nan_to_num(channels) * 255), 0, 255).astype(np.uint8)
+    rounded: np.ndarray = np.clip(np.rint(np.nan_to_num(channels) * 255), 0, 255).astype(np.uint8)
+    return rounded
 
 
 def premultiplied_picture(color: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -117,4 +118,5 @@ def ramp(values: np.ndarray) -> np.ndarray:
     place = np.clip(np.nan_to_num(values), 0, 1) * (len(RAMP) - 1)
     low = np.minimum(place.astype(int), len(RAMP) - 2)
     part = (place - low)[..., None]
-    return (RAMP[low] * (1 - part) + RAMP[low + 1] * part) / 255
+    colors: np.ndarray = (RAMP[low] * (1 - part) + RAMP[low + 1] * part) / 255
+    return colors

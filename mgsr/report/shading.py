@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mgsr.data.camera import Camera
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import pixel_rays
 from mgsr.open3d_library import load_open3d
 from mgsr.report.pictures import Picture, SurfacePictures, color_picture, ramp
@@ -33,17 +34,10 @@ LEVEL = 0.14  # root mean square of the sines by which level cameras lean to a s
 ROUND = 0.1  # mean square of the cameras' right sides across their main direction from which they look round
 
 
-@dataclass(frozen=True)
-class TriangleMesh:
-    """A triangle mesh to be painted.
+@dataclass(frozen=True, eq=False)
+class PaintedMesh(Mesh):
+    """A mesh to be painted. colors [V,3]: sRGB 0..1, or None."""
 
-    vertices [V,3], faces [F,3] counter-clockwise from outside, normals [V,3] unit (None: faces are shaded flat), colors
-    [V,3] sRGB 0..1 or None.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    normals: np.ndarray | None = None
     colors: np.ndarray | None = None
 
 
@@ -65,7 +59,7 @@ class _Hits:
 class MeshPainter:
     """A mesh, prepared to be painted from any camera in its frame."""
 
-    def __init__(self, mesh: TriangleMesh) -> None:
+    def __init__(self, mesh: PaintedMesh) -> None:
         self._mesh = mesh
         self._rays = _raycaster(mesh)
         self.center, self.radius = bounding_ball(mesh.vertices)
@@ -95,7 +89,7 @@ class MeshPainter:
         corners = self._mesh.faces[found["primitive_ids"].numpy()[hit].astype(np.int64)]
         second, third = found["primitive_uvs"].numpy()[hit].T
         weights = np.stack([1 - second - third, second, third], axis=1)[..., None]
-        normals = facets if self._mesh.normals is None else (self._mesh.normals[corners] * weights).sum(1)
+        normals = (self._mesh.normals[corners] * weights).sum(1)
         colors = None if self._mesh.colors is None else (self._mesh.colors[corners] * weights).sum(1)
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = origins[hit] + depth[hit][:, None] * rays[hit]
@@ -138,17 +132,17 @@ class MeshLook:
         """Paint the mesh in its own colours; pale where it has none."""
         return _picture((CLAY if self.hits.colors is None else self.hits.colors) * self.light, self.hits.hit)
 
-    def distances(self, truth: TriangleMesh, limit: float) -> np.ndarray:
+    def distances(self, truth: Mesh, limit: float) -> np.ndarray:
         """Paint the mesh by its distance to `truth`, in the same frame; the darkest is `limit` and more."""
         gap = _raycaster(truth).compute_distance(_tensor(self.hits.points)).numpy()
         return _picture(ramp(gap / limit) * (0.6 + 0.4 * self.light), self.hits.hit)
 
 
 def surface_pictures(
-    mesh: TriangleMesh,
+    mesh: PaintedMesh,
     up: np.ndarray,
     viewer: np.ndarray,
-    truth: TriangleMesh | None = None,
+    truth: Mesh | None = None,
     limit: float = 0.01,
     size: int = 320,
 ) -> SurfacePictures:
@@ -191,7 +185,8 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
     they look down from one side more than from the others.
     """
     rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
-    rights, mean = rows[:, 0], -rows[:, 1].mean(axis=0)
+    rights = rows[:, 0]
+    mean: np.ndarray = -rows[:, 1].mean(axis=0)
     if np.linalg.norm(mean) < CANCELLED:
         return _side_up(rights)
     mean = mean / np.linalg.norm(mean)
@@ -290,7 +285,8 @@ def _evened(values: np.ndarray, hits: _Hits, step: float) -> np.ndarray:
                 total[mine] += np.where(even, result[others], 0)
                 weight[mine] += even
         result = total / weight
-    return result[hits.hit]
+    evened: np.ndarray = result[hits.hit]
+    return evened
 
 
 def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
@@ -305,7 +301,7 @@ def _picture(colors: np.ndarray, hit: np.ndarray) -> np.ndarray:
     return color_picture(mean[..., :3] / np.maximum(mean[..., 3:], 1e-6), mean[..., 3])
 
 
-def _raycaster(mesh: TriangleMesh) -> Any:
+def _raycaster(mesh: Mesh) -> Any:
     rays = load_open3d().t.geometry.RaycastingScene()
     core = load_open3d().core
     faces = np.ascontiguousarray(mesh.faces, np.uint32)

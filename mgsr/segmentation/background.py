@@ -91,7 +91,8 @@ class BackgroundSources:
         ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
         itself = np.array([other is camera for other in self.cameras])
         order = np.argsort(-(ways[1:] @ ways[0]), kind="stable")
-        return order[~itself[order]][:NEAREST]
+        nearest: np.ndarray = order[~itself[order]][:NEAREST]
+        return nearest
 
     def _places(self, camera: Camera, window: Window) -> np.ndarray:
         """Return where the rays of a window's pixels meet the background, [h,w,3] in the scene's frame."""

@@ -10,7 +10,7 @@ import numpy as np
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, carve, hull_surface
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.raycast import RayCaster
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.segmentation.support_plane import SupportPlane
 
@@ -45,7 +45,7 @@ def hull_silhouettes(hull: Hull, cameras: Sequence[Camera]) -> list[np.ndarray]:
 
     Raises SceneError if the hull is empty.
     """
-    caster = RayCaster(*hull_surface(hull))
+    caster = Mesh(*hull_surface(hull)).caster
 
     def silhouette(camera: Camera) -> np.ndarray:
         return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))

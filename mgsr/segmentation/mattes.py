@@ -96,7 +96,7 @@ def matte(
 
 
 def _cost(difference: np.ndarray, variance: np.ndarray | float) -> np.ndarray:
-    return np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST)
+    return np.asarray(np.minimum((difference**2).sum(axis=-1) / (2 * variance), MOST))
 
 
 def _window(region: np.ndarray) -> Window:

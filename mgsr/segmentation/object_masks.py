@@ -323,4 +323,5 @@ def _doubt(masks: Sequence[np.ndarray], agreement: np.ndarray) -> NoObject | Non
 def _cut_off(mask: np.ndarray) -> bool:
     """Return whether the image's border cuts through a mask [H,W] bool."""
     border = sum(int(line.sum()) for line in (mask[0], mask[-1], mask[:, 0], mask[:, -1]))
-    return border > CUT * float(mask.sum()) ** 0.5
+    cut: bool = border > CUT * float(mask.sum()) ** 0.5
+    return cut

@@ -11,28 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy import linalg, ndimage, sparse
+from scipy import linalg, ndimage
 
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_rate
 from mgsr.data.scene import View
-from mgsr.geometry.displace import edge_length, spread
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.displace import diffuse
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
-from mgsr.shading.kinds import Shading
+from mgsr.shading.environment_fit import FittedEnvironmentMap
+from mgsr.shading.light_models import LightModel
 from mgsr.shading.lighting import DIMMEST, GAMMA, Lighting
-from mgsr.shading.readings import CLIPPED, SOLID, lie_within, read_image, seen_frontal
-from mgsr.shading.surroundings import Surroundings
+from mgsr.shading.observations import CLIPPED, SOLID, lie_within, read_image, seen_frontal
 
 BLUR = 1.0  # pixels; of the photographs, against their noise
 DETAIL = 3.0  # pixels; of a wider blur, which is taken off: what is coarser is the light's
 MIN_COS = 0.3  # of the tilt; what is seen more grazing is left out
-MIN_READINGS = 4  # photographs that see a vertex, or they tell nothing of it
-OUTLIER = 3.0  # deviations past which a reading says nothing of the mix
+MIN_OBSERVATIONS = 4  # photographs that see a vertex, or they tell nothing of it
+MAX_DEVIATIONS = 3.0  # of the residual; observations past this do not count for the mix
 GREY = np.full(3, 1 / 3)  # the mix of the channels that is their mean
 CLEARER = 1.5  # times the grey's; what another mix must tell at least
 
@@ -45,39 +43,24 @@ class KnownLight:
     """
 
     lighting: Lighting | None = None
-    mirrors: Surroundings | None = None
+    mirrors: FittedEnvironmentMap | None = None
 
     @classmethod
-    def known_by(cls, shading: Shading | None, vertices: np.ndarray, faces: np.ndarray) -> KnownLight:
-        if shading is None:
-            return cls()
-        return cls(shading.lighting(vertices, faces), shading.surroundings(vertices, faces))
+    def known_by(cls, light_model: LightModel | None, mesh: Mesh) -> KnownLight:
+        """Return what a light model tells of the light on a mesh."""
+        return cls() if light_model is None else cls(light_model.lighting(mesh), light_model.environment(mesh))
 
 
 @dataclass(frozen=True)
-class Surface:
-    """A mesh under refinement.
+class ObservedMesh:
+    """A mesh under refinement; pixel: the size of a photograph's pixel there."""
 
-    places [V,3]: its vertices; faces [F,3]; laplacian: their uniform Laplacian (`umbrella`); pixel: a pixel's size
-    there.
-    """
-
-    places: np.ndarray
-    faces: np.ndarray
-    laplacian: sparse.csr_matrix
+    mesh: Mesh
     pixel: float
-
-    @cached_property
-    def normals(self) -> np.ndarray:
-        return vertex_normals(self.places, self.faces).astype(np.float64)
-
-    @cached_property
-    def caster(self) -> RayCaster:
-        return RayCaster(self.places, self.faces)
 
     def around(self, values: np.ndarray, reach: float) -> np.ndarray:
         """Smooth values [V,...] over about `reach` pixels of the surface."""
-        return spread(values, self.laplacian, reach * self.pixel / self._edge)
+        return diffuse(values, self.mesh.laplacian, reach * self.pixel / self.mesh.edge_length)
 
     def detail(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         """Return values [N,V] less their mean over DETAIL pixels around, and 0 where they are not known.
@@ -88,13 +71,9 @@ class Surface:
         around = self.around(np.stack([*(values * known), known], axis=1), DETAIL)
         return np.asarray(known * (values - around[:, :-1].T / np.maximum(around[:, -1], 1e-6)))
 
-    @cached_property
-    def _edge(self) -> float:
-        return edge_length(self.places, self.faces)
-
 
 @dataclass(frozen=True)
-class MixedPhotograph:
+class ChannelMix:
     """A photograph in one mix of its channels.
 
     image [H,W,3] uint8; mix [3]: the channels' weights; mixed [H,W] float32: the mixed channels, blurred; usable [H,W]
@@ -119,10 +98,10 @@ class MixedPhotograph:
         return np.asarray(srgb_rate(self.image[rows, columns] / 255) @ self.mix)
 
 
-def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[MixedPhotograph]:
+def mix_channels(views: Sequence[View], mix: np.ndarray, threads: int | None) -> list[ChannelMix]:
     """Mix the channels of the views by weights [3], in sRGB, whose noise is more even than linear light's."""
 
-    def mixed(view: View) -> MixedPhotograph:
+    def mixed(view: View) -> ChannelMix:
         inside = view.image.max(axis=-1) <= CLIPPED * 255
         if view.alpha is not None:
             inside &= view.alpha >= SOLID * 255
@@ -132,26 +111,26 @@ def mixed_photographs(views: Sequence[View], mix: np.ndarray, threads: int | Non
         values = view.image @ (mix / 255).astype(np.float32)
         blurred = ndimage.gaussian_filter(values * inside, BLUR) / np.maximum(share, 1e-6)
         usable = ndimage.binary_erosion(inside, iterations=round(2 * BLUR))
-        return MixedPhotograph(view.camera, view.image, mix, blurred, usable)
+        return ChannelMix(view.camera, view.image, mix, blurred, usable)
 
     return list(map_ahead(mixed, views, threads))
 
 
-def telling_mix(surface: Surface, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
-    """Find the channel weights [3] whose detail tells most about where the surface lies.
+def choose_mix(surface: ObservedMesh, views: Sequence[View], light: KnownLight, threads: int | None) -> np.ndarray:
+    """Find the channel weights [3] whose detail locates the surface best.
 
     The mix is steepest against the residual: the leading eigenvector of the slopes' covariance against that of the
-    residual. Unless it tells CLEARER times as much as the mean of the channels, the latter is returned.
+    residual. Unless it is CLEARER times as informative as the mean of the channels, the latter is returned.
     """
-    single = [mixed_photographs(views, channel, threads) for channel in np.eye(3)]
+    single = [mix_channels(views, channel, threads) for channel in np.eye(3)]
     channels = [read_details(surface, photographs, light, threads) for photographs in single]
     weights = channels[0].weights
-    left = np.stack([apart(channel.mixed, weights)[weights > 0] for channel in channels])
-    change = np.stack([apart(channel.change, weights)[weights > 0] for channel in channels])
-    unexplained = np.abs(GREY @ left)
-    usual = unexplained <= OUTLIER * 1.4826 * np.median(unexplained) if weights.any() else []
+    residual = np.stack([centered(channel.mixed, weights)[weights > 0] for channel in channels])
+    change = np.stack([centered(channel.change, weights)[weights > 0] for channel in channels])
+    residual_energy = np.abs(GREY @ residual)
+    usual = residual_energy <= MAX_DEVIATIONS * 1.4826 * np.median(residual_energy) if weights.any() else []
     weighed = weights[weights > 0] * usual
-    noise, steep = ((weighed * part) @ part.T for part in (left, change))
+    noise, steep = ((weighed * part) @ part.T for part in (residual, change))
     noise += (1e-6 * np.trace(noise) + 1e-12) * np.eye(3)
     mix = linalg.eigh(steep, noise)[1][:, -1]
     gain, grey_gain = (axis @ steep @ axis / (axis @ noise @ axis) for axis in (mix, GREY))
@@ -174,67 +153,68 @@ class Details:
 
 
 def read_details(
-    surface: Surface, photographs: Sequence[MixedPhotograph], light: KnownLight, threads: int | None
+    surface: ObservedMesh, photographs: Sequence[ChannelMix], light: KnownLight, threads: int | None
 ) -> Details:
     """Read the detail of the surface's vertices in all photographs."""
     rows = map_ahead(lambda each: _read_one(surface, each, light), photographs, threads)
     details = Details(*(np.stack(columns, axis=1) for columns in zip(*rows, strict=True)))
-    details.weights[(details.weights > 0).sum(axis=1) < MIN_READINGS] = 0
+    details.weights[(details.weights > 0).sum(axis=1) < MIN_OBSERVATIONS] = 0
     return details
 
 
-def _read_one(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> np.ndarray:
+def _read_one(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> np.ndarray:
     """Read one photograph's column [4,V] of `Details`, in the order of its fields."""
-    camera, places, normals = photograph.camera, surface.places, surface.normals
-    look = look_at(surface, photograph, light)
-    step = 0.1 * surface.pixel * normals[look.seen]
-    moved = 10 * (camera.project(places[look.seen] + step)[0] - look.pixels)
+    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
+    samples = sample_view(surface, photograph, light)
+    step = 0.1 * surface.pixel * normals[samples.seen]
+    moved = 10 * (camera.project(places[samples.seen] + step)[0] - samples.pixels)
     column = np.zeros((4, len(places)), np.float32)
-    column[0, look.seen] = read_image(photograph.mixed, look.pixels) / look.lit
-    column[1, look.seen] = (photograph.slopes(look.pixels) * moved).sum(axis=1) / look.lit
-    column[3, look.seen] = look.weights
+    column[0, samples.seen] = read_image(photograph.mixed, samples.pixels) / samples.lit
+    column[1, samples.seen] = (photograph.slopes(samples.pixels) * moved).sum(axis=1) / samples.lit
+    column[3, samples.seen] = samples.weights
     column[:2] = surface.detail(column[:2], column[3] > 0)
     if light.mirrors is not None:
-        shine = light.mirrors.mirrored(normals, look.towards)
+        shine = light.mirrors.mirrored(normals, samples.view_directions)
         fine = shine - surface.around(shine, DETAIL)
         fine = np.sqrt(fine**2 + surface.around(fine**2, DETAIL))
-        column[2, look.seen] = fine[look.seen] * photograph.rates(look.pixels)
+        column[2, samples.seen] = fine[samples.seen] * photograph.rates(samples.pixels)
     return column
 
 
 @dataclass(frozen=True)
-class Look:
+class ViewSamples:
     """A surface's vertices in one photograph.
 
-    towards [V,3]: unit directions from each vertex to the camera; seen [S]: the vertices that it sees; pixels [S,2]:
-    their pixel coordinates; lit [S]: the factor by which a flash on the camera scales their sRGB, 1 without; weights
-    [S]: 0 where they are of no use.
+    view_directions [V,3]: unit directions from each vertex to the camera; seen [S]: the vertices that it sees; pixels
+    [S,2]: their pixel coordinates; lit [S]: the factor by which a flash on the camera scales their sRGB, 1 without;
+    weights [S]: 0 where they are of no use.
     """
 
-    towards: np.ndarray
+    view_directions: np.ndarray
     seen: np.ndarray
     pixels: np.ndarray
     lit: np.ndarray
     weights: np.ndarray
 
 
-def look_at(surface: Surface, photograph: MixedPhotograph, light: KnownLight) -> Look:
+def sample_view(surface: ObservedMesh, photograph: ChannelMix, light: KnownLight) -> ViewSamples:
     """Find where a photograph shows the surface's vertices, and how much each counts."""
-    camera, places, normals = photograph.camera, surface.places, surface.normals
+    camera, places, normals = photograph.camera, surface.mesh.vertices, surface.mesh.double_normals
     offsets = camera.center - places
-    towards = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
-    cosines = (towards * normals).sum(axis=1)
-    seen = seen_frontal(surface.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
+    view_directions = offsets / np.linalg.norm(offsets, axis=1, keepdims=True)
+    cosines = (view_directions * normals).sum(axis=1)
+    seen = seen_frontal(surface.mesh.caster, camera, places, normals, cosines > MIN_COS, surface.pixel)
     pixels, _ = camera.project(places[seen])
     weights, lit = cosines[seen] * lie_within(photograph.usable, pixels), np.ones(len(seen))
     if light.lighting is not None:
         falling = light.lighting.falling_on(camera, places[seen], normals[seen])
         lit = np.maximum(falling, DIMMEST) ** (1 / GAMMA)
         weights *= lit**2 * (falling >= DIMMEST)
-    return Look(towards, seen, pixels, lit, weights)
+    return ViewSamples(view_directions, seen, pixels, lit, weights)
 
 
-def apart(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def centered(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return values [V,K] less their mean over the K photographs, by weights [V,K]."""
     total = np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    return values - (weights * values).sum(axis=1, keepdims=True) / total
+    centred: np.ndarray = values - (weights * values).sum(axis=1, keepdims=True) / total
+    return centred

@@ -1,7 +1,7 @@
 """Calibration of a flash: its place beside the lens and the other light, four numbers for a whole capture.
 
 A lamp a hand's breadth off the lens tilts all normals that are read from it; a little light from everywhere, and
-interreflection in hollows, flatten them. All points' readings together tell these apart (Gauss-Newton, each point's
+interreflection in hollows, flatten them. All points' observations together tell these apart (Gauss-Newton, each point's
 albedo being solved for on the way: variable projection, Golub and Pereyra 1973).
 """
 
@@ -13,46 +13,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from mgsr.data.camera import Camera
-from mgsr.shading.explained import MIN_READINGS
-from mgsr.shading.flash import Flash, deviation, scale, trusted
-from mgsr.shading.hollows import Hollows
-from mgsr.shading.readings import Readings
+from mgsr.shading.ambient_occlusion import AmbientOcclusion
+from mgsr.shading.flash import Flash, deviation, irls_weights, least_squares_scale
+from mgsr.shading.observations import Observations
+from mgsr.shading.target_normals import MIN_OBSERVATIONS
 
-POINTS = 3000  # whose readings tell of the light
+POINTS = 3000  # whose observations tell of the light
 STEPS = 40  # at most
-STILL = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
+STEP_TOLERANCE = 3e-4  # of the distance to the surface; a step of the lamp by less is the last
 ROUNDS = 4  # of new weights in a step
 DAMPING = 1e-3  # of a step, where the capture hardly tells of a number (Levenberg and Marquardt)
-FARTHEST = 0.25  # of the distance to the surface; how far off the lens a lamp may be
+MAX_OFFSET = 0.25  # of the distance to the surface; how far off the lens a lamp may be
 
 
 def fit_flash(
-    readings: Readings,
+    observations: Observations,
     points: np.ndarray,
     normals: np.ndarray,
     cameras: Sequence[Camera],
-    hollows: Hollows,
+    occlusion: AmbientOcclusion,
     start: Flash,
 ) -> Flash:
-    """Fit the flash that explains the readings of a surface's points [P,3] with normals [P,3].
+    """Fit the flash that explains the observations of a surface's points [P,3] with normals [P,3].
 
     cameras: those of the photographs; start: where the search begins, returned where too few photographs see the
     points.
     """
-    seen = np.flatnonzero(readings.counts >= MIN_READINGS)
+    seen = np.flatnonzero(observations.counts >= MIN_OBSERVATIONS)
     seen = seen[:: max(1, len(seen) // POINTS)]
     if len(seen) == 0:
         return start
-    readings = readings.at(seen)
-    equations = _equations(readings, points[seen], normals[seen], cameras, hollows)
-    brightness, weights = readings.brightness.astype(float), readings.weights.astype(float) ** 2
+    observations = observations.at(seen)
+    equations = _equations(observations, points[seen], normals[seen], cameras, occlusion)
+    brightness, weights = observations.brightness.astype(float), observations.weights.astype(float) ** 2
     values = np.array([start.right, start.down, start.ambient, start.bounced])
-    distance = float(np.median(readings.distances))
+    distance = float(np.median(observations.distances))
     for _ in range(STEPS):
         before, values = values, values + _step(*equations.shade(values), brightness, weights)
-        values[:2] *= min(1, FARTHEST * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
+        values[:2] *= min(1, MAX_OFFSET * distance / max(float(np.linalg.norm(values[:2])), 1e-9))
         values[2:] = np.maximum(values[2:], 0)
-        if np.abs(values - before)[:2].max() < STILL * distance:
+        if np.abs(values - before)[:2].max() < STEP_TOLERANCE * distance:
             break
     return Flash(*values.tolist())
 
@@ -62,7 +62,7 @@ class _Equations:
     """The shading equations of P points in K photographs each.
 
     to_lens [P,K,3]: the way to the lens; sides [P,K,2,3]: the camera's axes to the right and down; cosines [P,K] and
-    tilts [P,K,2]: the components of both along the normal; besides [P,K,2]: the open share of the sky, and the
+    tilts [P,K,2]: the components of both along the normal; ambient [P,K,2]: the open share of the sky, and the
     interreflected light.
     """
 
@@ -70,7 +70,7 @@ class _Equations:
     sides: np.ndarray
     cosines: np.ndarray
     tilts: np.ndarray
-    besides: np.ndarray
+    ambient: np.ndarray
 
     def shade(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the brightness [P,K] of an albedo of 1 at the values [4] of a `Flash`, and its derivatives [P,K,4]."""
@@ -79,18 +79,22 @@ class _Equations:
         lamp = np.maximum(self.cosines + self.tilts @ values[:2], 0) / square**1.5
         aside = np.einsum("pki,pksi->pks", to_lamp, self.sides)
         moved = (lamp > 0)[..., None] * self.tilts / square[..., None] ** 1.5 - 3 * (lamp / square)[..., None] * aside
-        return lamp + self.besides @ values[2:], np.concatenate([moved, self.besides], axis=-1)
+        return lamp + self.ambient @ values[2:], np.concatenate([moved, self.ambient], axis=-1)
 
 
 def _equations(
-    readings: Readings, points: np.ndarray, normals: np.ndarray, cameras: Sequence[Camera], hollows: Hollows
+    observations: Observations,
+    points: np.ndarray,
+    normals: np.ndarray,
+    cameras: Sequence[Camera],
+    occlusion: AmbientOcclusion,
 ) -> _Equations:
-    to_lens = readings.towards.astype(float) * readings.distances[..., None]
-    sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])[readings.photographs]
-    sky, thrown = hollows.at(points, readings.photographs)
-    besides = np.stack([np.broadcast_to(sky[:, None], thrown.shape), thrown], axis=-1)
+    to_lens = observations.view_directions.astype(float) * observations.distances[..., None]
+    sides = np.stack([camera.cam_from_world[:2, :3] for camera in cameras])[observations.photographs]
+    sky_visibility, interreflection = occlusion.at(points, observations.photographs)
+    ambient = np.stack([np.broadcast_to(sky_visibility[:, None], interreflection.shape), interreflection], axis=-1)
     cosines, tilts = np.einsum("pki,pi->pk", to_lens, normals), np.einsum("pksi,pi->pks", sides, normals)
-    return _Equations(to_lens, sides, cosines, tilts, besides)
+    return _Equations(to_lens, sides, cosines, tilts, ambient)
 
 
 def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -100,14 +104,14 @@ def _step(shade: np.ndarray, slopes: np.ndarray, brightness: np.ndarray, weights
     """
     current = weights
     for _ in range(ROUNDS):
-        albedo = scale(brightness, shade, current)
-        left = brightness - albedo[:, None] * shade
-        current = trusted(left, weights, current)
+        albedo = least_squares_scale(brightness, shade, current)
+        residual = brightness - albedo[:, None] * shade
+        current = irls_weights(residual, weights, current)
     # What a change of albedo would do as well is no reason for a change of the light.
     total = np.maximum((current * shade**2).sum(axis=1), 1e-12)
     along = np.einsum("pk,pkv->pv", current * shade, slopes) / total[:, None]
     slopes = albedo[:, None, None] * (slopes - shade[..., None] * along[:, None])
-    current = current / (deviation(left, current)[:, None] ** 2 + 1e-12)
+    current = current / (deviation(residual, current)[:, None] ** 2 + 1e-12)
     matrix = np.einsum("pk,pku,pkv->uv", current, slopes, slopes)
     matrix += np.diag(DAMPING * matrix.diagonal() + 1e-9)
-    return np.linalg.solve(matrix, np.einsum("pk,pkv->v", current * left, slopes))
+    return np.linalg.solve(matrix, np.einsum("pk,pkv->v", current * residual, slopes))

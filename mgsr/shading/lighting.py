@@ -17,9 +17,7 @@ from mgsr.data.camera import Camera
 from mgsr.data.images import to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.geometry.displace import edge_length
-from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import vertex_normals
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 
 GAMMA = 2.4  # of sRGB, away from black
@@ -30,18 +28,17 @@ DIMMEST = 0.02  # light under which a photograph hardly tells what colour lies t
 
 @dataclass(frozen=True)
 class Lighting:
-    """A surface, vertices [V,3] and outward faces [F,3], and the lamp that lights it.
+    """A surface and the lamp that lights it.
 
-    right, down: where the lamp is in the camera's frame, from the lens. lamp: the light that it sends to a surface that
-    faces it at a distance of 1; besides [V]: the light that each vertex gets otherwise. Both are shares of the
-    brightest light in the photographs. like [V]: the vertex as which each is lit: itself where photographs confirm the
-    surface; elsewhere it may be folded, and is lit as the nearest that they confirm.
+    right, down: the lamp's place in the camera's frame, from the lens. lamp: the light that it sends to a surface that
+    faces it at a distance of 1; ambient [V]: the light that each vertex of the mesh gets otherwise. Both are shares of
+    the brightest light in the photographs. proxy_vertex [V]: the vertex as which each is lit. Where photographs confirm
+    the surface it is the vertex itself; elsewhere the surface may be folded, and it is the nearest confirmed one.
     """
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    besides: np.ndarray
-    like: np.ndarray
+    mesh: Mesh
+    ambient: np.ndarray
+    proxy_vertex: np.ndarray
     right: float
     down: float
     lamp: float
@@ -65,18 +62,18 @@ class Lighting:
 
         normals [P,3]: unit. In the lamp's shadow the irradiance is 0.
         """
-        face, shares = self._caster.nearest(points)
-        besides = (self.besides[self.like[self.faces[face]]] * shares).sum(axis=1)
+        face, shares = self.mesh.caster.nearest(points)
+        ambient = (self.ambient[self.proxy_vertex[self.mesh.faces[face]]] * shares).sum(axis=1)
         place = self._lamp(camera)
-        reached = self._caster.reached(place, points + self._gap * normals, self._gap)
-        return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + besides))
+        reached = self.mesh.caster.reached(place, points + self.mesh.edge_length * normals, self.mesh.edge_length)
+        return np.asarray(reached * (self.lamp * lamp_light(place - points, normals) + ambient))
 
     def moved(self, to: Similarity) -> Lighting:
         """Return the same lighting in the frame that `to` leads to."""
         longer = to.scale
         return replace(
             self,
-            vertices=to.to_user(self.vertices),
+            mesh=self.mesh.moved(to.to_user(self.mesh.vertices)),
             right=longer * self.right,
             down=longer * self.down,
             lamp=longer**2 * self.lamp,
@@ -87,20 +84,11 @@ class Lighting:
         return np.asarray(camera.center + np.array([self.right, self.down]) @ camera.cam_from_world[:2, :3])
 
     @cached_property
-    def _caster(self) -> RayCaster:
-        return RayCaster(self.vertices, self.faces)
-
-    @cached_property
-    def _carried(self) -> np.ndarray:
+    def _attributes(self) -> np.ndarray:
         """Return what is interpolated at each vertex, [V,7] float32: place, normal, and light besides the lamp's."""
-        normals = vertex_normals(self.vertices, self.faces)
-        carried = np.concatenate([self.vertices, normals, self.besides[:, None]], axis=1)
-        return carried[self.like].astype(np.float32)
-
-    @cached_property
-    def _gap(self) -> float:
-        """Return how far a point may lie behind its faces: the mean edge length."""
-        return edge_length(self.vertices, self.faces)
+        attributes = np.concatenate([self.mesh.vertices, self.mesh.normals, self.ambient[:, None]], axis=1)
+        values: np.ndarray = attributes[self.proxy_vertex].astype(np.float32)
+        return values
 
     def _parts(self, camera: Camera) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
         """Yield the parts of an image in which the surface may be, some rows at a time.
@@ -108,7 +96,7 @@ class Lighting:
         Each comes with the pixel coordinates [H,n,W,n,2] of n x n rays in each of its H x W pixels.
         """
         size, fine = (camera.width, camera.height), max(1, round(RAYS / max(camera.width, camera.height)))
-        places, depths = camera.project(self.vertices)
+        places, depths = camera.project(self.mesh.vertices)
         first, last = np.zeros(2, np.intp), np.array(size)
         if (depths > 0).all():
             first = np.clip(np.floor(places.min(axis=0)), 0, size).astype(np.intp)
@@ -127,15 +115,15 @@ class Lighting:
 
         pixels [H,n,W,n,2]: the rays' pixel coordinates.
         """
-        hits = self._caster.cast_pixels(camera, pixels)
+        hits = self.mesh.caster.cast_pixels(camera, pixels)
         met = hits.mask
-        there = np.einsum("pki,pk->pi", self._carried[self.faces[hits.face[met]]], hits.barycentric[met])
-        points, normals, besides = there[:, :3], there[:, 3:6], there[:, 6]
+        there = np.einsum("pki,pk->pi", self._attributes[self.mesh.faces[hits.face[met]]], hits.barycentric[met])
+        points, normals, ambient = there[:, :3], there[:, 3:6], there[:, 6]
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         place = self._lamp(camera).astype(np.float32)
-        reached = self._caster.reached(place, points + self._gap * normals, self._gap)
+        reached = self.mesh.caster.reached(place, points + self.mesh.edge_length * normals, self.mesh.edge_length)
         light = np.zeros(met.shape)
-        light[met] = self.lamp * reached * lamp_light(place - points, normals) + besides
+        light[met] = self.lamp * reached * lamp_light(place - points, normals) + ambient
         return light.sum(axis=(1, 3)), met.sum(axis=(1, 3))
 
 

@@ -11,10 +11,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 EDGE = 0.03  # change of sRGB from a pixel to the next, 0..1, that counts as an edge
-BARELY = 1e-6  # what an edge's bending costs, against 1 elsewhere
-HOLD = 10.0  # of the found depths against the bending
-LEAK = 2e-3  # trust that is lost on the way from pixel to pixel: e-fold in some twenty of them
-TRUSTED = 0.8  # least share of its trust that a pixel must have from found depths
+EDGE_SMOOTHNESS = 1e-6  # what an edge's bending costs, against 1 elsewhere
+DATA_WEIGHT = 10.0  # of the found depths against the bending
+CONFIDENCE_LOSS = 2e-3  # confidence that is lost on the way from pixel to pixel: e-fold in some twenty of them
+MIN_CONFIDENCE = 0.8  # least share of its confidence that a pixel must have from found depths
 
 
 def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -26,21 +26,23 @@ def fill_depth(inverse: np.ndarray, image: np.ndarray) -> np.ndarray:
     if found.sum() < 3:
         return np.where(found, inverse, np.nan)
     along_x, along_y = _smoothness(image / 255.0, 1), _smoothness(image / 255.0, 0)
-    trust = _trust(found, along_x, along_y)
-    held = sparse.diags(HOLD * found.ravel().astype(float))
+    confidence = _confidence(found, along_x, along_y)
+    held = sparse.diags(DATA_WEIGHT * found.ravel().astype(float))
     bending = _bending(along_x, 1) + _bending(along_y, 0)
     system = (held + bending + 1e-9 * sparse.eye(found.size)).tocsc()
-    filled = splu(system).solve(HOLD * np.where(found, inverse, 0).ravel()).reshape(found.shape)
-    return np.where(found, inverse, np.where((trust > TRUSTED) & (filled > 0), filled, np.nan))
+    filled = splu(system).solve(DATA_WEIGHT * np.where(found, inverse, 0).ravel()).reshape(found.shape)
+    return np.where(found, inverse, np.where((confidence > MIN_CONFIDENCE) & (filled > 0), filled, np.nan))
 
 
 def _smoothness(image: np.ndarray, axis: int) -> np.ndarray:
     """Return how smooth the image is between each pixel and the next along an axis.
 
-    It is 1 where nothing changes, and BARELY across an edge. The result has the image's size, less one along that axis.
+    It is 1 where nothing changes, and EDGE_SMOOTHNESS across an edge. The result has the image's size, less one along
+    that axis.
     """
     change = np.abs(np.diff(image, axis=axis)).max(axis=2)
-    return np.maximum(np.exp(-((change / EDGE) ** 2)), BARELY)
+    links: np.ndarray = np.maximum(np.exp(-((change / EDGE) ** 2)), EDGE_SMOOTHNESS)
+    return links
 
 
 def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
@@ -52,14 +54,15 @@ def _bending(smooth: np.ndarray, axis: int) -> sparse.csc_matrix:
     return _gram(parts, weights, index.size)
 
 
-def _trust(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
-    """Return the trust [h,w] in filled depths: 1 where depth was found, fading with distance and at edges."""
-    form = LEAK * sparse.eye(found.size) + sparse.diags(HOLD * found.ravel().astype(float))
+def _confidence(found: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+    """Return the confidence [h,w] in filled depths: 1 where depth was found, fading with distance and at edges."""
+    form = CONFIDENCE_LOSS * sparse.eye(found.size) + sparse.diags(DATA_WEIGHT * found.ravel().astype(float))
     for smooth, axis in ((along_x, 1), (along_y, 0)):
         index = np.moveaxis(_pixels(smooth, axis), axis, -1)
         parts = [(index[..., :-1], 1.0), (index[..., 1:], -1.0)]
         form = form + _gram(parts, np.moveaxis(smooth, axis, -1), index.size)
-    return splu(form.tocsc()).solve(HOLD * found.ravel().astype(float)).reshape(found.shape)
+    trust: np.ndarray = splu(form.tocsc()).solve(DATA_WEIGHT * found.ravel().astype(float)).reshape(found.shape)
+    return trust
 
 
 def _pixels(smooth: np.ndarray, axis: int) -> np.ndarray:

@@ -48,7 +48,7 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
     progress: told of the share of the work that is done, 0..1.
     """
-    looks = [_look(view) for view in views]
+    looks = [_swept_view(view) for view in views]
     maps = []
     with one_torch_thread():
         for found in map_ahead(lambda index: _depth_map(looks, index), range(len(looks)), None):
@@ -65,31 +65,32 @@ def sweep_planes(views: Sequence[View], progress: Callable[[float], None] = lamb
 
 
 @dataclass(frozen=True)
-class _Look:
+class _SweptView:
     """A view as it is compared.
 
-    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; known [h,w] float32: 1 where the photograph shows a
-    pixel, None where it shows all.
+    camera: reduced; image [h,w,3] sRGB 0..255; grey [1,h,w] 0..1; valid_mask [h,w] float32: 1 where the photograph
+    shows a pixel, None where it shows all.
     """
 
     camera: Camera
     image: np.ndarray
     grey: Tensor
-    known: Tensor | None
+    valid_mask: Tensor | None
 
 
-def _look(view: View) -> _Look:
-    camera, image, known = view.camera, view.image.astype(np.float32), view.valid_mask
+def _swept_view(view: View) -> _SweptView:
+    camera, image, valid_mask = view.camera, view.image.astype(np.float32), view.valid_mask
     shrink = SIDE / max(camera.width, camera.height)
     if shrink < 1:
         camera = camera.resized(max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink)))
-        image, known = valid_mean(image, known, lambda pixels: reduce_area(pixels, camera.width, camera.height))
-    image = filled(image, known)
-    shown = None if known is None else torch.from_numpy(known.astype(np.float32))
-    return _Look(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
+        size = (camera.width, camera.height)
+        image, valid_mask = valid_mean(image, valid_mask, lambda pixels: reduce_area(pixels, *size))
+    image = filled(image, valid_mask)
+    shown = None if valid_mask is None else torch.from_numpy(valid_mask.astype(np.float32))
+    return _SweptView(camera, image, torch.from_numpy(image.mean(axis=-1)[None] / 255), shown)
 
 
-def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
+def _depth_map(looks: Sequence[_SweptView], index: int) -> np.ndarray:
     """Return the depth map of one view, camera z [h,w], infinite where the neighbours do not agree."""
     look = looks[index]
     beside = neighbours([each.camera for each in looks], index, NEIGHBOURS, APART, FARTHEST)
@@ -103,12 +104,12 @@ def _depth_map(looks: Sequence[_Look], index: int) -> np.ndarray:
     scores = torch.stack([_correlations(look, looks[other], inverse) for other in beside])
     # The better half: a neighbour that does not see the place says nothing of it.
     agreement = scores.topk(max(2, len(beside) // 2), dim=0).values.mean(dim=0)
-    plane, sure = _best_plane(agreement)
+    plane, clear = _best_plane(agreement)
     depth = 1 / np.interp(plane.numpy(), np.arange(len(inverse)), inverse.numpy()).clip(1e-6)
-    return np.where(sure.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
+    return np.where(clear.numpy() & (_own_contrast(look.image) > OWN_CONTRAST), depth, unknown)
 
 
-def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
+def _correlations(look: _SweptView, other: _SweptView, inverse: Tensor) -> Tensor:
     """Return how well `other` correlates with `look`, [D,h,w], on planes at inverse depths [D]; -1 where unseen."""
     camera, neighbour = look.camera, other.camera
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -127,11 +128,11 @@ def _correlations(look: _Look, other: _Look, inverse: Tensor) -> Tensor:
     seen_variance = _window_mean(seen * seen) - seen_mean * seen_mean + NOISE**2
     correlation = (_window_mean(seen * own) - seen_mean * mean) / (variance * seen_variance).clamp(min=1e-12).sqrt()
     compared = (places.abs() < 1).all(dim=-1)
-    if look.known is not None:
-        compared &= look.known > 0
-    if other.known is not None:
+    if look.valid_mask is not None:
+        compared &= look.valid_mask > 0
+    if other.valid_mask is not None:
         shown = functional.grid_sample(
-            other.known[None, None].expand(len(inverse), -1, -1, -1), places, mode="nearest", align_corners=False
+            other.valid_mask[None, None].expand(len(inverse), -1, -1, -1), places, mode="nearest", align_corners=False
         )
         compared &= shown[:, 0] > 0
     return torch.where(compared, correlation, -1.0)
@@ -166,7 +167,8 @@ def _own_contrast(image: np.ndarray) -> np.ndarray:
             alike = np.exp(-((np.abs(other - image).max(axis=2, keepdims=True) / SIMILAR) ** 2))
             sums += np.stack([np.broadcast_to(alike, image.shape), alike * other, alike * other * other])
     mean = sums[1] / sums[0]
-    return np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    contrast: np.ndarray = np.sqrt(np.maximum(sums[2] / sums[0] - mean * mean, 0)).max(axis=2)
+    return contrast
 
 
 def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
@@ -175,14 +177,14 @@ def _best_plane(agreement: Tensor) -> tuple[Tensor, Tensor]:
     count = len(agreement)
     planes = torch.arange(count)[:, None, None]
     rival = torch.where((planes - at).abs() > BESIDE, agreement, -1.0).amax(dim=0)
-    sure = (at > 0) & (at < count - 1) & (best > AGREEMENT) & (best - rival > LEAD)
+    clear = (at > 0) & (at < count - 1) & (best > AGREEMENT) & (best - rival > LEAD)
     middle = at.clamp(1, count - 2)[None]
     before, here, after = (agreement.gather(0, middle + step)[0] for step in (-1, 0, 1))
     step = (after - before) / (2 * (2 * here - before - after)).clamp(min=1e-6)
-    return middle[0] + step.clamp(-0.5, 0.5), sure
+    return middle[0] + step.clamp(-0.5, 0.5), clear
 
 
-def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
+def _confirmed(index: int, looks: Sequence[_SweptView], maps: Sequence[np.ndarray], least: int) -> np.ndarray:
     """Return a view's depth map without what fewer than `least` other views' maps confirm, or more see through."""
     depth = maps[index]
     positions = _positions(looks[index].camera, depth)
@@ -201,7 +203,7 @@ def _confirmed(index: int, looks: Sequence[_Look], maps: Sequence[np.ndarray], l
     return kept
 
 
-def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
+def _filled(looks: Sequence[_SweptView], whole: Sequence[np.ndarray], found: np.ndarray) -> PointCloud:
     """Return points of the filled depth maps that lie away from the points found [P,3] already."""
     cloud = _cloud(looks, [_confirmed(index, looks, whole, CONFIRMED_FILLED) for index in range(len(looks))])
     cloud = cloud.rows(_thinned(cloud.positions, SPACING_FILLED))
@@ -210,14 +212,14 @@ def _filled(looks: Sequence[_Look], whole: Sequence[np.ndarray], found: np.ndarr
     return cloud.rows(cKDTree(_drawn_in(found)).query(_drawn_in(cloud.positions))[0] > SPACING_FILLED)
 
 
-def _continued(look: _Look, depth: np.ndarray) -> np.ndarray:
+def _continued(look: _SweptView, depth: np.ndarray) -> np.ndarray:
     """Return the depth map with what `fill_depth` adds; infinite where there is still none."""
     inverse = fill_depth(1 / depth, look.image)
-    there = np.isfinite(inverse) if look.known is None else np.isfinite(inverse) & (look.known.numpy() > 0)
+    there = np.isfinite(inverse) if look.valid_mask is None else np.isfinite(inverse) & (look.valid_mask.numpy() > 0)
     return np.where(there, 1 / inverse, np.inf)
 
 
-def _cloud(looks: Sequence[_Look], maps: Sequence[np.ndarray]) -> PointCloud:
+def _cloud(looks: Sequence[_SweptView], maps: Sequence[np.ndarray]) -> PointCloud:
     """Return the points of all views' depth maps, view by view, with their pixels' colours."""
     positions = [_positions(look.camera, depth) for look, depth in zip(looks, maps, strict=True)]
     colors = [look.image[np.isfinite(depth)] for look, depth in zip(looks, maps, strict=True)]
@@ -230,7 +232,8 @@ def _positions(camera: Camera, depth: np.ndarray) -> np.ndarray:
     pixels = np.stack([columns, rows], axis=1) + 0.5
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(rows), 1))], axis=1)
     positions: np.ndarray = local * depth[rows, columns, None] - camera.cam_from_world[:3, 3]
-    return positions @ camera.cam_from_world[:3, :3]
+    in_world: np.ndarray = positions @ camera.cam_from_world[:3, :3]
+    return in_world
 
 
 def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
@@ -241,7 +244,8 @@ def _thinned(positions: np.ndarray, spacing: float = SPACING) -> np.ndarray:
     if len(first) <= CROWD:
         return first
     distances = cKDTree(near[first]).query(near[first], k=CROWD + 1)[0][:, 1:].mean(axis=1)
-    return first[distances <= distances.mean() + LONELY * distances.std()]
+    kept: np.ndarray = first[distances <= distances.mean() + LONELY * distances.std()]
+    return kept
 
 
 def _drawn_in(positions: np.ndarray) -> np.ndarray:
@@ -250,4 +254,5 @@ def _drawn_in(positions: np.ndarray) -> np.ndarray:
     Photographs taken around the ball see less of a place the farther it is.
     """
     radius = np.maximum(np.linalg.norm(positions, axis=1, keepdims=True), 1)
-    return positions * (2 - 1 / radius) / radius
+    drawn: np.ndarray = positions * (2 - 1 / radius) / radius
+    return drawn

@@ -42,7 +42,8 @@ def point_exposures(
     if (np.isfinite(seen[..., 0]).sum(axis=1) < ENOUGH).any():
         return None
     fitted = [_fit(seen[..., channel], len(train)) for channel in range(3)]
-    return np.exp(np.stack(fitted, axis=1))
+    exposures: np.ndarray = np.exp(np.stack(fitted, axis=1))
+    return exposures
 
 
 def _log_light(views: Sequence[View], positions: np.ndarray, normals: np.ndarray | None) -> np.ndarray:

@@ -10,16 +10,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mgsr.config import Background
-from mgsr.data.backdrop import backdrop, without_backdrop
 from mgsr.data.hull import carve, hull_surface
 from mgsr.data.scene import PointCloud, Scene, View
 from mgsr.data.silhouettes import Silhouette, silhouettes
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.light_estimate import LightKind
 from mgsr.shading.lighting import Lighting
-from mgsr.shading.refine import Light
+from mgsr.start.background_points import background_points
 from mgsr.start.masked_surface import find_surface
 from mgsr.start.plane_sweep import sweep_planes
-from mgsr.start.surroundings import surroundings
 from mgsr.start.view_colors import seen_colors
 
 RESOLUTION = 128
@@ -34,14 +33,14 @@ MIN_POINTS = 500
 # so many.
 BACKGROUND, BALL = 0.25, 1.25
 
-# And the share of all points that lie where only the surroundings are, if there are so many.
-AROUND = 0.25
+# The share of all points that are background points, if there are so many.
+BACKGROUND_POINTS = 0.25
 
 # A point in the ball is wrong if its three neighbours are this many times farther than is usual there.
-LONELY = 8.0
+MAX_SPACING = 8.0
 
 # Points outside the unit ball by more than this are behind the cameras or wrong.
-FARTHEST = 50.0
+MAX_DISTANCE = 50.0
 
 
 class StartSource(StrEnum):
@@ -64,7 +63,7 @@ class StartingPoints:
     positions [P,3] float64 in the scene's frame, colors [P,3] uint8 sRGB, and outward unit normals [P,3] where the
     surface is known, else None; shiny: whether a flash, or a mirrored environment map, explains how brightness changes
     from view to view, None where that was not looked at; lighting: a flash's light on the surface, None without one;
-    surface: vertices [V,3] and faces [F,3] of the mesh that the points lie on, None without masks.
+    surface: the mesh that the points lie on, None without masks.
     """
 
     positions: np.ndarray
@@ -73,7 +72,7 @@ class StartingPoints:
     normals: np.ndarray | None = None
     shiny: bool | None = None
     lighting: Lighting | None = None
-    surface: Triangles | None = None
+    surface: Mesh | None = None
 
 
 def starting_points(
@@ -85,14 +84,15 @@ def starting_points(
 ) -> StartingPoints:
     """Choose the points to start from; the same seed gives the same points.
 
-    progress: told of the share of the work that is done, 0..1; background: the setting, which tells whether a plain
+    progress: told of the share of the work that is done, 0..1; background: the setting, which says whether a plain
     backdrop is looked for.
 
-    With masks: `count` points on the surface that stereo, shading and parallax find inside the visual hull, spread
-    evenly. It is nearer to the truth than the capture's own points (COLMAP).
-    Without: at most `count` of the capture's own points and those that stereo finds in the unit ball and behind it, on
-    plain places too, a quarter of them behind it, none on a plain backdrop, and up to a quarter on surroundings where
-    neither has any; `count` points anywhere in the ball where there are hardly any.
+    With masks: `count` points, evenly on the surface that stereo, shading and photometric refinement find inside the
+    visual hull. It is nearer to the truth than the capture's own points (COLMAP).
+
+    Without masks: at most `count` of the capture's own points and those of stereo in and behind the unit ball. A
+    quarter lies behind the ball, none on a plain backdrop, and up to a quarter are background points where neither has
+    any. Where there are hardly any points, `count` points lie anywhere in the ball.
     """
     generator = np.random.default_rng(seed)
     if scene.masked:
@@ -115,14 +115,14 @@ def hull_points(scene: Scene, count: int, seed: int, resolution: int) -> Startin
 
     resolution: voxels along a side of the grid. Raises SceneError if the hull is empty.
     """
-    vertices, faces = hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution))
-    positions, normals = _sample(vertices, faces, count, np.random.default_rng(seed))
+    mesh = Mesh(*hull_surface(carve(silhouettes(scene.train, MASK_SIDE), np.zeros(3), 1.05, resolution)))
+    positions, normals = _sample(mesh, count, np.random.default_rng(seed))
     return _seen_on_hull(scene.train, positions, normals, resolution)
 
 
 def _own_points(points: PointCloud) -> PointCloud:
     """Return the capture's points that are finite and near enough."""
-    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < FARTHEST).all(axis=1)
+    good = np.isfinite(points.positions).all(axis=1) & (np.abs(points.positions) < MAX_DISTANCE).all(axis=1)
     return points.rows(good)
 
 
@@ -137,14 +137,14 @@ def _unmasked_points(
     points, source = sweep_planes(scene.train, progress), StartSource.STEREO
     if own is not None and len(own):
         points, source = own.joined(points), StartSource.CAPTURE
-    last = backdrop(scene, background)
-    points = without_backdrop(points, last)
+    last = scene.backdrop(background)
+    points = points.rows(~last.hides(points.colors))
     if source is StartSource.STEREO and len(points) < MIN_POINTS:
         return ball_points(scene.train, count, seed)
-    points = _in_company(points)
+    points = _without_isolated(points)
     generator = np.random.default_rng(seed)
-    around = points.rows(np.zeros(0, np.intp)) if last.plain else surroundings(scene.train, points.positions)
-    around = around.rows(np.sort(_some(np.arange(len(around)), round(AROUND * count), generator)))
+    around = points.rows(np.zeros(0, np.intp)) if last.plain else background_points(scene.train, points.positions)
+    around = around.rows(np.sort(_some(np.arange(len(around)), round(BACKGROUND_POINTS * count), generator)))
     count -= len(around)
     outside = np.linalg.norm(points.positions, axis=1) > BALL
     behind = _some(np.flatnonzero(outside), round(BACKGROUND * count), generator)
@@ -153,13 +153,13 @@ def _unmasked_points(
     return StartingPoints(kept.positions, kept.colors, source)
 
 
-def _in_company(points: PointCloud) -> PointCloud:
+def _without_isolated(points: PointCloud) -> PointCloud:
     """Return the points without those in the ball that stand alone, whose splats would hang there as huge disks."""
     inside = np.linalg.norm(points.positions, axis=1) <= BALL
     if not inside.any():
         return points
     spacing = cKDTree(points.positions).query(points.positions, k=4)[0][:, 1:].mean(axis=1)
-    kept = ~inside | (spacing <= LONELY * np.median(spacing[inside]))
+    kept = ~inside | (spacing <= MAX_SPACING * np.median(spacing[inside]))
     return points.rows(kept)
 
 
@@ -179,13 +179,13 @@ def _surface_points(
     side = max(max(outline.distance.shape) for outline in outlines)
     resolution = RESOLUTION if side >= RESOLUTION else RESOLUTION // 2  # small images know no more
     found = find_surface(views, outlines, carve(outlines, np.zeros(3), 1.05, resolution), seed, progress)
-    positions, normals = _sample(found.vertices, found.faces, count, generator)
-    shiny = found.light is not Light.UNKNOWN
+    positions, normals = _sample(found.mesh, count, generator)
+    shiny = found.light is not LightKind.UNKNOWN
     return replace(
         _seen_on_hull(views, positions, normals, resolution),
         shiny=shiny,
         lighting=found.lighting,
-        surface=(found.vertices, found.faces),
+        surface=found.mesh,
     )
 
 
@@ -195,17 +195,15 @@ def _seen_on_hull(views: Sequence[View], positions: np.ndarray, normals: np.ndar
     return StartingPoints(positions, colors, StartSource.HULL, normals)
 
 
-def _sample(
-    vertices: np.ndarray, faces: np.ndarray, count: int, generator: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+def _sample(mesh: Mesh, count: int, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Spread `count` points [count,3] evenly over a mesh, and return them with their faces' unit normals [count,3]."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    across = np.cross(b - a, c - a)
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    across = mesh.face_crosses
     area = np.linalg.norm(across, axis=1)
     sums = np.cumsum(area)
     # Stratified: one point in each of `count` equal parts of the area, so that none stays empty by chance.
     place = (np.arange(count) + generator.random(count)) / count * sums[-1]
-    chosen = np.minimum(np.searchsorted(sums, place), len(faces) - 1)
+    chosen = np.minimum(np.searchsorted(sums, place), len(mesh.faces) - 1)
     u, v = generator.random((2, count))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     positions = a[chosen] + u[:, None] * (b - a)[chosen] + v[:, None] * (c - a)[chosen]

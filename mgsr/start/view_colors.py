@@ -85,7 +85,8 @@ def _hidden(
     np.minimum.at(nearest, flat[seen], depth[seen])
     # Inside one cell a slanted surface has many depths.
     slope = 2 * depth * max(camera.width, camera.height) / side / camera.K[0, 0]
-    return depth > nearest[flat] + tolerance + slope
+    hidden: np.ndarray = depth > nearest[flat] + tolerance + slope
+    return hidden
 
 
 def _fill(colors: np.ndarray, positions: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -22,8 +22,9 @@ from scipy import ndimage
 
 from mgsr.data.camera import Camera, pinhole_row
 from mgsr.data.hull import Hull, hull_surface
-from mgsr.geometry.displace import mean_normals, umbrella
-from mgsr.geometry.triangles import Triangles, drop_small_pieces, face_components, keep_faces, vertex_normals
+from mgsr.geometry.displace import mean_normals
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import drop_small_pieces
 from mgsr.native import _fusion
 from mgsr.stereo.patch_match import DepthMap
 
@@ -49,8 +50,8 @@ SMALLEST = 0.02  # of the area; smaller pieces are noise of stereo
 
 def fuse(
     cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
-) -> Triangles:
-    """Return the fused surface: vertices [V,3] and outward faces [F,3]; none where the votes leave nothing solid.
+) -> Mesh:
+    """Return the fused surface; without faces where the votes leave nothing solid.
 
     cameras: the maps', of any sizes; weights: of the maps' pixels (`patch_match.weigh`); hull: with something inside;
     pixel: the size of the finest maps' pixels on the object.
@@ -61,7 +62,7 @@ def fuse(
 
 def fuse_roughly(
     cameras: Sequence[Camera], maps: Sequence[DepthMap], weights: Sequence[np.ndarray], hull: Hull, pixel: float
-) -> Triangles:
+) -> Mesh:
     """Fuse depth maps as `fuse` does, but on a grid that is COARSER times as coarse, in a fraction of the time."""
     return _surface(_roughly_fused(_Votes(cameras, maps, weights, REACH * pixel), hull, pixel))
 
@@ -154,30 +155,30 @@ def _roughly_fused(votes: _Votes, hull: Hull, pixel: float) -> Hull:
     return _fused(votes, coarse, hull, None)
 
 
-def _surface(field: Hull) -> Triangles:
+def _surface(field: Hull) -> Mesh:
     outside = OUTSIDE * field.voxel
     if not (field.field > -outside).any():
-        return np.empty((0, 3)), np.empty((0, 3), np.int64)
-    whole = hull_surface(Hull(field.field + outside, field.origin, field.voxel))
-    vertices, faces = drop_small_pieces(*_without_voids(*whole), SMALLEST)
-    normals = mean_normals(vertex_normals(vertices, faces).astype(float), umbrella(faces, len(vertices)), rounds=2)
-    return vertices - outside * normals, faces
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
+    whole = Mesh(*hull_surface(Hull(field.field + outside, field.origin, field.voxel)))
+    mesh = drop_small_pieces(_without_voids(whole), SMALLEST)
+    return mesh.moved(mesh.vertices - outside * mean_normals(mesh.double_normals, mesh.laplacian, rounds=2))
 
 
-def _without_voids(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+def _without_voids(mesh: Mesh) -> Mesh:
     """Return the mesh without the pieces that bound a void inside, which no photograph sees.
 
     Their volume is negative.
     """
-    count, pieces = face_components(faces, len(vertices))
-    corners = vertices[faces]
+    count, pieces = mesh.components
+    corners = mesh.vertices[mesh.faces]
     volumes = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return keep_faces(vertices, faces, (np.bincount(pieces, volumes, count) > 0)[pieces])
+    return mesh.keep_faces((np.bincount(pieces, volumes, count) > 0)[pieces])
 
 
 def _bins(shares: np.ndarray) -> np.ndarray:
     """Return the bins [P] of distances [P] from -1 to 1; what lies beyond falls into the outermost."""
-    return np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
+    bins: np.ndarray = np.clip(((shares + 1) / 2 * BINS).astype(int), 0, BINS - 1)
+    return bins
 
 
 def _median(histogram: np.ndarray) -> np.ndarray:

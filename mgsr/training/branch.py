@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, RatesConfig
-from mgsr.densify.adaptive import adapt
-from mgsr.densify.reset import lowered_opacities
+from mgsr.densify.adaptive import adapt, lowered_opacities
 from mgsr.densify.state import DensifyState
 from mgsr.errors import TrainingError
 from mgsr.gaussians.gaussians import GaussianModel

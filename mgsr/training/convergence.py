@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from torch import Tensor
 
-from mgsr.config import StopRule, WarmupConfig
+from mgsr.config import PaperConfig, StopRule, WarmupConfig
 
 
 class Convergence(Protocol):
@@ -26,17 +26,19 @@ class Convergence(Protocol):
         """Restore what `state` returned."""
 
 
-def make_convergence(config: WarmupConfig, iterations: int, validation_psnr: Callable[[], float]) -> Convergence | None:
+def make_convergence(
+    warmup: WarmupConfig, paper: PaperConfig, iterations: int, validation_psnr: Callable[[], float]
+) -> Convergence | None:
     """Return the convergence test that the settings name for a warm-up of at most `iterations`, or None for none.
 
     validation_psnr measures the branch on the views that it is not trained on.
     """
-    earliest = int(config.stop_after * iterations)
-    if config.stop_rule is StopRule.EPOCH:
-        return EpochMeans(earliest, config.epoch_span, config.epoch_gain)
-    if config.stop_rule is StopRule.VALIDATION:
-        return Validation(earliest, config, validation_psnr)
-    return LossRange(earliest, config.paper_range) if config.stop_rule is StopRule.PAPER else None
+    earliest = int(warmup.stop_after * iterations)
+    if paper.stop_rule is StopRule.EPOCH:
+        return EpochMeans(earliest, warmup.epoch_span, warmup.epoch_gain)
+    if paper.stop_rule is StopRule.VALIDATION:
+        return Validation(earliest, paper, validation_psnr)
+    return LossRange(earliest, paper.loss_range) if paper.stop_rule is StopRule.PAPER else None
 
 
 class EpochMeans:
@@ -78,7 +80,7 @@ class Validation:
     in a row.
     """
 
-    def __init__(self, earliest: int, config: WarmupConfig, measure: Callable[[], float]) -> None:
+    def __init__(self, earliest: int, config: PaperConfig, measure: Callable[[], float]) -> None:
         self.earliest, self.config, self.measure = earliest, config, measure
         self.best = float("-inf")
         self.idle = 0

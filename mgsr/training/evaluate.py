@@ -8,12 +8,13 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from mgsr.data.backdrop import Color
 from mgsr.data.camera import Camera
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
 from mgsr.renderers.both import render_both
 from mgsr.renderers.surfels import render_surfels
-from mgsr.training.views import Color, TrainingView, color_tensor
+from mgsr.training.views import TrainingView, color_tensor
 
 # A branch's image [H,W,3] of a camera, on a background, shaded as `TrainingView.shading` says.
 Picture = Callable[[Camera, Color, Tensor | None], Tensor]

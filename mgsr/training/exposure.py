@@ -16,7 +16,6 @@ import numpy as np
 import torch
 
 from mgsr.config import Background
-from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import at_common_exposure, brightness_jumps
 from mgsr.data.images import linear_to_srgb, srgb_to_linear
 from mgsr.data.scene import Exposures, Scene, View
@@ -105,7 +104,7 @@ def _trained(
 ) -> Callable[[View], np.ndarray]:
     """Train Gaussians on some views, and return a function that renders a view in linear light [H,W,3]."""
     model = train_proxy_model(scene, start, views, degree, ITERATIONS, seed, "exposures", should_stop)
-    picture, behind = gaussian_picture(TrainedModel(None, model)), backdrop(scene, Background.AUTO)
+    picture, behind = gaussian_picture(TrainedModel(None, model)), scene.backdrop(Background.AUTO)
 
     @torch.no_grad()
     def light(view: View) -> np.ndarray:

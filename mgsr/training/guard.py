@@ -151,6 +151,6 @@ class Guard:
         return {part.name: copied(part.state()) for part in self.stage.trainables}
 
 
-def _tensors(trainables: Sequence[Trainable], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
+def _tensors(trainables: Sequence[Trainable[Any]], kind: Kind, without: tuple[str, ...] = ()) -> list[Tensor]:
     named = (item for part in trainables for item in part.tensors(kind).items())
     return [tensor for name, tensor in named if name not in without]

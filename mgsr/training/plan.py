@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
 from mgsr.config import Branches, Config, DensifyConfig, Growth, Reflection, StopRule, gaussian_settings
-from mgsr.data.backdrop import Backdrop, Color, backdrop
+from mgsr.data.backdrop import Backdrop, Color
 from mgsr.data.scene import Scene
 from mgsr.densify.clearance import Clearance
 from mgsr.densify.contribution import contributions, least_contributing
@@ -107,7 +107,7 @@ def make_plan(
     """
     if len(scene.train) < 2:
         raise TrainingError(f"scene {scene.name}: expected at least 2 training views, got {len(scene.train)}")
-    behind = backdrop(scene, config.train.background)
+    behind = scene.backdrop(config.train.background)
     photographs = _photographs(scene, behind.color, config, device)
     reflection, tried = _first_reflection(config, start.shiny, len(scene.train))
     train_state = make_train_state(scene, start, config, reflection, tried, device)
@@ -137,7 +137,7 @@ def make_plan(
 
 def mutual_iterations(config: Config) -> int:
     """Return the iterations of the mutual phase, or of a lone branch in its place."""
-    return round(config.train.mutual.iterations * config.train.mutual.iterations_factor)
+    return round(config.train.mutual.iterations * config.train.paper.iterations_factor)
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
@@ -191,7 +191,7 @@ def _gaussian_warmup(
     return stage
 
 
-def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
+def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes a branch's splats of least contribution, and returns their number.
 
     Those go that together contribute less than the share that the branch's settings allow.
@@ -213,7 +213,7 @@ def _pruning(branch: Branch, views: list[TrainingView]) -> Callable[[], int]:
 def _warmup(
     name: str,
     train_state: TrainState,
-    branch: Branch,
+    branch: Branch[Any],
     compute: Callable[..., Step],
     photographs: _Photographs,
     last: Stage,
@@ -226,13 +226,13 @@ def _warmup(
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return densify.start * stage.iterations, densify.stop * stage.iterations
 
-    def progress(_: Trainable, iteration: int) -> float:
+    def progress(_: Trainable[Any], iteration: int) -> float:
         return iteration / max(1, stage.iterations + last.iterations)
 
     coarse = None if photographs.small is None else Coarse(photographs.small, warmup.coarse)
     cycle = ViewCycle(photographs.trained_on, seeded(config, 3 if branch is train_state.surfels else 4))
     measure = _measure(train_state, branch.name, photographs)
-    convergence = make_convergence(warmup, iterations, measure)
+    convergence = make_convergence(warmup, config.train.paper, iterations, measure)
     light = train_state.environment_map if branch is train_state.gaussians else None
     views = photographs.views
     stage = Stage(
@@ -251,7 +251,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
     def window(densify: DensifyConfig) -> tuple[float, float]:
         return 1, densify.mutual_stop * stage.iterations
 
-    def progress(part: Trainable, iteration: int) -> float:
+    def progress(part: Trainable[Any], iteration: int) -> float:
         # A warm-up that stopped early leaves the rest of its fading to this stage. The first that trains a part is it.
         planned = next(each.iterations for each in stages if part in (*each.branches, each.environment_map))
         share = (part.steps - iteration) / max(1, planned + stage.iterations)
@@ -295,7 +295,7 @@ def _finish(train_state: TrainState, views: list[TrainingView], config: Config) 
     if light is not None and train_state.surfels is not None:
         surface = ReflectingSurface(light, train_state.surfels)
 
-    def progress(part: Trainable, iteration: int) -> float:
+    def progress(part: Trainable[Any], iteration: int) -> float:
         if light is None or light.model.reflector is None:
             return 1.0
         return min(1.0, 0.5 + 0.5 * iteration / light.settings.iterations)
@@ -318,8 +318,8 @@ def _silhouettes_count(config: Config) -> bool:
 
 def _validation_views(config: Config, views: int) -> int:
     """Return the number of views that are held out of a whole warm-up, to judge its convergence."""
-    held_out = config.train.warmup.stop_rule is StopRule.VALIDATION
-    return min(config.train.warmup.validation_views, views // 2) if held_out else 0
+    held_out = config.train.paper.stop_rule is StopRule.VALIDATION
+    return min(config.train.paper.validation_views, views // 2) if held_out else 0
 
 
 def _spared(config: Config, views: int) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mgsr.config import Reflection, make_config
-from mgsr.data.backdrop import backdrop
+from mgsr.data.backdrop import Color
 from mgsr.data.loading import reduced_view
 from mgsr.data.scene import Scene, View
 from mgsr.gaussians.gaussians import GaussianModel
@@ -17,7 +17,7 @@ from mgsr.training.plan import Plan
 from mgsr.training.stages import Stage, Step, gaussians_alone
 from mgsr.training.train_state import StartingPoints, make_train_state, seeded
 from mgsr.training.trainer import Trainer
-from mgsr.training.views import CPU, Color, TrainingView, ViewCycle, prepare_views
+from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
 SIDE, POINTS = 128, 4000  # pixels of the photographs, unless asked otherwise, and Gaussians
 RATES = 0.2  # where on the way from a warm-up's first to its last learning rates it stays
@@ -66,7 +66,7 @@ def train_proxy_model(
 
     prepared = prepare_views(views, scene.masked)
     stage = Stage(name, [branch], iterations, prepared, cycle, compute, lambda _: (1, 0), lambda *_: RATES)
-    plan = Plan(train_state, [stage], [], backdrop(scene, settings.train.background))
+    plan = Plan(train_state, [stage], [], scene.backdrop(settings.train.background))
     Trainer(plan, settings.train, {}, should_stop=should_stop, progress=lambda report: progress(report.done)).run()
     return branch.model
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from mgsr.config import Config
 from mgsr.data.scene import Scene
 from mgsr.errors import GpuError, LostCardError
 from mgsr.gaussians.reflector import Reflector
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import one_torch_thread
 from mgsr.training.checkpoint import fingerprint
 from mgsr.training.plan import make_plan
@@ -87,13 +87,13 @@ class Training:
             if resume and checkpoint_path is not None and checkpoint_path.exists():
                 self._trainer.resume()
 
-    def set_reflector(self, vertices: np.ndarray, faces: np.ndarray) -> bool:
+    def set_reflector(self, mesh: Mesh) -> bool:
         """Let the finished mesh reflect the environment map from here on; return whether FINISH has work then.
 
-        vertices [V,3] in the scene's frame; faces [F,3]. Call it before that stage.
+        mesh: in the scene's frame. Call it before that stage.
         """
         with one_torch_thread(), card_explained():
-            return self._trainer.plan.set_reflector(Reflector(vertices, faces))
+            return self._trainer.plan.set_reflector(Reflector(mesh))
 
     def run(self, finish: bool = True) -> TrainResult:
         """Train all stages, and return the branches; without `finish`, as they are before the stage FINISH.

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from mgsr.config import DensifyConfig, Teaching, TrainConfig
+from mgsr.data.backdrop import Color
 from mgsr.densify.clearance import Clearance
 from mgsr.gaussians.environment_map import RenderedMap
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
-from mgsr.losses.environment_map import environment_map_terms
 from mgsr.losses.loss import Loss
-from mgsr.losses.objective import Terms, gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import Terms, environment_map_terms, gaussian_terms, mutual_terms, surfel_terms, total
 from mgsr.renderers.environment_map import reflected_environment
 from mgsr.renderers.gaussians import render_gaussians
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
@@ -29,7 +29,7 @@ from mgsr.training.convergence import Convergence
 from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.schedule import sh_degree_at
 from mgsr.training.trainable import Trainable
-from mgsr.training.views import Color, TrainingView, ViewCycle, color_tensor
+from mgsr.training.views import TrainingView, ViewCycle, color_tensor
 
 SurfelBranch = Branch[SurfelModel]
 GaussianBranch = Branch[GaussianModel]
@@ -40,7 +40,7 @@ KEPT_NORMALS = 256 * 2**20  # bytes
 class Seen:
     """What densification needs of one render: its branch, its screen-space figures and its weight in the loss."""
 
-    branch: Branch
+    branch: Branch[Any]
     stats: Any
     weight: float
 
@@ -68,7 +68,7 @@ class Growing(Protocol):
     """Something that adapts the splats of one branch to a stage's views (see `mgsr.training.growth`)."""
 
     @property
-    def branch(self) -> Branch: ...
+    def branch(self) -> Branch[Any]: ...
 
     def grow(self, views: Sequence[TrainingView]) -> None: ...
 
@@ -100,13 +100,13 @@ class Stage:
     """
 
     name: str
-    branches: list[Branch]
+    branches: list[Branch[Any]]
     iterations: int
     views: list[TrainingView]
     cycle: ViewCycle
     compute: Callable[[TrainingView, Color, int], Step]
     window: Callable[[DensifyConfig], tuple[float, float]]
-    progress: Callable[[Trainable, int], float]
+    progress: Callable[[Trainable[Any], int], float]
     convergence: Convergence | None = None
     environment_map: EnvironmentMapTrainer | None = None
     selection: ModelSelection | None = None
@@ -118,7 +118,7 @@ class Stage:
     seconds: float = 0.0
 
     @property
-    def trainables(self) -> list[Trainable]:
+    def trainables(self) -> list[Trainable[Any]]:
         """Return all that the stage trains."""
         return [
             *self.branches,
@@ -129,7 +129,7 @@ class Stage:
         """Return the view whose turn it is."""
         return self._current_views()[self.cycle.next()]
 
-    def adapt(self, branch: Branch) -> None:
+    def adapt(self, branch: Branch[Any]) -> None:
         """Add splats to a branch of the stage, and prune it."""
         if self.growth is None or self.growth.branch is not branch:
             branch.adapt()
@@ -203,7 +203,7 @@ def surfels_alone(branch: SurfelBranch, config: TrainConfig, warming: bool) -> C
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         planned = config.warmup.surfel_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
-        regularised = not warming or iteration >= config.surfels.regularise_from * planned
+        regularised = not warming or iteration >= config.paper.regularise_from * planned
         behind = color_tensor(background, branch.device)
         outputs = _see_surfels(branch, view, behind, degree, config)
         terms = surfel_terms(outputs, view.target(behind), config, regularised)
@@ -224,7 +224,7 @@ def gaussians_alone(
         planned = config.warmup.gaussian_iterations
         degree = _degree(iteration, planned, branch.model.sh_degree, config, warming)
         refl_degree = _degree(iteration, planned, branch.model.refl_sh_degree, config, warming)
-        needs_depth = config.tv and config.gaussians.depth_tv_weight > 0
+        needs_depth = config.paper.tv and config.paper.gaussian_depth_tv_weight > 0
         shown: Tensor | None = None
         held: Terms = {}
         if surface is not None and surface.environment_map.used:
@@ -248,7 +248,7 @@ def both_teach(
 
     environment_map: what the surface reflects, which is trained too where it is used.
     """
-    both = config.mutual.teaching is Teaching.BOTH_WAYS
+    both = config.paper.teaching is Teaching.BOTH_WAYS
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
         behind = color_tensor(background, surfels.device)
@@ -279,7 +279,7 @@ def _degree(iteration: int, planned: int, highest: int, config: TrainConfig, war
 def _see_surfels(
     branch: SurfelBranch, view: TrainingView, behind: Tensor, degree: int, config: TrainConfig
 ) -> SurfelOutputs:
-    distortion = config.surfels.distortion_weight > 0
+    distortion = config.paper.distortion_weight > 0
     return render_surfels(branch.model, view.camera, behind, degree, distortion, view.shading())
 
 

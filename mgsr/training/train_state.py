@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -52,12 +52,12 @@ class TrainState:
     environment_map: EnvironmentMapTrainer | None
 
     @property
-    def branches(self) -> list[Branch]:
+    def branches(self) -> list[Branch[Any]]:
         """Return the branches that there are."""
         return [branch for branch in (self.surfels, self.gaussians) if branch is not None]
 
     @property
-    def trainables(self) -> list[Trainable]:
+    def trainables(self) -> list[Trainable[Any]]:
         """Return the branches, and the environment map where there is one."""
         return [*self.branches, *([] if self.environment_map is None else [self.environment_map])]
 

@@ -98,7 +98,7 @@ class Trainable(ABC, Generic[Model]):
             setattr(self.model, name, self.optimizer.params.get(name))
 
 
-def step_trainables(progress: Mapping[Trainable, float], bad: Tensor | None = None) -> None:
+def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None = None) -> None:
     """Take one optimiser step of all these models, on a card in one launch.
 
     progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.

@@ -149,7 +149,8 @@ def off_outline(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Ten
     near = torch.stack([inside, outside]).to(torch.float32)
     size = 2 * band + 1
     near_inside, near_outside = torch.nn.functional.max_pool2d(near, size, 1, band) > 0
-    return ~(near_inside & near_outside)
+    off: Tensor = ~(near_inside & near_outside)
+    return off
 
 
 def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:

@@ -70,19 +70,23 @@ class Client:
                 content=_chunks(archive, sent),
             )
 
-        return _again(send).json()
+        created: Job = _again(send).json()
+        return created
 
     def job(self, job: str) -> Job:
         """Return the job's current state."""
-        return _again(lambda: self._http.get(f"/jobs/{job}")).json()
+        state: Job = _again(lambda: self._http.get(f"/jobs/{job}")).json()
+        return state
 
     def cancel(self, job: str) -> Job:
         """Ask the service to cancel the job."""
-        return _again(lambda: self._http.delete(f"/jobs/{job}")).json()
+        state: Job = _again(lambda: self._http.delete(f"/jobs/{job}")).json()
+        return state
 
     def artifacts(self, job: str) -> list[dict[str, Any]]:
         """Return the result files: name, size, sha256."""
-        return _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
+        artifacts: list[dict[str, Any]] = _again(lambda: self._http.get(f"/jobs/{job}/artifacts")).json()["artifacts"]
+        return artifacts
 
     def download(self, job: str, artifact: dict[str, Any], path: Path, got: Callable[[int], None]) -> None:
         """Write a result file to `path`, whole and checked, or not at all; a cut download resumes.
@@ -166,7 +170,7 @@ def _append(answer: httpx.Response, file: BinaryIO, got: Callable[[int], None]) 
 
 def _pause(failures: int) -> float:
     """Return the seconds to wait after so many failures in a row."""
-    return min(0.5 * 2 ** (failures - 1), 8.0)
+    return min(0.5 * 2.0 ** (failures - 1), 8.0)
 
 
 def _again(send: Callable[[], httpx.Response]) -> httpx.Response:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -99,13 +100,19 @@ def find_setting(key: str) -> str:
         return hits[0]
     if hits:
         raise ValueError(f"setting {key!r} is ambiguous: say one of {', '.join(hits)}")
-    renamed = ".".join(RENAMED.get(part, part) for part in key.split("."))
-    if renamed != key:
-        raise ValueError(f"setting {key[:100]!r} does not exist; write {renamed[:100]!r}")
+    if (name := _renamed(key[:100])) != key[:100]:
+        raise ValueError(f"setting {key[:100]!r} does not exist; write {name!r}")
     last = {path.rpartition(".")[2]: path for path in SETTINGS}
     near = [last[name] for name in difflib.get_close_matches(key.rpartition(".")[2], last, n=3, cutoff=0.5)]
     hint = f"did you mean {', '.join(near)}?" if near else "GET /options lists them"
     raise ValueError(f"setting {key[:100]!r} does not exist; {hint}")
+
+
+def _renamed(key: str) -> str:
+    """Return a key with each name of RENAMED in it replaced; the key itself where it has none."""
+    for name, new in RENAMED.items():
+        key = re.sub(rf"(?<![^.]){re.escape(name)}(?![^.])", new, key)
+    return key
 
 
 def parse_setting(text: str) -> tuple[str, SettingValue]:

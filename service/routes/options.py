@@ -11,6 +11,8 @@ from service.contract.options import METHODS, PRESETS, SETTINGS, JobOptions
 from service.parts import OwnerDep, PartsDep
 from service.problems import answers
 
+PAPER = "train.paper."  # settings that only reproduce the paper's rows; a form has no place for them
+
 router = APIRouter(tags=["options"])
 
 
@@ -20,7 +22,9 @@ class OptionsView(BaseModel):
     options: dict[str, Any] = Field(description="JSON schema of JobOptions.")
     presets: dict[str, dict[str, str]] = Field(description="What each preset changes.")
     methods: dict[str, dict[str, str]] = Field(description="What each method changes.")
-    settings: dict[str, dict[str, Any]] = Field(description="JSON schema of each single setting.")
+    settings: dict[str, dict[str, Any]] = Field(
+        description="JSON schema of each setting, without those that only reproduce the paper's rows (`train.paper`)."
+    )
     max_upload: int = Field(description="Bytes that an archive may have.")
 
 
@@ -31,6 +35,6 @@ async def get_options(owner: OwnerDep, parts: PartsDep) -> OptionsView:
         options=JobOptions.model_json_schema(),
         presets=PRESETS,
         methods=METHODS,
-        settings=SETTINGS,
+        settings={path: schema for path, schema in SETTINGS.items() if not path.startswith(PAPER)},
         max_upload=parts.settings.max_upload,
     )

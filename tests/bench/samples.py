@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from mgsr.bench.results import Row
 
 MACHINE, VERSIONS = "a processor, 2 cores, avx2 kernels", "mgsr 0.1.0 torch 2.13.0"
@@ -9,7 +11,7 @@ MACHINE, VERSIONS = "a processor, 2 cores, avx2 kernels", "mgsr 0.1.0 torch 2.13
 
 def sample_row(scene: str, variant: str = "", method: str = "mgsr", preset: str = "standard", **changes: float) -> Row:
     """Build a done row of made-up figures with `changes`."""
-    figures: dict[str, float] = {
+    figures: dict[str, Any] = {
         "seconds": 300.0, "start_seconds": 20.0, "train_seconds": 220.0, "mesh_seconds": 50.0, "psnr": 34.0,
         "psnr_object": 28.0, "ssim": 0.97, "chamfer": 2.5, "f_score": 0.92, "normal_consistency": 98.0,
         "normal_error": 7.0, "model_mib": 13.0, "memory_mib": 1600.0, "others": 0.1,

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.bench.ablations import FINDINGS, NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
+from benchmarks.evidence.ablations import FINDINGS
+from mgsr.bench.ablations import NEED_ROWS, PAPER_CHOICES, PAPER_ROWS, AblationRow, named_rows
 from mgsr.bench.cells import matrix, of_row, read_variants
 from mgsr.bench.results import Row
 from mgsr.config import ABLATIONS, Branches, Reflection, make_config
@@ -31,7 +32,7 @@ def test_what_the_letters_mean() -> None:
     a, b, k, stop, n = (make_config("standard", rows[x].method, 0, rows[x].overrides).train for x in "ABKLN")
     assert (a.branches, a.gaussians.reflection) == (Branches.GAUSSIANS, Reflection.OWN)  # 3DGS with the split
     assert b.branches == Branches.SURFELS
-    assert (k.mutual.teaching, stop.warmup.stop_rule, n.tv) == ("one_way", "none", False)
+    assert (k.paper.teaching, stop.paper.stop_rule, n.paper.tv) == ("one_way", "none", False)
 
 
 def test_equal_rows_are_run_once() -> None:

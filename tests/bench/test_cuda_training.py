@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import cuda_training
+from benchmarks import cuda_training, packed_scenes
 from benchmarks.packed_scenes import Packed, pack, unpack
 from mgsr.config import make_config
 from mgsr.export.environment_map import load_environment_map
@@ -81,7 +81,7 @@ def test_home_puts_the_card_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.M
         scores = {"psnr_test": 36.0, "gt": {"chamfer": 0.0015, "f_005": 0.98, "normal_error": 4.5}}
         return subprocess.CompletedProcess(words, 0, json.dumps(scores))
 
-    monkeypatch.setattr(cuda_training.subprocess, "run", answer)
+    monkeypatch.setattr(subprocess, "run", answer)
     lines = cuda_training.home(tmp_path, tmp_path / "home", tmp_path / "data")
     assert [words[3] for words in asked] == ["mesh", "evaluate"]
     assert all(str(tmp_path / "data" / "scenes" / "spot_soft") in words for words in asked)
@@ -93,7 +93,7 @@ def test_home_puts_the_card_beside_the_cpu(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.slow
 def test_home_makes_mesh_and_scores(tmp_path: Path, shared_data: Path) -> None:
-    content = cuda_training.read(shared_data / "scenes" / "spot_soft", make_config("draft"))
+    content = packed_scenes.read(shared_data / "scenes" / "spot_soft", make_config("draft"))
     out = tmp_path / "out"
     cuda_training.run(content, out, make_config("draft"), CPU)
     with zipfile.ZipFile(tmp_path / "splats.zip", "w") as archive:

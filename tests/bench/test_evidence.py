@@ -9,24 +9,25 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.bench.comparing import compare, plain_runs, seed_spread, verdict
-from mgsr.bench.csv_rows import read_csv, write_csv
-from mgsr.bench.evidence import IMAGES, PAGE, Evidence, SceneFacts, evidence_page, read_evidence, write_evidence
-from mgsr.bench.exposure_page import (
+from benchmarks.evidence.comparing import compare, plain_runs, seed_spread, verdict
+from benchmarks.evidence.exposures import (
     EVEN,
     EVENED,
     KEPT,
     ExposureRow,
     exposure_section,
 )
-from mgsr.bench.parts_page import ALL, PartRow, finish_section, start_section
+from benchmarks.evidence.page import PAGE, evidence_page, write_evidence
+from benchmarks.evidence.result_files import IMAGES, Evidence, SceneFacts, read_evidence
+from benchmarks.evidence.scene_sets import JUDGING, TUNING, SetRow, sets_section
+from benchmarks.evidence.surface_parts import ALL, PartRow, finish_section, start_section
+from mgsr.bench.csv_rows import read_csv, write_csv
 from mgsr.bench.results import Curve, Row, keep_rows, write_rows
-from mgsr.bench.sets_page import JUDGING, TUNING, SetRow, sets_section
 from tests.bench.samples import sample_row, sample_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, DOCS = ROOT / "benchmarks" / "results", ROOT / "docs"
-MAKE = "make it anew: python -m mgsr.bench.evidence"
+MAKE = "make it anew: python -m benchmarks.evidence"
 
 
 def page_of(rows: list[Row], curves: tuple[Curve, ...] = ()) -> str:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from benchmarks.evidence.kernels import AS_IT_IS, KERNELS, kernel_section, read_kernels
 from benchmarks.kernel_choices import CHOICES, ROOT, Choice, changed_sources
 from benchmarks.kernels import Case, errors, image_cases, keep, raster_cases, rows_of, splat_cases
-from mgsr.bench.kernel_page import kernel_section
-from mgsr.bench.kernel_results import AS_IT_IS, KERNELS, read_kernels
 from tests.ops.splat_scenes import camera, random_splats
 
 pytestmark = pytest.mark.usefixtures("kernel_settings_come_back")
@@ -24,9 +24,9 @@ def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
     """Build all cases, on a scene of the raster folder's form with a reference that is the tests' own."""
     torch.manual_seed(0)
     folder, view = tmp_path_factory.mktemp("raster"), camera()
-    splats = {name: tensor.float().numpy() for name, tensor in random_splats(40, 3).items()}
+    splats: dict[str, Any] = {name: tensor.float().numpy() for name, tensor in random_splats(40, 3).items()}
     splats["rgb"] = splats.pop("colors")
-    extra = {"K": view.K, "viewmat": view.cam_from_world, "width": view.width, "height": view.height}
+    extra: dict[str, Any] = {"K": view.K, "viewmat": view.cam_from_world, "width": view.width, "height": view.height}
     np.savez(folder / "tiny.npz", **splats, **extra, background=np.zeros(3, np.float32))
     cases = raster_cases(folder / "tiny.npz") + image_cases(32) + splat_cases(50)
     return {case.name: case for case in cases}

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from mgsr.bench.length_page import early_ends, length_section
+from benchmarks.evidence.training_length import early_ends, length_section
 from tests.bench.samples import sample_row
 
 
@@ -15,7 +15,7 @@ def test_what_an_earlier_end_saves_and_gives_away() -> None:
     rows += [sample_row("apple", "H", seconds=210.0, psnr=33.8, chamfer=2.5)]
     rows += [sample_row("pear", "H", seconds=240.0, psnr=34.0, chamfer=2.6)]
     (half,) = early_ends(rows)
-    assert (half.scenes, half.saved, half.psnr_lost) == (2, pytest.approx(0.25), pytest.approx(0.1))
+    assert (half.scenes, half.saved, half.psnr_lost) == pytest.approx((2, 0.25, 0.1))
     assert half.chamfer_lost == pytest.approx(0.02)
     assert not half.pays
     assert "None does" in length_section(rows)
@@ -31,7 +31,7 @@ def test_one_that_pays_is_named() -> None:
 def test_the_own_rule_is_held_against_runs_that_never_stop() -> None:
     rows = [sample_row("apple", seconds=200.0, psnr=33.9), sample_row("apple", "L", seconds=250.0)]
     (own,) = early_ends(rows)
-    assert (own.saved, own.psnr_lost) == (pytest.approx(0.2), pytest.approx(0.1))
+    assert (own.saved, own.psnr_lost) == pytest.approx((0.2, 0.1))
 
 
 def test_neither_busy_runs_nor_other_commits_count() -> None:

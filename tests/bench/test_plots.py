@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from mgsr.bench.plots import COLORS, OTHER, TEXT, write_kernel_plot, write_plots
+from benchmarks.evidence.kernel_plot import write_kernel_plot
+from mgsr.bench.plots import COLORS, OTHER, TEXT, write_plots
 from mgsr.bench.results import Curve
 from tests.bench.samples import sample_rows
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from argparse import ArgumentParser
@@ -57,7 +58,8 @@ def tool_parser(source: str) -> ArgumentParser:
     assert parses
     names: dict[str, Any] = {}
     exec(before, names)
-    return names["p"]
+    parser: argparse.ArgumentParser = names["p"]
+    return parser
 
 
 def parsed(scene: BenchmarkScene, source: str) -> SimpleNamespace:

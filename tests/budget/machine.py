@@ -106,7 +106,7 @@ def run_on(machine: Machine, facts: Facts, config: Config, seconds: float) -> Ra
         _run_stage(machine, budget, stages, index, facts, full)
     mesh = budget.mesh_settings()
     surface = machine.work("mesh", costs.surface_cost(facts, mesh))
-    rounds = 15 if facts.flash else 4  # that `mgsr.mesh.refinement` asks for
+    rounds = 15 if facts.flash else 4  # that the steps of `mgsr.mesh.steps` ask for
     done = 0
     while mesh.max_light_residual is not None and done < rounds and budget.go_on():
         surface += machine.work("mesh", costs.refinement_cost(facts, mesh) / rounds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -51,7 +52,7 @@ def _directions(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def _write_frame(folder: Path, split: str, number: int, direction: np.ndarray, size: int) -> dict:
+def _write_frame(folder: Path, split: str, number: int, direction: np.ndarray, size: int) -> dict[str, Any]:
     pose = _camera_to_world(direction)
     (folder / split).mkdir(parents=True, exist_ok=True)
     Image.fromarray(_photograph(pose, size)).save(folder / split / f"r_{number}.png")

@@ -16,10 +16,10 @@ from mgsr.data.scene import Scene, Similarity, View
 from mgsr.export.compressed_ply import is_compressed_ply
 from mgsr.export.mesh_files import write_ply
 from mgsr.export.splats import write_splats
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.result_files import write_mesh
 from tests.data.captures import BallCapture
-from tests.export.test_mesh_files import ball
+from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import splats
 
 RUN = CliRunner()
@@ -35,7 +35,7 @@ def test_splats(tmp_path: Path, name: str) -> None:
 
 
 def test_meshes_with_options(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     for up in ("y", "z", "-y", "-z"):
         given = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb"), "--up", up, "--scale", "1000"]
         result = RUN.invoke(app, given)
@@ -52,11 +52,12 @@ def test_results_stand_upright(tmp_path: Path, axis: int, sign: int) -> None:
     pose = np.eye(4)
     pose[:3, :3] = [side, -up, np.cross(side, -up)]
     view = View("a", Camera(np.eye(3), pose, 2, 2), np.zeros((2, 2, 3), np.uint8), None)
-    scene = Scene("a", None, "plain", [view], [], None, Similarity())
+    scene = Scene("a", Path(), "plain", [view], [], None, Similarity())
     corners = np.array([[0.0, 0, 0], [1, 0, 0], 3 * up])
-    mesh = Mesh(corners, np.array([[0, 1, 2]]), np.tile(np.cross(side, up), (3, 1)), np.ones((3, 3), np.float32))
+    mesh = ReconstructedMesh(corners, np.array([[0, 1, 2]]), np.ones((3, 3), np.float32))
+    mesh = mesh.with_normals(np.tile(np.cross(side, up), (3, 1)))
     write_mesh(tmp_path, mesh, scene, OutputConfig())
-    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    written = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_mesh()
     np.testing.assert_allclose(written.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
 
 
@@ -70,7 +71,7 @@ def test_scenes(tmp_path: Path) -> None:
 
 
 def test_refusals_leave_nothing_behind(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     result = RUN.invoke(app, ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.spz")])
     assert (
         result.exit_code == 2
@@ -94,7 +95,7 @@ def test_folders_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, targe
     here = tmp_path / "here.ply"
     (here / "photos.ply").mkdir(parents=True)
     (here / "photos.ply" / "a.jpg").write_text("kept")
-    write_ply(here / "a.ply", *ball())
+    write_ply(here / "a.ply", *mesh_and_colors(*ball()))
     monkeypatch.chdir(here)
     result = RUN.invoke(app, ["convert", "a.ply", "../here.ply" if target == "here.ply" else target])
     assert result.exit_code == 2 and message in result.output and "Traceback" not in result.output

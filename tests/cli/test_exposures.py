@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,10 +35,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(scene: Path, out: Path, *more: str) -> dict:
+def run(scene: Path, out: Path, *more: str) -> dict[str, Any]:
     result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, *more])
     assert result.exit_code == 0, result.output
-    report: dict = json.loads((out / "report.json").read_text())
+    report: dict[str, Any] = json.loads((out / "report.json").read_text())
     return report
 
 

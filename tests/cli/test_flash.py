@@ -16,7 +16,7 @@ from mgsr.cli.main import app
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.pipeline.scene_folder import write_scene_folder
 from tests.cli.test_run import SHORT
-from tests.shading.test_refine import flash, photographs, rippled
+from tests.shading.test_shape_from_shading import flash, photographs, rippled
 
 ASIDE = (0.2, -0.3)
 SCALE, OFFSET = 2.0, np.array([0.5, -1.0, 3.0])  # of the capture's frame

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,10 +24,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(scene: Path, out: Path, *more: str) -> tuple[dict, trimesh.Trimesh]:
+def run(scene: Path, out: Path, *more: str) -> tuple[dict[str, Any], trimesh.Trimesh]:
     result = CliRunner().invoke(worker_app, ["run", str(scene), "-o", str(out), *SHORT, "--set", "masks=off", *more])
     assert result.exit_code == 0, result.output
-    return json.loads((out / "report.json").read_text()), trimesh.load(out / "mesh.ply", force="mesh")
+    return json.loads((out / "report.json").read_text()), trimesh.load_mesh(out / "mesh.ply")
 
 
 def off_by(mesh: trimesh.Trimesh) -> float:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.result_files import read_mesh, read_models, write_models
 from program.worker import app as worker_app
 from tests.cli.spheres import SPHERES, write_spheres
+from tests.optional import present
 
 SHORT = [
     *("--preset", "draft", "--set", "surfel_iterations=80", "--set", "gaussian_iterations=80"),
@@ -72,8 +74,8 @@ def test_all_results_are_there_and_nothing_else(done: Path) -> None:
 def test_the_mesh_lies_where_the_spheres_are(done: Path) -> None:
     # In the user's frame. After so few iterations the surface is rough: 0.05 is a twelfth of the large sphere.
     for name in ("mesh.ply", "mesh.glb"):
-        mesh = trimesh.load(done / name, force="mesh")
-        vertices = mesh.vertices
+        mesh = trimesh.load_mesh(done / name)
+        vertices = np.asarray(mesh.vertices)
         if name == "mesh.glb":  # y-up
             vertices = np.stack([vertices[:, 0], -vertices[:, 2], vertices[:, 1]], axis=1)
         distances = [np.linalg.norm(vertices - center, axis=1) - radius for center, radius, _ in SPHERES]
@@ -104,7 +106,7 @@ def test_the_report_has_its_fields(done: Path) -> None:
     assert set(report["gaussians"]) == {"surfels", "gaussians"}
     assert report["psnr_test"] > 20 and 0 < report["ssim_test"] < 1
     assert {"seconds", "stage", "iteration", "psnr", "surfels", "gaussians"} <= set(report["curve"][0])
-    faces = trimesh.load(done / "mesh.ply", force="mesh", process=False).faces
+    faces = trimesh.load_mesh(done / "mesh.ply", process=False).faces
     assert report["mesh"]["faces"] == len(faces) and report["mesh"]["components"] >= 1
     assert 0 < report["gt"]["chamfer"] < 0.06 and report["gt"]["normal_consistency"] > 0.8
     assert report["seconds"]["total"] >= report["seconds"]["train"] > 0
@@ -118,7 +120,7 @@ def test_each_method_ends_with_a_mesh(plain_scene: Path, tmp_path: Path, method:
     arguments = ["run", str(plain_scene), "-o", str(tmp_path), "--method", method, *SHORT]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert len(trimesh.load(tmp_path / "mesh.ply", force="mesh").faces) > 100
+    assert len(trimesh.load_mesh(tmp_path / "mesh.ply").faces) > 100
     assert (tmp_path / f"splats_{kept}.ply").exists() and not (tmp_path / f"splats_{gone}.ply").exists()
     assert not (tmp_path / "renders" / "test" / "r_0_transmitted.png").exists()
 
@@ -132,11 +134,11 @@ def test_files_in_another_unit(scene: Path, done: Path, tmp_path: Path) -> None:
     options = ["--scale", "1000", "--up", "y", "--obj", "--texture", "64"]
     result = CliRunner().invoke(app, ["mesh", str(scene), "-o", str(out), *like_the_run, *options])
     assert result.exit_code == 0, result.output
-    before = trimesh.load(done / "mesh.ply", force="mesh").bounds
+    before = trimesh.load_mesh(done / "mesh.ply").bounds
     for name in ("mesh.ply", "mesh.glb", "mesh.obj", "mesh_textured.glb"):
         # Not turned, as the capture was said to be y-up. The splats went through float32, the texture's mesh has fewer
         # faces.
-        np.testing.assert_allclose(trimesh.load(out / name, force="mesh").bounds, 1000 * before, atol=30, err_msg=name)
+        np.testing.assert_allclose(trimesh.load_mesh(out / name).bounds, 1000 * before, atol=30, err_msg=name)
     for name in ("splats_2d.ply", "splats_3d.ply"):
         small, large = (load_splats(folder / name) for folder in (done, out))
         np.testing.assert_allclose(large["means"], 1000 * small["means"], rtol=1e-4, atol=1e-3)
@@ -151,10 +153,11 @@ def test_splats_come_back_with_the_low_pass_that_they_were_trained_with(
 ) -> None:
     loaded = load_scene(scene, DataConfig())
     models = read_models(done, loaded.user_from_scene)
+    assert models.gaussians is not None
     assert models.gaussians.low_pass == GaussianConfig().low_pass
     models.gaussians.low_pass = 0.3
     write_models(tmp_path, models, loaded, OutputConfig())
-    assert read_models(tmp_path, loaded.user_from_scene).gaussians.low_pass == 0.3
+    assert present(read_models(tmp_path, loaded.user_from_scene).gaussians).low_pass == 0.3
 
 
 def test_renders_as_a_scene_for_other_programs(scene: Path, done: Path, tmp_path: Path) -> None:
@@ -257,7 +260,7 @@ def read(path: Path) -> str:
     return path.read_text() if path.exists() else ""
 
 
-def wait_for(condition, process: subprocess.Popen, seconds: float = 60) -> None:
+def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str], seconds: float = 60) -> None:
     """Wait until the condition holds; fail when the process ends or the time is over first."""
     end = time.monotonic() + seconds
     while not condition():

@@ -39,8 +39,8 @@ def unpacking(folder: Path, ignored: signal.Signals | None = None) -> subprocess
     with zipfile.ZipFile(folder / "a.zip", "w") as out:
         out.writestr("a.png", "x")
     command = [sys.executable, "-c", ENDLESS, str(folder / "a.zip"), ignored.name if ignored else ""]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = subprocess.Popen(command, env={"TMPDIR": str(folder / "tmp")}, text=True, **pipes)
+    environment, pipe = {"TMPDIR": str(folder / "tmp")}, subprocess.PIPE
+    process = subprocess.Popen(command, env=environment, text=True, stdout=pipe, stderr=pipe)
     assert process.stdout is not None and process.stdout.readline() == "unpacking\n"
     assert list((folder / "tmp").glob("mgsr-scene-*/*/a.png"))
     return process
@@ -74,7 +74,7 @@ def test_signals_are_as_before_afterwards() -> None:
 
 
 def test_other_threads_leave_signals_alone() -> None:
-    trouble = []
+    trouble: list[bool | ValueError] = []
 
     def command() -> None:
         try:

@@ -22,11 +22,11 @@ from mgsr.errors import GpuError
 from mgsr.native.cuda import bands
 from mgsr.native.cuda.launcher import use_launcher
 from mgsr.native.cuda.tiles import Band
-from mgsr.ops.gaussians import Reflected, rasterize_gaussians
-from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
+from mgsr.ops.gaussians import GaussianRaster, Reflected, rasterize_gaussians
+from mgsr.ops.surfels import SurfelOptions, SurfelRaster, rasterize_surfels
 from tests.cuda.machines import SHIM, Machine, on_each_machine
 from tests.cuda_shim.launcher import ShimLauncher
-from tests.ops.splat_scenes import camera, random_splats
+from tests.ops.splat_scenes import camera, random_splats, splat_arguments
 from tests.ops.test_gaussians import dual_splats
 
 VIEW = camera().resized(120, 84)  # 8 x 6 tiles
@@ -40,8 +40,9 @@ def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torc
     """Return the images there are, and the gradients of all of them."""
     made = dual_splats(60) if kind == "dual" else random_splats(60, 3 if kind == "single" else 2)
     splats = {name: t.float().to(machine.device).requires_grad_() for name, t in made.items()}
-    plain = [splats[name] for name in ("means", "quats", "scales", "opacities", "colors")]
+    plain = splat_arguments(splats[name] for name in ("means", "quats", "scales", "opacities", "colors"))
     background = torch.tensor([0.1, 0.5, 0.9], device=machine.device)
+    raster: GaussianRaster | SurfelRaster
     with machine.running():
         if kind == "dual":
             light = Reflected(splats["refl_opacities"], splats["refl_colors"], splats["weights"])
@@ -50,8 +51,8 @@ def render(machine: Any, kind: str, view: Camera = VIEW) -> tuple[dict[str, torc
             raster = rasterize_gaussians(*plain, view, background)
         else:
             raster = rasterize_surfels(*plain, view, background, SurfelOptions(distortion=kind == "distortion"))
-        images = {name: getattr(raster, name, None) for name in IMAGES}
-        images = {name: image for name, image in images.items() if image is not None}
+        found = {name: getattr(raster, name, None) for name in IMAGES}
+        images = {name: image for name, image in found.items() if image is not None}
         generator = torch.Generator().manual_seed(0)
         total = [(image.cpu() * torch.rand(image.shape, generator=generator)).sum() for image in images.values()]
         torch.stack(total).sum().backward()
@@ -163,7 +164,7 @@ class Places:
 
 class _Operations(TorchDispatchMode):
     def __init__(self, places: Places) -> None:
-        super().__init__()
+        TorchDispatchMode.__init__(self)
         self._places = places
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
@@ -280,7 +281,7 @@ def test_a_second_backward_pass_blends_again() -> None:
     splats = {name: t.float().requires_grad_() for name, t in random_splats(60, 3).items()}
     names = ("means", "quats", "scales", "opacities", "colors")
     with SHIM.running():
-        color = rasterize_gaussians(*(splats[name] for name in names), VIEW, torch.zeros(3)).color
+        color = rasterize_gaussians(*splat_arguments(splats[name] for name in names), VIEW, torch.zeros(3)).color
         first = torch.autograd.grad(color.sum(), [splats[name] for name in names], retain_graph=True)
         second = torch.autograd.grad(color.sum(), [splats[name] for name in names])
     assert all(torch.equal(*pair) for pair in zip(first, second, strict=True))

@@ -70,10 +70,9 @@ def iterate(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("masked", [True, False])
-@pytest.mark.parametrize("overrides", [[], ["surfels.distortion_weight=1.0"], ["depth_tv_weight=0.1"]])
+@pytest.mark.parametrize("overrides", [[], ["distortion_weight=1.0"], ["gaussian_depth_tv_weight=0.1"]])
 def test_an_iteration_stays_on_the_card(launcher: NoLauncher, masked: bool, overrides: list[str]) -> None:
-    settings = [f"gaussians.{o}" if o.startswith("depth_tv") else o for o in overrides]
-    plan = plan_on_meta(make_config("standard", "mgsr", 0, settings), masked)
+    plan = plan_on_meta(make_config("standard", "mgsr", 0, overrides), masked)
     with use_launcher(launcher):
         for stage in plan.stages:
             iterate(stage)

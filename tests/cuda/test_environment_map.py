@@ -11,7 +11,9 @@ from tests.ops.test_depth_normals import turned_camera
 from tests.ops.test_environment_map import Scene, assert_close, expected_of, gradients, scene, some_pixels
 
 
-def run(machine: Machine, parts: Scene, size: tuple[int, int], pixels: torch.Tensor | None = None):
+def run(
+    machine: Machine, parts: Scene, size: tuple[int, int], pixels: torch.Tensor | None = None
+) -> list[torch.Tensor]:
     """Return the light and gradients of a machine, on the CPU."""
     there = None if pixels is None else pixels.to(machine.device)
     with machine.running():
@@ -55,6 +57,7 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
     leaf = (maps if wants == "maps" else normals).requires_grad_()
     with machine.running():
         look_up_environment_map(maps, normals, turned_camera(20, 30)).backward(v_light)
+    assert leaf.grad is not None
     assert torch.equal(leaf.grad.cpu(), both[1 if wants == "maps" else 2])
 
 

@@ -2,31 +2,48 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 
+from mgsr.data.camera import Camera
 from mgsr.native.cuda import tiles
-from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
+from mgsr.ops.gaussians import GaussianOptions, GaussianRaster, Reflected, rasterize_gaussians
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
-from tests.ops.splat_scenes import camera, random_splats
-from tests.ops.test_gaussians import BACKGROUND, TOLERANCE, assert_close, brute_force, dual_splats, native, run
+from tests.ops.splat_scenes import camera, random_splats, splat_arguments
+from tests.ops.test_gaussians import (
+    BACKGROUND,
+    TOLERANCE,
+    Rendered,
+    assert_close,
+    brute_force,
+    dual_splats,
+    native,
+    run,
+)
+from tests.optional import present
 
 
-def compare(machine: Machine, splats, view, dual=False, compensate=False):
+def compare(
+    machine: Machine, splats: dict[str, torch.Tensor], view: Camera, dual: bool = False, compensate: bool = False
+) -> None:
     expected = run(brute_force, splats, view, torch.float64, dual, compensate)
     got = render(machine, splats, view, dual, compensate)
     assert_close(got[0], expected[0], TOLERANCE["images"])
     assert_close(got[1], expected[1], TOLERANCE["gradients"])
 
 
-def render(machine: Machine, splats, view, dual=False, compensate=False):
+def render(
+    machine: Machine, splats: dict[str, torch.Tensor], view: Camera, dual: bool = False, compensate: bool = False
+) -> Rendered:
     """Render as `run`, in float32 on a machine; images and gradients come back to the CPU."""
 
-    def on_machine(*arguments):
-        *arguments, view, background, reflected, compensate = arguments
+    def on_machine(*arguments: Any) -> Images:
+        *tensors, view, background, reflected, compensate = arguments
         reflected = tuple(t.to(machine.device) for t in reflected) if reflected else None
-        tensors = [t.to(machine.device) for t in arguments]
-        out = native(*tensors, view, background.to(machine.device), reflected, compensate)
+        splats = splat_arguments(t.to(machine.device) for t in tensors)
+        out = native(*splats, view, background.to(machine.device), reflected, compensate)
         return Images(out)
 
     with machine.running():
@@ -36,7 +53,7 @@ def render(machine: Machine, splats, view, dual=False, compensate=False):
 class Images:
     """A raster's images, brought to the CPU within the graph."""
 
-    def __init__(self, raster) -> None:
+    def __init__(self, raster: GaussianRaster) -> None:
         for name in ("color", "alpha", "depth", "reflected", "weight"):
             image = getattr(raster, name)
             setattr(self, name, None if image is None else image.cpu())
@@ -167,14 +184,15 @@ def test_statistics_and_rendering_without_gradients(machine: Machine) -> None:
     splats = {k: v.float().to(machine.device) for k, v in random_splats(30, 3).items()}
     names = ("means", "quats", "scales", "opacities", "colors")
     with machine.running():
-        out = rasterize_gaussians(*(splats[k] for k in names), camera(), BACKGROUND.to(machine.device))
+        out = rasterize_gaussians(*splat_arguments(splats[k] for k in names), camera(), BACKGROUND.to(machine.device))
         leaves = [splats[k].clone().requires_grad_() for k in names]
-        differentiable = rasterize_gaussians(*leaves, camera(), BACKGROUND.to(machine.device))
+        differentiable = rasterize_gaussians(*splat_arguments(leaves), camera(), BACKGROUND.to(machine.device))
         differentiable.color.sum().backward()
     assert torch.equal(out.color, differentiable.color)
-    cpu = rasterize_gaussians(*(splats[k].cpu() for k in names), camera(), BACKGROUND)
+    cpu = rasterize_gaussians(*splat_arguments(splats[k].cpu() for k in names), camera(), BACKGROUND)
     assert torch.equal(out.stats.visible.cpu(), cpu.stats.visible)
     torch.testing.assert_close(out.stats.radii.cpu(), cpu.stats.radii)
+    assert differentiable.stats.v_means2d is not None
     assert differentiable.stats.v_means2d.shape == (30, 2) and differentiable.stats.v_means2d.any()
 
 
@@ -184,8 +202,12 @@ def test_images_without_a_gradient_count_as_zero(machine: Machine) -> None:
     splats = {k: v.float().to(machine.device).requires_grad_() for k, v in dual_splats(30).items()}
     reflected = Reflected(splats["refl_opacities"], splats["refl_colors"], splats["weights"])
     names = ("means", "quats", "scales", "opacities", "colors")
-    arguments = (*(splats[k] for k in names), camera(), BACKGROUND.to(machine.device), reflected)
+    tensors = splat_arguments(splats[k] for k in names)
+    options = GaussianOptions(depth=False)
     with machine.running():
-        rasterize_gaussians(*arguments, GaussianOptions(depth=False)).reflected.sum().backward()
+        out = rasterize_gaussians(*tensors, camera(), BACKGROUND.to(machine.device), reflected, options)
+        present(out.reflected).sum().backward()
+    assert splats["refl_colors"].grad is not None and splats["means"].grad is not None
     assert splats["refl_colors"].grad.any() and splats["means"].grad.any()
+    assert splats["colors"].grad is not None and splats["opacities"].grad is not None
     assert not splats["colors"].grad.any() and not splats["opacities"].grad.any()

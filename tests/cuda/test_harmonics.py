@@ -11,10 +11,12 @@ from tests.ops.test_harmonics import CENTER, gradients, scene
 from tests.oracles import harmonics as oracle
 
 
-def on(machine: Machine, coeffs, means, degree, v_rgb):
-    tensors = [t.to(machine.device) for t in (coeffs, means, CENTER)]
+def on(
+    machine: Machine, coeffs: torch.Tensor, means: torch.Tensor, degree: int, v_rgb: torch.Tensor
+) -> list[torch.Tensor]:
+    coeffs, means, center = (t.to(machine.device) for t in (coeffs, means, CENTER))
     with machine.running():
-        results = gradients(harmonics_to_rgb, *tensors, degree, v_rgb.to(machine.device))
+        results = gradients(harmonics_to_rgb, coeffs, means, center, degree, v_rgb.to(machine.device))
     return [t.cpu() for t in results]
 
 

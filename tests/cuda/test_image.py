@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 import torch
 
@@ -16,7 +19,13 @@ from tests.oracles import image_loss as loss_oracle
 from tests.oracles import tv as tv_oracle
 
 
-def run(machine: Machine, gradients, function, *arguments, **options):
+def run(
+    machine: Machine,
+    gradients: Callable[..., tuple[torch.Tensor, ...]],
+    function: Callable[..., torch.Tensor],
+    *arguments: Any,
+    **options: Any,
+) -> list[torch.Tensor]:
     """Run a test's `gradients` on a machine, and bring what it returns back to the CPU."""
     moved = [a.to(machine.device) if isinstance(a, torch.Tensor) else a for a in arguments]
     with machine.running():
@@ -45,6 +54,7 @@ def test_one_gradient_alone(machine: Machine, wants: str) -> None:
     leaf = (image if wants == "image" else target).requires_grad_()
     with machine.running():
         image_loss(image, target).backward()
+    assert leaf.grad is not None
     assert_gradients_close(leaf.grad.cpu(), both[1 if wants == "image" else 2].double())
 
 

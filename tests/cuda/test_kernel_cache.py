@@ -5,7 +5,10 @@ from __future__ import annotations
 import errno
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -47,7 +50,9 @@ def test_the_code_comes_first_in_the_file(tmp_path: Path) -> None:
         pytest.param(lambda stored: CODE, id="kept without a hash"),
     ],
 )
-def test_a_damaged_file_is_no_hit_and_is_replaced(damage, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_file_is_no_hit_and_is_replaced(
+    damage: Callable[..., Any], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     kept = KernelCache(tmp_path)
     kept.put(b"key", CODE)
     entry = only_entry(tmp_path)
@@ -67,7 +72,7 @@ def test_a_file_under_another_name_is_no_hit(tmp_path: Path) -> None:
     assert kept.get(b"another") is None
 
 
-def failing(code: int):
+def failing(code: int) -> Callable[..., None]:
     """Return a stand-in for a function of the system that fails with an error code."""
 
     def fail(*arguments: object, **named: object) -> None:
@@ -86,7 +91,12 @@ def failing(code: int):
     ],
 )
 def test_a_folder_that_can_not_be_written_is_told_of_once(
-    module, call: str, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    module: ModuleType,
+    call: str,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Check that a folder that can't be written is told of once, and that what lies there serves on."""
     kept = kernel_cache(tmp_path)

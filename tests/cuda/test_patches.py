@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -32,12 +33,12 @@ class Params(ctypes.Structure):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def kernels() -> None:
+def kernels() -> Iterator[None]:
     library = ctypes.CDLL(str(compile_with_shim(HERE / "patches.cu")), mode=os.RTLD_LOCAL)
     before = launcher.load_library
-    launcher.load_library = lambda family: library if family == "patches" else before(family)
-    yield
-    launcher.load_library = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(launcher, "load_library", lambda family: library if family == "patches" else before(family))
+        yield
 
 
 def project(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,12 +55,12 @@ class Projection:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def kernels() -> None:
+def kernels() -> Iterator[None]:
     library = ctypes.CDLL(str(compile_with_shim(HERE / "projection.cu")), mode=os.RTLD_LOCAL)
     before = launcher.load_library
-    launcher.load_library = lambda family: library if family == "projection" else before(family)
-    yield
-    launcher.load_library = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(launcher, "load_library", lambda family: library if family == "projection" else before(family))
+        yield
 
 
 def project(kernel: str, splats: Splats, view: Camera, compensate: bool) -> Projection:

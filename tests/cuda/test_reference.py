@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,17 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
-from mgsr.ops.gaussians import rasterize_gaussians
-from mgsr.ops.surfels import rasterize_surfels
+from mgsr.ops.gaussians import GaussianRaster, rasterize_gaussians
+from mgsr.ops.surfels import SurfelRaster, rasterize_surfels
 from tests.cuda.machines import CARD, Machine, on_each_machine
+from tests.optional import present
 
 NAMES = ("means", "quats", "scales", "opacities", "rgb")
 
 
-def render(machine: Machine, folder: Path, name: str, rasterize, axes: int = 3):
+def render(
+    machine: Machine, folder: Path, name: str, rasterize: Callable[..., SurfelRaster | GaussianRaster], axes: int = 3
+) -> tuple[torch.Tensor, list[torch.Tensor]]:
     """Return the image, and the gradients of the scene's splats with `axes` of their scales."""
     z = np.load(folder / f"{name}.npz")
     view = Camera(z["K"].astype(float), z["viewmat"].astype(float), int(z["width"]), int(z["height"]))
@@ -26,7 +30,7 @@ def render(machine: Machine, folder: Path, name: str, rasterize, axes: int = 3):
     with machine.running():
         color = rasterize(*leaves, view, torch.tensor(z["background"]).to(machine.device)).color
         (color * torch.tensor(z["grad_image"]).to(machine.device)).sum().backward()
-    return color.detach().cpu(), [leaf.grad.cpu() for leaf in leaves]
+    return color.detach().cpu(), [present(leaf.grad).cpu() for leaf in leaves]
 
 
 @pytest.mark.slow

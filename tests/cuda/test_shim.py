@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -19,12 +20,12 @@ class Params(ctypes.Structure):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def misuse() -> None:
+def misuse() -> Iterator[None]:
     library = ctypes.CDLL(str(compile_with_shim(HERE / "misuse.cu")), mode=os.RTLD_LOCAL)
     before = launcher.load_library
-    launcher.load_library = lambda family: library if family == "misuse" else before(family)
-    yield
-    launcher.load_library = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(launcher, "load_library", lambda family: library if family == "misuse" else before(family))
+        yield
 
 
 def run(kernel: str, order: Order) -> list[float]:

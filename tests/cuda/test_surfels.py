@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
+from mgsr.data.camera import Camera
 from mgsr.ops.raster import SplatStats
-from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
+from mgsr.ops.surfels import SurfelOptions, SurfelRaster, rasterize_surfels
 from tests.cuda.machines import Machine, on_each_machine, on_each_machine_and_order
-from tests.ops.splat_scenes import camera, random_splats
+from tests.ops.splat_scenes import camera, random_splats, splat_arguments
 from tests.ops.test_surfels import (
     BACKGROUND,
     IMAGES,
@@ -20,6 +22,7 @@ from tests.ops.test_surfels import (
     SPLATS,
     STEEP,
     TOLERANCE,
+    Rendered,
     assert_close,
     brute_force,
     edge_on_splats,
@@ -33,26 +36,39 @@ from tests.oracles.surfels import MIN_ALPHA
 class Images:
     """A raster's images, brought to the CPU within the graph."""
 
-    def __init__(self, raster) -> None:
+    def __init__(self, raster: SurfelRaster) -> None:
         self.stats: SplatStats = raster.stats
         for name in IMAGES:
             image = getattr(raster, name)
             setattr(self, name, None if image is None else image.cpu())
 
 
-def render(machine: Machine, splats, view, options=OPTIONS, images=IMAGES):
+def render(
+    machine: Machine,
+    splats: dict[str, torch.Tensor],
+    view: Camera,
+    options: SurfelOptions = OPTIONS,
+    images: tuple[str, ...] = IMAGES,
+) -> Rendered:
     """Render as `run`, in float32 on a machine; images and gradients come back to the CPU."""
 
-    def on_machine(*arguments):
+    def on_machine(*arguments: Any) -> Images:
         *tensors, view, background, options = arguments
-        tensors = [t.to(machine.device) for t in tensors]
-        return Images(rasterize_surfels(*tensors, view, background.to(machine.device), options))
+        splats = splat_arguments(t.to(machine.device) for t in tensors)
+        return Images(rasterize_surfels(*splats, view, background.to(machine.device), options))
 
     with machine.running():
         return run(on_machine, {k: v.float() for k, v in splats.items()}, view, torch.float32, options, images)
 
 
-def compare(machine: Machine, splats, view, tolerance=TOLERANCE, options=OPTIONS, images=IMAGES):
+def compare(
+    machine: Machine,
+    splats: dict[str, torch.Tensor],
+    view: Camera,
+    tolerance: dict[str, float] = TOLERANCE,
+    options: SurfelOptions = OPTIONS,
+    images: tuple[str, ...] = IMAGES,
+) -> None:
     expected = run(brute_force, splats, view, torch.float64, options, images)
     got = render(machine, splats, view, options, images)
     assert_close(got[0], expected[0], tolerance["images"])

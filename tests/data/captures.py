@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -47,7 +49,8 @@ class BallCapture:
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         ball = pose[:3, :3] @ self.center + pose[:3, 3]
         along = rays @ ball
-        return ball @ ball - along**2 < (self.radius * self.scale) ** 2
+        inside: np.ndarray = ball @ ball - along**2 < (self.radius * self.scale) ** 2
+        return inside
 
     def rgba(self, pose: np.ndarray) -> np.ndarray:
         mask = self.mask(pose)
@@ -68,7 +71,7 @@ class BallCapture:
             save(root / f"masks/{i:03d}.png", self.rgba(pose)[..., 3], "L")
 
     def write_blender(self, root: Path, test: int = 0) -> Path:
-        frames: dict[str, list] = {"train": [], "test": []}
+        frames: dict[str, list[dict[str, Any]]] = {"train": [], "test": []}
         for i, pose in enumerate(self.poses()):
             part = "test" if i < test else "train"
             number = len(frames[part])
@@ -87,7 +90,7 @@ def save(path: Path, pixels: np.ndarray, mode: str) -> None:
     Image.fromarray(pixels).convert(mode).save(path)
 
 
-def edit_json(path: Path, change) -> None:
+def edit_json(path: Path, change: Callable[[Any], object]) -> None:
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))

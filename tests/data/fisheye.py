@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -49,7 +50,8 @@ def rays(places: np.ndarray) -> np.ndarray:
 
 def ball_color(points: np.ndarray) -> np.ndarray:
     """Return the ball's colour, 0..1, at points [...,3]."""
-    return 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    colors: np.ndarray = 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    return colors
 
 
 def photograph(pose: np.ndarray) -> np.ndarray:
@@ -68,7 +70,7 @@ def photograph(pose: np.ndarray) -> np.ndarray:
     return (np.dstack([straight, alpha]).clip(0, 1) * 255).round().astype(np.uint8)
 
 
-def _write_frame(root: Path, number: int, pose: np.ndarray, masked: bool) -> dict:
+def _write_frame(root: Path, number: int, pose: np.ndarray, masked: bool) -> dict[str, Any]:
     name, pixels = f"images/{number:03d}.png", photograph(pose)
     if not masked:
         alpha = pixels[..., 3:] / 255

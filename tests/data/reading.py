@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mgsr.data.capture import Capture
+from mgsr.data.capture import Capture, Photo
 from mgsr.data.formats import all_formats
 from mgsr.data.photo_files import SceneFolder
 
@@ -33,10 +33,11 @@ def draw(path: Path, width: int = 64, height: int = 64) -> None:
     Image.fromarray(np.zeros((height, width, 3), np.uint8)).save(path)
 
 
-def project(photo, points: np.ndarray) -> np.ndarray:
+def project(photo: Photo, points: np.ndarray) -> np.ndarray:
     """Return pixels [P,2] of world points [P,3] as a photograph's reader describes its camera, lens included."""
     local = points @ photo.cam_from_world[:3, :3].T + photo.cam_from_world[:3, 3]
     x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
     if photo.lens is not None:
         x, y = photo.lens.distort(x, y)
-    return np.stack([x, y], axis=1) @ photo.K[:2, :2].T + photo.K[:2, 2]
+    pixels: np.ndarray = np.stack([x, y], axis=1) @ photo.K[:2, :2].T + photo.K[:2, 2]
+    return pixels

@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from mgsr.data.capture import Photo
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.usable import usable_photos
 from mgsr.errors import SceneError
@@ -29,7 +33,14 @@ TERMS = {"f": 70, "cx": -3, "cy": 2.5, "k1": -0.1, "k2": 0.05, "k3": 0.02, "k4":
 TERMS |= {"p1": 0.004, "p2": -0.003, "b1": 1.5, "b2": 0.7}
 
 
-def metashape(root, terms=TERMS, kind="frame", chunk="", camera=lambda i: "", aligned=range(4)):
+def metashape(
+    root: Path,
+    terms: dict[str, float] = TERMS,
+    kind: str = "frame",
+    chunk: str = "",
+    camera: Callable[[int], str] = lambda i: "",
+    aligned: Sequence[int] = range(4),
+) -> Path:
     """Write cameras.xml with world-from-camera transforms, OpenCV axes; `camera` adds attributes."""
     cameras = []
     for i, pose in enumerate(BALL.poses()):
@@ -50,9 +61,9 @@ def metashape(root, terms=TERMS, kind="frame", chunk="", camera=lambda i: "", al
     return root
 
 
-def metashape_pixels(pose, points, fisheye=False, **t):
+def metashape_pixels(pose: np.ndarray, points: np.ndarray, fisheye: bool = False, **terms: float) -> np.ndarray:
     """Return pixels by the user manual's formulas, appendix "Camera models", letter by letter."""
-    t = SimpleNamespace(**t)
+    t = SimpleNamespace(**terms)
     X, Y, Z = (points @ pose[:3, :3].T + pose[:3, 3]).T
     x, y = X / Z, Y / Z
     if fisheye:
@@ -62,11 +73,12 @@ def metashape_pixels(pose, points, fisheye=False, **t):
     radial = 1 + t.k1 * r**2 + t.k2 * r**4 + t.k3 * r**6 + t.k4 * r**8
     xd = x * radial + (t.p1 * (r**2 + 2 * x**2) + 2 * t.p2 * x * y)
     yd = y * radial + (t.p2 * (r**2 + 2 * y**2) + 2 * t.p1 * x * y)
-    return np.c_[96 * 0.5 + t.cx + xd * t.f + xd * t.b1 + yd * t.b2, 64 * 0.5 + t.cy + yd * t.f]
+    pixels: np.ndarray = np.c_[96 * 0.5 + t.cx + xd * t.f + xd * t.b1 + yd * t.b2, 64 * 0.5 + t.cy + yd * t.f]
+    return pixels
 
 
 @pytest.mark.parametrize("kind", ["frame", "fisheye"])
-def test_metashape_projects_as_its_manual_says(tmp_path, kind):
+def test_metashape_projects_as_its_manual_says(tmp_path: Path, kind: str) -> None:
     capture = read_capture(metashape(tmp_path, kind=kind), "metashape")
     assert [photo.image.name for photo in capture.photos] == [f"IMG_{i}.JPG" for i in range(4)]
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
@@ -76,7 +88,7 @@ def test_metashape_projects_as_its_manual_says(tmp_path, kind):
 
 
 @pytest.mark.parametrize("where", ["chunk", "component"])
-def test_metashape_results_go_to_the_chunks_world(tmp_path, where):
+def test_metashape_results_go_to_the_chunks_world(tmp_path: Path, where: str) -> None:
     turn, offset, scale = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix(), np.array([10.0, 20, -5]), 2.5
     transform = (
         f"<transform><rotation>{' '.join(map(str, turn.ravel()))}</rotation>"
@@ -87,11 +99,11 @@ def test_metashape_results_go_to_the_chunks_world(tmp_path, where):
     capture = read_capture(metashape(tmp_path, chunk=transform, camera=lambda i: 'component_id="0"'), "metashape")
     moved = scale * POINTS @ turn.T + offset
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
-        np.testing.assert_allclose(project(photo, moved), metashape_pixels(pose, POINTS, **TERMS), atol=1e-8)
+        np.testing.assert_allclose(project(photo, moved), metashape_pixels(pose, POINTS, False, **TERMS), atol=1e-8)
 
 
-def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
-    def usable(**values):
+def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path: Path) -> None:
+    def usable(**values: Any) -> tuple[list[Photo], tuple[str, ...]]:
         folder = SceneFolder.at(metashape(tmp_path, **values))
         return usable_photos(read_capture(folder.root, "metashape"), folder)
 
@@ -113,8 +125,8 @@ def test_metashape_cameras_that_are_not_aligned_or_not_enabled(tmp_path):
         usable_photos(read_capture(tmp_path, "metashape"), folder)
 
 
-def test_metashape_slaves_of_multi_camera_systems(tmp_path):
-    def pairs(i):
+def test_metashape_slaves_of_multi_camera_systems(tmp_path: Path) -> None:
+    def pairs(i: int) -> str:
         return f'master_id="{i - i % 2}"'
 
     capture = read_capture(metashape(tmp_path, camera=pairs), "metashape")
@@ -127,7 +139,7 @@ def test_metashape_slaves_of_multi_camera_systems(tmp_path):
 
 
 @pytest.mark.parametrize("label", ["cam0", "Rig/cam0", "left"])
-def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path, label):
+def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path: Path, label: str) -> None:
     """Check that groups named as the folders find the photographs, and that other names are refused."""
     path = metashape(tmp_path) / "cameras.xml"
     text = path.read_text().replace('<group id="0">', f'<group id="0" label="{label}">')
@@ -148,7 +160,7 @@ def test_metashape_groups_tell_photographs_of_one_name_apart(tmp_path, label):
         assert sorted(names)[:2] == ["cam0/IMG_2.JPG", "cam0/IMG_3.JPG"]
 
 
-def test_metashape_panoramas_without_a_calibration(tmp_path):
+def test_metashape_panoramas_without_a_calibration(tmp_path: Path) -> None:
     path = metashape(tmp_path, kind="spherical") / "cameras.xml"
     path.write_text(re.sub("<calibration.*</calibration>", "", path.read_text(), flags=re.DOTALL))
     with pytest.raises(SceneError, match="'IMG_0': camera type 'spherical' is not supported: a panorama"):
@@ -158,7 +170,7 @@ def test_metashape_panoramas_without_a_calibration(tmp_path):
         read_strictly(tmp_path, "metashape")
 
 
-def test_metashape_in_utf_16_beside_other_documents(tmp_path):
+def test_metashape_in_utf_16_beside_other_documents(tmp_path: Path) -> None:
     path = metashape(tmp_path) / "cameras.xml"
     path.write_text(path.read_text().replace("UTF-8", "UTF-16"), encoding="utf-16")
     (tmp_path / "._a.xml").write_bytes(b"\0\5\x16\7 Mac OS X <document><chunk><camera /></chunk></document>")
@@ -181,13 +193,13 @@ def test_metashape_in_utf_16_beside_other_documents(tmp_path):
         ({"chunk": "<transform><rotation>1 2</rotation></transform>"}, "rotation: expected 9 numbers, got '1 2'"),
     ],
 )
-def test_metashape_refusals(tmp_path, values, message):
+def test_metashape_refusals(tmp_path: Path, values: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         read_strictly(metashape(tmp_path, **values), "metashape")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_metashape_entities_are_refused(tmp_path, encoding):
+def test_metashape_entities_are_refused(tmp_path: Path, encoding: str) -> None:
     path = metashape(tmp_path) / "cameras.xml"
     text = path.read_text().replace("<document", '<!DOCTYPE d [<!ENTITY a "aaaa">]><document', 1)
     path.write_text(text, encoding=encoding)
@@ -195,7 +207,7 @@ def test_metashape_entities_are_refused(tmp_path, encoding):
         read_capture(tmp_path, "metashape")
 
 
-def test_of_two_photographs_for_one_label_the_folder_with_most_of_them_has_it(tmp_path):
+def test_of_two_photographs_for_one_label_the_folder_with_most_of_them_has_it(tmp_path: Path) -> None:
     draw(metashape(tmp_path) / "more/IMG_2.png")
     assert {photo.image.parent.name for photo in read_strictly(tmp_path, "metashape").photos} == {"photos"}
 
@@ -206,14 +218,14 @@ HEADER = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"
 REALITYSCAN_HEADER = "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2"
 
 
-def realitycapture(root, *rows, header=HEADER, first=""):
+def realitycapture(root: Path, *rows: str, header: str = HEADER, first: str = "") -> Path:
     for row in rows:
         draw(root / "images" / row.split(",")[0], 96, 64)
     (root / "export.csv").write_text("\n".join([*([first] if first else []), header, *rows]) + "\n")
     return root
 
 
-def test_realitycapture_looks_down_with_north_up(tmp_path):
+def test_realitycapture_looks_down_with_north_up(tmp_path: Path) -> None:
     """Check the angles of RealityCapture: x is east, y north, z up.
 
     A camera without angles at height 10 has the nadir in its middle and north at the top; heading 90 has east at the
@@ -226,13 +238,13 @@ def test_realitycapture_looks_down_with_north_up(tmp_path):
     for photo in (a, b, c):
         assert photo.K[0, 0] == photo.K[1, 1] == focal and photo.lens is None
     below, north, east, horizon = [1, 2, 0], [1, 3, 0], [2, 2, 0], [1, 12, 10]
-    np.testing.assert_allclose(project(a, np.array([below, north])), [[48, 32], [48, 32 - focal / 10]], atol=1e-9)
-    np.testing.assert_allclose(project(b, np.array([below, east])), [[48, 32], [48, 32 - focal / 10]], atol=1e-9)
+    np.testing.assert_allclose(project(a, np.array([below, north])), [[48.0, 32.0], [48.0, 32 - focal / 10]], atol=1e-9)
+    np.testing.assert_allclose(project(b, np.array([below, east])), [[48.0, 32.0], [48.0, 32 - focal / 10]], atol=1e-9)
     np.testing.assert_allclose(project(c, np.array([horizon])), [[48, 32]], atol=1e-9)
 
 
 @pytest.mark.parametrize("header", [HEADER, REALITYSCAN_HEADER])
-def test_realitycapture_lens_and_principal_point(tmp_path, header):
+def test_realitycapture_lens_and_principal_point(tmp_path: Path, header: str) -> None:
     """Check the lens and the principal point against RealityScan's own template for OpenCV.
 
     The template writes the terms as k1, k2, t2, t1, k3. It writes the principal point in pixels as half the image's
@@ -248,14 +260,14 @@ def test_realitycapture_lens_and_principal_point(tmp_path, header):
     np.testing.assert_allclose(project(photo, points), expected[:, 0], atol=1e-9)
 
 
-def test_realitycapture_upright_photographs_have_the_principal_point_in_their_height(tmp_path):
+def test_realitycapture_upright_photographs_have_the_principal_point_in_their_height(tmp_path: Path) -> None:
     draw(tmp_path / "a.jpg", 64, 96)
     (tmp_path / "export.csv").write_text(HEADER + "\na.jpg,0,0,10,0,0,0,18,0.01,-0.02,0,0,0,0,0,0\n")
     (photo,) = read_capture(tmp_path, "realitycapture").photos
-    np.testing.assert_allclose(photo.K, [[48, 0, 32 + 0.96], [0, 48, 48 - 1.92], [0, 0, 1]])
+    np.testing.assert_allclose(photo.K, [[48.0, 0.0, 32 + 0.96], [0.0, 48.0, 48 - 1.92], [0.0, 0.0, 1.0]])
 
 
-def test_realitycapture_left_out_columns_and_photographs(tmp_path):
+def test_realitycapture_left_out_columns_and_photographs(tmp_path: Path) -> None:
     rows = [f"{name}.jpg,0,0,{i},0,0,0,18" for i, name in enumerate("abc")]
     realitycapture(tmp_path, *rows, header="#name,x,y,alt,heading,pitch,roll,f")
     (tmp_path / "images/b.jpg").unlink()
@@ -267,7 +279,7 @@ def test_realitycapture_left_out_columns_and_photographs(tmp_path):
         usable_photos(read_capture(tmp_path, "realitycapture"), SceneFolder.at(tmp_path))
 
 
-def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path):
+def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path: Path) -> None:
     """Check that photographs count by their file names.
 
     AppleDouble files and tables of another kind hide no good one.
@@ -289,7 +301,7 @@ def test_realitycapture_paths_of_another_machine_and_other_tables(tmp_path):
         ("#cameras 1\n#name,x,y,alt\na,0,0,1\n", r"its columns are #name,x,y,alt; expected #name,x,.*External"),
     ],
 )
-def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path, text, message):
+def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "export.csv").write_text(text)
     with pytest.raises(SceneError, match=message):
         read_capture(tmp_path, "realitycapture")
@@ -303,7 +315,7 @@ def test_realitycapture_tables_of_other_kinds_name_the_right_export(tmp_path, te
         ("a.jpg,0,0", "row 1: expected 16 values, got 3"),
     ],
 )
-def test_realitycapture_refusals(tmp_path, row, message):
+def test_realitycapture_refusals(tmp_path: Path, row: str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         read_strictly(realitycapture(tmp_path, row), "realitycapture")
 
@@ -311,7 +323,7 @@ def test_realitycapture_refusals(tmp_path, row, message):
 # Polycam
 
 
-def polycam(root, part=""):
+def polycam(root: Path, part: str = "") -> Path:
     for i, pose in enumerate(BALL.poses()):
         draw(root / f"keyframes/{part}images/{100 + i}.jpg", 96, 64)
         opengl = np.linalg.inv(pose) @ np.diag([1.0, -1, -1, 1])
@@ -323,7 +335,7 @@ def polycam(root, part=""):
     return root
 
 
-def test_polycam_cameras_and_its_corrected_ones_first(tmp_path):
+def test_polycam_cameras_and_its_corrected_ones_first(tmp_path: Path) -> None:
     polycam(tmp_path)
     for folder in ("", "corrected_"):
         polycam(tmp_path, folder)
@@ -334,7 +346,7 @@ def test_polycam_cameras_and_its_corrected_ones_first(tmp_path):
             np.testing.assert_array_equal(photo.K, BALL.K)
 
 
-def test_polycam_files_of_macos_are_no_cameras(tmp_path):
+def test_polycam_files_of_macos_are_no_cameras(tmp_path: Path) -> None:
     (polycam(tmp_path) / "keyframes/cameras/._100.json").write_bytes(b"\0\5\x16\7 Mac OS X")
     assert len(read_capture(tmp_path, "polycam").photos) == 4
 
@@ -343,7 +355,7 @@ def test_polycam_files_of_macos_are_no_cameras(tmp_path):
     ("text", "message"),
     [("[]", "expected an object with fx"), ('{"t_00": 1}', r"cameras/101\.json: t_01: expected a number, got 'None'")],
 )
-def test_polycam_refusals(tmp_path, text, message):
+def test_polycam_refusals(tmp_path: Path, text: str, message: str) -> None:
     (polycam(tmp_path) / "keyframes/cameras/101.json").write_text(text)
     with pytest.raises(SceneError, match=message):
         read_strictly(tmp_path, "polycam")
@@ -355,7 +367,12 @@ BROWN = {"projection_type": "brown", "focal_x": 0.8, "focal_y": 0.9, "c_x": 0.01
 BROWN |= {"k1": -0.1, "k2": 0.05, "k3": 0.01, "p1": 0.002, "p2": -0.003}
 
 
-def opensfm(root, camera=BROWN, place="reconstruction.json", change=lambda parts: None):
+def opensfm(
+    root: Path,
+    camera: dict[str, Any] = BROWN,
+    place: str = "reconstruction.json",
+    change: Callable[[list[dict[str, Any]]], object] = lambda parts: None,
+) -> Path:
     shots = {}
     for i, pose in enumerate(BALL.poses()):
         draw(root / f"images/{i}.jpg", 96, 64)
@@ -363,7 +380,7 @@ def opensfm(root, camera=BROWN, place="reconstruction.json", change=lambda parts
         shots[f"{i}.jpg"] = {"rotation": axis.tolist(), "translation": pose[:3, 3].tolist(), "camera": "c"}
     points = {str(i): {"coordinates": point.tolist(), "color": [i, 0, 9.0]} for i, point in enumerate(POINTS)}
     part = {"cameras": {"c": {"width": 96, "height": 64, **camera}}, "shots": shots, "points": points}
-    parts = [{"cameras": {}, "shots": {}}, part]
+    parts: list[dict[str, Any]] = [{"cameras": {}, "shots": {}}, part]
     change(parts)
     (root / place).parent.mkdir(exist_ok=True)
     (root / place).write_text(json.dumps(parts))
@@ -371,18 +388,19 @@ def opensfm(root, camera=BROWN, place="reconstruction.json", change=lambda parts
 
 
 @pytest.mark.parametrize("place", ["reconstruction.json", "opensfm/reconstruction.json"])
-def test_opensfm_cameras_agree_with_opencv(tmp_path, place):
+def test_opensfm_cameras_agree_with_opencv(tmp_path: Path, place: str) -> None:
     capture = read_capture(opensfm(tmp_path, place=place), "opensfm")
     K = np.array([[0.8 * 96, 0, 48 + 0.96], [0, 0.9 * 96, 32 - 1.92], [0, 0, 1]])
     terms = np.array([-0.1, 0.05, 0.002, -0.003, 0.01])
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
         expected, _ = cv2.projectPoints(POINTS, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3], K, terms)
         np.testing.assert_allclose(project(photo, POINTS), expected[:, 0], atol=1e-9)
+    assert capture.points is not None
     np.testing.assert_allclose(capture.points.positions, POINTS)
     np.testing.assert_array_equal(capture.points.colors[5], [5, 0, 9])
 
 
-def test_opensfm_fisheye(tmp_path):
+def test_opensfm_fisheye(tmp_path: Path) -> None:
     camera = {"projection_type": "fisheye", "focal": 0.7, "k1": 0.05, "k2": -0.02}
     photo = read_capture(opensfm(tmp_path, camera), "opensfm").photos[0]
     local = np.array([[0.6, 0.0, 1.0]])
@@ -409,6 +427,6 @@ def test_opensfm_fisheye(tmp_path):
         (lambda parts: parts[1]["points"]["3"].update(coordinates="here"), "coordinates of points: expected"),
     ],
 )
-def test_opensfm_refusals(tmp_path, change, message):
+def test_opensfm_refusals(tmp_path: Path, change: Callable[..., Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         read_strictly(opensfm(tmp_path, change=change), "opensfm")

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mgsr.config import DataConfig, Masks
+from mgsr.config import Blurred, DataConfig, Masks
 from mgsr.data.pointclouds import read_points
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene
 from mgsr.errors import SceneError
 from mgsr.pipeline.run_metadata import scene_facts
+from tests.optional import present
 
 POINTS = np.random.default_rng(0).uniform(-0.7, 0.7, (50, 3))
 # COLMAP's model of the twelve views that many cases have in other forms.
@@ -98,12 +99,12 @@ CASES = [
 
 
 @pytest.fixture
-def cases(shared_data) -> Path:
+def cases(shared_data: Path) -> Path:
     return shared_data / "cases"
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.path for case in CASES])
-def test_cases(cases, case):
+def test_cases(cases: Path, case: Case) -> None:
     scene = load_scene(cases / case.path, DataConfig())
     assert (scene.format, scene.masked) == (case.format, case.masked)
     assert len(scene.train) + len(scene.test) == case.photographs
@@ -119,9 +120,9 @@ def check_cameras(scene: Scene, model: Path) -> None:
     """Check that every view projects points where pycolmap's camera of the same number does."""
     pycolmap = pytest.importorskip("pycolmap")
     reconstruction = pycolmap.Reconstruction(str(model))
-    images = {int(re.search(r"(\d+)\.\w+$", image.name)[1]): image for image in reconstruction.images.values()}
+    images = {int(present(re.search(r"(\d+)\.\w+$", image.name))[1]): image for image in reconstruction.images.values()}
     for place, view in enumerate(sorted(scene.train + scene.test, key=lambda view: view.name)):
-        number = int(re.search(r"(\d+)$", view.name)[1])
+        number = int(present(re.search(r"(\d+)$", view.name))[1])
         image = images[place if view.name.startswith("cam") else number]
         camera = reconstruction.cameras[image.camera_id]
         expected = camera.img_from_cam(image.cam_from_world() * POINTS) * (view.camera.width / camera.width)
@@ -130,12 +131,12 @@ def check_cameras(scene: Scene, model: Path) -> None:
         np.testing.assert_allclose(pixels, expected, atol=0.01, err_msg=view.name)
 
 
-def test_a_3dgs_output_lacks_its_photographs(cases):
+def test_a_3dgs_output_lacks_its_photographs(cases: Path) -> None:
     with pytest.raises(SceneError, match="has the cameras of 3D Gaussian Splatting, but its 12 photographs are not in"):
         load_scene(cases / "04_unread_formats/3dgs_output", DataConfig())
 
 
-def test_masks_that_mean_ignore_change_no_frame(cases):
+def test_masks_that_mean_ignore_change_no_frame(cases: Path) -> None:
     """Check that the black parts of the masks are unknown, and that the scene's ball is as without masks."""
     root = cases / "01_ignore_masks"
     ignored, off = (load_scene(root, DataConfig(masks=masks)) for masks in (Masks.IGNORE, Masks.OFF))
@@ -150,7 +151,7 @@ def test_masks_that_mean_ignore_change_no_frame(cases):
 
 
 @pytest.mark.parametrize("name", ["float", "diffuse", "ushort"])
-def test_colours_of_point_clouds(cases, name):
+def test_colours_of_point_clouds(cases: Path, name: str) -> None:
     """Check the colours against plyfile's: 0 to 1, bytes, and 0 to 65535."""
     from plyfile import PlyData
 
@@ -161,7 +162,7 @@ def test_colours_of_point_clouds(cases, name):
     np.testing.assert_allclose(read_points(path).colors, expected, atol=0.51)
 
 
-def test_a_point_cloud_that_is_missing_is_told_of(cases, tmp_path):
+def test_a_point_cloud_that_is_missing_is_told_of(cases: Path, tmp_path: Path) -> None:
     root = shutil.copytree(cases / "09_ply_colours", tmp_path / "scene")
     content = json.loads((root / "transforms.json").read_text())
     content["ply_file_path"] = "gone.ply"
@@ -171,6 +172,6 @@ def test_a_point_cloud_that_is_missing_is_told_of(cases, tmp_path):
     )
 
 
-def test_blurred_frames_are_left_out_where_that_is_asked_for(cases):
-    scene = load_scene(cases / "13_blurred_frames", DataConfig(blurred="drop"))
+def test_blurred_frames_are_left_out_where_that_is_asked_for(cases: Path) -> None:
+    scene = load_scene(cases / "13_blurred_frames", DataConfig(blurred=Blurred.DROP))
     assert sorted(view.name for view in scene.train + scene.test) == [f"{i:03d}" for i in range(0, 36, 3)]

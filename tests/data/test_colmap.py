@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from scipy.ndimage import map_coordinates
 from mgsr.config import DataConfig
 from mgsr.data.formats import all_formats
 from mgsr.data.readers import load_scene
+from mgsr.data.scene import Scene
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
 from tests.data.reading import draw, read_capture
@@ -31,7 +33,7 @@ PARAMS = {
 }
 
 
-def paint(camera) -> np.ndarray:
+def paint(camera: Any) -> np.ndarray:
     """Return a smooth picture of the rays' directions, as the camera with its lens sees it.
 
     The undistorted image is then known in closed form.
@@ -47,7 +49,7 @@ def pattern(rays: np.ndarray) -> np.ndarray:
     return np.rint(127.5 + 100 * colors).astype(np.uint8)
 
 
-def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -> object:
+def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -> Any:
     reconstruction = pycolmap.Reconstruction()
     camera = pycolmap.Camera.create_from_model_name(1, model, 100.0, WIDTH, HEIGHT)
     camera.params = PARAMS.get(model, camera.params)
@@ -68,7 +70,7 @@ def write(root: Path, model: str, text: bool = False, place: str = "sparse/0") -
     return reconstruction
 
 
-def check_cameras(scene, reconstruction, model: str) -> None:
+def check_cameras(scene: Scene, reconstruction: Any, model: str) -> None:
     """Check that undistorted pinholes see the same rays as pycolmap's cameras, on which its lens then acts."""
     points = np.random.default_rng(2).normal(size=(30, 3)) * 0.2 + [1, 2, 3]
     images = {Path(image.name).stem: image for image in reconstruction.images.values()}
@@ -87,7 +89,7 @@ def check_cameras(scene, reconstruction, model: str) -> None:
 
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
 @pytest.mark.parametrize("model", PARAMS)
-def test_cameras_agree_with_pycolmap(tmp_path, model, text):
+def test_cameras_agree_with_pycolmap(tmp_path: Path, model: str, text: bool) -> None:
     reconstruction = write(tmp_path, model, text)
     scene = load_scene(tmp_path, DataConfig())
     assert scene.format == "colmap" and (len(scene.train), len(scene.test)) == (8, 2)
@@ -100,7 +102,7 @@ def test_cameras_agree_with_pycolmap(tmp_path, model, text):
 
 
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"])
-def test_images_are_undistorted(tmp_path, model):
+def test_images_are_undistorted(tmp_path: Path, model: str) -> None:
     """Check that each pixel shows what a pinhole sees along its ray: the pattern in closed form.
 
     2 grey levels are the rounding of both images and the bicubic interpolation.
@@ -117,20 +119,20 @@ def test_images_are_undistorted(tmp_path, model):
     assert width > 0.8 * WIDTH and height > 0.8 * HEIGHT
 
 
-def test_resampling_agrees_with_scipys_spline(tmp_path):
+def test_resampling_agrees_with_scipys_spline(tmp_path: Path) -> None:
     from mgsr.data.lens import Lens
     from mgsr.data.undistortion import resample, undistortion
 
     K = np.array([[60.0, 0, 47], [0, 60, 31], [0, 0, 1]])
     image = np.random.default_rng(0).random((HEIGHT, WIDTH, 3)).astype(np.float32)
     for _ in range(3):  # smooth: the kernels of the two differ on noise
-        image = sum(np.roll(image, shift, axis) for shift in (-1, 0, 1) for axis in (0, 1)) / 6
+        image = np.sum([np.roll(image, shift, axis) for shift in (-1, 0, 1) for axis in (0, 1)], axis=0) / 6
     how = undistortion(Lens(k1=0.05), K, WIDTH, HEIGHT, "test")
     expected = map_coordinates(image[..., 0], [how.map_y, how.map_x], order=3, mode="nearest")
     np.testing.assert_allclose(resample(image, how)[3:-3, 3:-3, 0], expected[3:-3, 3:-3], atol=0.02)
 
 
-def test_a_lens_that_folds_is_cut_before_the_fold():
+def test_a_lens_that_folds_is_cut_before_the_fold() -> None:
     from mgsr.data.lens import Lens
     from mgsr.data.undistortion import undistortion
 
@@ -142,7 +144,7 @@ def test_a_lens_that_folds_is_cut_before_the_fold():
     assert (np.diff(how.map_y, axis=0)[known[1:] & known[:-1]] > 0).all()
 
 
-def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
+def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path: Path) -> None:
     """Check that images of a rig have their own poses.
 
     Newer models keep poses by frame; COLMAP's images file still has each image's, the sensor's place included.
@@ -177,7 +179,7 @@ def test_rigs_of_two_cameras_have_their_images_own_poses(tmp_path):
         np.testing.assert_allclose(photos[image.name].cam_from_world[:3], image.cam_from_world().matrix(), atol=1e-9)
 
 
-def test_few_registered_photographs(tmp_path):
+def test_few_registered_photographs(tmp_path: Path) -> None:
     """Check that 87 photographs of which COLMAP kept 10 are refused as a failed reconstruction."""
     write(tmp_path, "PINHOLE")
     for i in range(20):
@@ -203,7 +205,7 @@ def test_few_registered_photographs(tmp_path):
         (".", "images"),
     ],
 )
-def test_layouts_of_other_programs(tmp_path, place, photographs):
+def test_layouts_of_other_programs(tmp_path: Path, place: str, photographs: str) -> None:
     reconstruction = write(tmp_path, "PINHOLE", place=place)
     if photographs != "images":
         for path in (tmp_path / "images").iterdir():
@@ -218,7 +220,7 @@ def test_layouts_of_other_programs(tmp_path, place, photographs):
         np.testing.assert_allclose(photo.cam_from_world[:3], expected, atol=1e-12)
 
 
-def test_distorted_models_belong_to_the_photographs_that_were_undistorted(tmp_path):
+def test_distorted_models_belong_to_the_photographs_that_were_undistorted(tmp_path: Path) -> None:
     write(tmp_path, "OPENCV", place="distorted/sparse/0")
     (tmp_path / "images").rename(tmp_path / "input")
     for path in (tmp_path / "input").iterdir():
@@ -226,7 +228,7 @@ def test_distorted_models_belong_to_the_photographs_that_were_undistorted(tmp_pa
     assert {photo.image.parent.name for photo in read_capture(tmp_path, "colmap").photos} == {"input"}
 
 
-def test_transforms_json_that_was_made_from_a_model_goes_before_it(tmp_path):
+def test_transforms_json_that_was_made_from_a_model_goes_before_it(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE", place="colmap/sparse/0")
     matrix = np.eye(4).tolist()
     frames = [{"file_path": f"images/photo {i:02d}.png", "transform_matrix": matrix} for i in range(1, 11)]
@@ -235,7 +237,7 @@ def test_transforms_json_that_was_made_from_a_model_goes_before_it(tmp_path):
 
 
 @pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
-def test_the_model_with_most_photographs_is_used(tmp_path, text):
+def test_the_model_with_most_photographs_is_used(tmp_path: Path, text: bool) -> None:
     """Check that the largest model is used, as the mapper numbers models in the order in which it began them."""
     reconstruction = write(tmp_path, "PINHOLE", text, place="sparse/10")
     for number, kept in ((0, 2), (1, 7)):
@@ -252,7 +254,7 @@ def test_the_model_with_most_photographs_is_used(tmp_path, text):
 
 @pytest.mark.parametrize("points", ["", "1 2 -1", "7 20 -1 9 10 -1 3 4 5 6 7 8", "1.5 2.5 -1 3e1 4 7"])
 @pytest.mark.parametrize("keep", [True, False], ids=["as written", "empty lines left out"])
-def test_lines_of_points_are_no_images(tmp_path, points, keep):
+def test_lines_of_points_are_no_images(tmp_path: Path, points: str, keep: bool) -> None:
     """Check that such lines are skipped: another program's file may have none, or names that are numbers."""
     reconstruction = write(tmp_path, "PINHOLE", text=True)
     path = tmp_path / "sparse/0/images.txt"
@@ -268,7 +270,7 @@ def test_lines_of_points_are_no_images(tmp_path, points, keep):
     assert sorted(photo.image.name for photo in photos) == sorted(expected)
 
 
-def test_text_models_with_a_byte_order_mark(tmp_path):
+def test_text_models_with_a_byte_order_mark(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE", text=True)
     for path in (tmp_path / "sparse/0").glob("*.txt"):
         path.write_text("".join(path.read_text().splitlines(keepends=True)[3:]), encoding="utf-8-sig")
@@ -276,13 +278,13 @@ def test_text_models_with_a_byte_order_mark(tmp_path):
     assert len(capture.photos) == 10 and capture.points is not None
 
 
-def test_other_programs_images_txt_is_no_model(tmp_path):
+def test_other_programs_images_txt_is_no_model(tmp_path: Path) -> None:
     (tmp_path / "images.txt").write_text("a.png\n")
     draw(tmp_path / "a.png")
     assert not any(kind.recognises(tmp_path) for kind in all_formats())
 
 
-def test_a_model_alone_lacks_its_photographs(tmp_path):
+def test_a_model_alone_lacks_its_photographs(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE")
     for path in (tmp_path / "images").iterdir():
         path.unlink()
@@ -292,14 +294,14 @@ def test_a_model_alone_lacks_its_photographs(tmp_path):
         load_scene(tmp_path / "sparse/0", DataConfig())
 
 
-def test_unsupported_camera_model_names_the_cure(tmp_path):
+def test_unsupported_camera_model_names_the_cure(tmp_path: Path) -> None:
     write(tmp_path, "EQUIRECTANGULAR")
     with pytest.raises(SceneError, match=r"EQUIRECTANGULAR is not supported: a panorama .* perspective photographs"):
         load_scene(tmp_path, DataConfig())
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
-def test_truncated_binary_model(tmp_path, name):
+def test_truncated_binary_model(tmp_path: Path, name: str) -> None:
     write(tmp_path, "PINHOLE")
     path = tmp_path / "sparse/0" / name
     path.write_bytes(path.read_bytes()[:-9])
@@ -307,14 +309,14 @@ def test_truncated_binary_model(tmp_path, name):
         load_scene(tmp_path, DataConfig())
 
 
-def test_damaged_text_model(tmp_path):
+def test_damaged_text_model(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE", text=True)
     (tmp_path / "sparse/0/cameras.txt").write_text("1 PINHOLE ninety 64 1 2 3 4\n")
     with pytest.raises(SceneError, match=r"sparse/0/cameras\.txt: damaged COLMAP model"):
         load_scene(tmp_path, DataConfig())
 
 
-def test_missing_cameras_file(tmp_path):
+def test_missing_cameras_file(tmp_path: Path) -> None:
     write(tmp_path, "PINHOLE")
     (tmp_path / "sparse/0/cameras.bin").unlink()
     with pytest.raises(SceneError, match=r"cameras\.bin is missing"):
@@ -322,7 +324,7 @@ def test_missing_cameras_file(tmp_path):
 
 
 @pytest.mark.slow
-def test_real_photographs(shared_data):
+def test_real_photographs(shared_data: Path) -> None:
     root = shared_data / "real" / "beercan_colmap"
     scene = load_scene(root, DataConfig(max_side=640))
     assert (len(scene.train), len(scene.test)) == (62, 9)
@@ -330,7 +332,7 @@ def test_real_photographs(shared_data):
     check_points_are_seen_where_colmap_saw_them(scene, reconstruction)
 
 
-def check_points_are_seen_where_colmap_saw_them(scene, reconstruction) -> None:
+def check_points_are_seen_where_colmap_saw_them(scene: Scene, reconstruction: Any) -> None:
     image = next(image for image in reconstruction.images.values() if Path(image.name).stem == scene.train[0].name)
     camera, view = reconstruction.cameras[image.camera_id], scene.train[0]
     seen = [point for point in image.points2D if point.has_point3D()]

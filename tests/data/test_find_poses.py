@@ -8,6 +8,8 @@ import sqlite3
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,12 +68,12 @@ def aligned(found: np.ndarray, true: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @pytest.mark.slow
-def test_cameras_are_found_up_to_the_frame(tmp_path):
+def test_cameras_are_found_up_to_the_frame(tmp_path: Path) -> None:
     for i, pose in enumerate(poses()):
         path = tmp_path / f"photos/{i}.png"
         path.parent.mkdir(exist_ok=True)
         cv2.imwrite(str(path), picture(pose))
-    said = []
+    said: list[str] = []
     assert find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append) == ()
     assert said[:2] == ["one camera: 320x240", "finding features in 8 photographs"]
     assert said[-1].startswith("8 photographs placed")
@@ -95,17 +97,19 @@ def test_cameras_are_found_up_to_the_frame(tmp_path):
         (True, "a camera for each photograph", "with texture$"),
     ],
 )
-def test_pictures_without_texture_leave_nothing_behind(tmp_path, camera_per_image, cameras, cure):
+def test_pictures_without_texture_leave_nothing_behind(
+    tmp_path: Path, camera_per_image: bool, cameras: str, cure: str
+) -> None:
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
-    said = []
+    said: list[str] = []
     with pytest.raises(SceneError, match=rf"only 0 of 4 photographs could be placed; take more photographs.*{cure}"):
         find_poses(tmp_path / "photos", tmp_path / "scene", 0, said.append, camera_per_image)
     assert said[0].startswith(cameras)
     assert not (tmp_path / "scene").exists()
 
 
-def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path):
+def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path: Path) -> None:
     """Check the database by SQLite, in the layout of COLMAP's documentation ("Database Format")."""
     equivalent = {0xA405: 26}  # Exif 2.32: FocalLengthIn35mmFilm
     real = {0x920A: IFDRational(42, 10)}  # FocalLength; COLMAP knows the sensor's size of 5.76 mm
@@ -128,7 +132,7 @@ def test_cameras_in_the_database_are_shared_and_know_what_exif_says(tmp_path):
     assert by_colmap.focal_length == pytest.approx(26 / 43.27 * 500), "as COLMAP itself"
 
 
-def save_photo(path, main, more):
+def save_photo(path: Path, main: dict[int, Any], more: dict[int, Any]) -> None:
     tags = Image.Exif()
     tags.update(main)
     tags.get_ifd(0x8769).update(more)
@@ -140,13 +144,13 @@ def save_photo(path, main, more):
         image.save(path, exif=tags.tobytes() if main else b"")
 
 
-def test_too_few_photographs(tmp_path):
+def test_too_few_photographs(tmp_path: Path) -> None:
     draw(tmp_path / "a.png")
     with pytest.raises(SceneError, match="1 images; at least 3 are needed"):
         find_poses(tmp_path, tmp_path / "scene", 0)
 
 
-def test_an_archive_of_too_few_photographs(tmp_path):
+def test_an_archive_of_too_few_photographs(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "photos.zip", "w") as out:
         for i in range(2):
             draw(tmp_path / f"{i}.png")
@@ -155,7 +159,7 @@ def test_an_archive_of_too_few_photographs(tmp_path):
         find_poses(tmp_path / "photos.zip", tmp_path / "scene", 0)
 
 
-def test_a_folder_that_holds_something_is_left_alone(tmp_path):
+def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     for i in range(4):
         draw(tmp_path / f"photos/{i}.png")
     with pytest.raises(ConfigError, match="photos: is not empty; name a new folder"):
@@ -163,13 +167,13 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path):
     assert len(list((tmp_path / "photos").iterdir())) == 4
 
 
-def test_without_pycolmap_the_extra_is_named(tmp_path, monkeypatch):
+def test_without_pycolmap_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(ConfigError, match=r"needs pycolmap; install it with `pip install 'mgsr\[poses\]'`"):
         find_poses(tmp_path, tmp_path / "scene", 0)
 
 
-def test_sigterm_stays_ours_beside_colmap():
+def test_sigterm_stays_ours_beside_colmap() -> None:
     """Check that SIGTERM reaches our handler.
 
     COLMAP's log library ends the process otherwise, and leaves a call trace and temporary files.

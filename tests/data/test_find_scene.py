@@ -6,6 +6,7 @@ import re
 import shutil
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ GREY = np.full((8, 8, 3), 128, np.uint8)
 
 
 @pytest.fixture
-def root(tmp_path) -> Path:
+def root(tmp_path: Path) -> Path:
     return BallCapture().write_plain(tmp_path / "vase")
 
 
@@ -38,7 +39,7 @@ def refuses(path: Path, match: str) -> None:
 
 
 @pytest.mark.parametrize("place", ["a", "a/b", "a/b/c"])
-def test_a_scene_some_folders_deeper(tmp_path, root, place):
+def test_a_scene_some_folders_deeper(tmp_path: Path, root: Path, place: str) -> None:
     deeper = tmp_path / "given" / place / "vase"
     deeper.parent.mkdir(parents=True)
     root.rename(deeper)
@@ -46,7 +47,7 @@ def test_a_scene_some_folders_deeper(tmp_path, root, place):
     assert scene.name == "vase" and scene.root == deeper
 
 
-def test_photographs_beside_the_folder_of_the_cameras(tmp_path):
+def test_photographs_beside_the_folder_of_the_cameras(tmp_path: Path) -> None:
     """Check that photographs and masks are found beside the cameras' folder, as dense/0/sparse and images/ lie."""
     root = BallCapture().write_plain(tmp_path / "vase", mode="RGB")
     BallCapture().write_masks(root)
@@ -57,7 +58,7 @@ def test_photographs_beside_the_folder_of_the_cameras(tmp_path):
     assert scene.masked and scene.notes == ()
 
 
-def test_a_scene_given_by_its_photographs(root):
+def test_a_scene_given_by_its_photographs(root: Path) -> None:
     scene = load_scene(root / "photos", DataConfig())
     assert scene.name == "vase" and scene.notes[0] == "photos is a part of the scene vase, which is read"
     save(root / "others/a.png", GREY, "RGB")
@@ -66,10 +67,10 @@ def test_a_scene_given_by_its_photographs(root):
 
 @pytest.mark.parametrize("relative", [False, True])
 @pytest.mark.parametrize("moved", [False, True])
-def test_absolute_paths(root, monkeypatch, relative, moved):
+def test_absolute_paths(root: Path, monkeypatch: pytest.MonkeyPatch, relative: bool, moved: bool) -> None:
     """Check that the result does not depend on an absolute or relative folder, nor on a move."""
 
-    def absolute(content):
+    def absolute(content: dict[str, Any]) -> None:
         for view in content["views"]:
             view["image"] = str(root / view["image"])
 
@@ -84,15 +85,15 @@ def test_absolute_paths(root, monkeypatch, relative, moved):
     assert bool(scene.notes) == moved
 
 
-def test_absolute_paths_outside_are_never_read(root, tmp_path):
+def test_absolute_paths_outside_are_never_read(root: Path, tmp_path: Path) -> None:
     save(tmp_path / "secret/000.png", GREY, "RGB")
     edit_json(root / "cameras.json", lambda content: content["views"][0].update(image=str(tmp_path / "secret/1.png")))
     scene = load_scene(root, DataConfig())
     assert any("secret/1.png is missing" in note for note in scene.notes)
 
 
-def test_windows_paths(root):
-    def windows(content):
+def test_windows_paths(root: Path) -> None:
+    def windows(content: dict[str, Any]) -> None:
         for view in content["views"]:
             view["image"] = "D:\\captures\\vase\\" + view["image"].replace("/", "\\")
 
@@ -100,7 +101,7 @@ def test_windows_paths(root):
     assert views(root) == 12
 
 
-def test_reduced_copies(root):
+def test_reduced_copies(root: Path) -> None:
     """Check that the largest copies are used where the photographs themselves are gone."""
     for factor in (8, 2, 4):
         shutil.copytree(root / "photos", root / f"photos_{factor}")
@@ -109,10 +110,10 @@ def test_reduced_copies(root):
     assert "the photographs are read from photos_2; the cameras are scaled to their size" in scene.notes
 
 
-def test_photographs_that_may_be_several(tmp_path):
-    for folder in ("left", "right"):
-        save(tmp_path / folder / "0.png", GREY, "RGB")
-        save(tmp_path / folder / "1.png", GREY, "RGB")
+def test_photographs_that_may_be_several(tmp_path: Path) -> None:
+    for name in ("left", "right"):
+        save(tmp_path / name / "0.png", GREY, "RGB")
+        save(tmp_path / name / "1.png", GREY, "RGB")
     folder = SceneFolder.at(tmp_path)
     found = folder.find_photos("poses.txt", ["a/left/0.png", "right/1.png", "2.png"])
     assert found.paths[:2] == [tmp_path / "left/0.png", tmp_path / "right/1.png"]
@@ -121,7 +122,7 @@ def test_photographs_that_may_be_several(tmp_path):
     assert re.match(r"poses\.txt: the photograph '0\.png' may be left/0\.png or right/0\.png; name it", str(both))
 
 
-def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path):
+def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path: Path) -> None:
     for folder in ("depth", "rgb"):
         save(tmp_path / folder / "0.png", GREY, "RGB")
     assert SceneFolder.at(tmp_path).find_photos("poses.txt", ["0"], labels=True).paths == [tmp_path / "rgb/0.png"]
@@ -138,7 +139,7 @@ def test_depth_maps_of_the_same_names_are_no_photographs(tmp_path):
         ("transforms.json", "{}", r"transforms\.json: a file of a scene; give the folder that holds it"),
     ],
 )
-def test_files_that_are_no_scene(tmp_path, name, content, message):
+def test_files_that_are_no_scene(tmp_path: Path, name: str, content: str, message: str) -> None:
     (tmp_path / name).write_text(content)
     refuses(tmp_path / name, message)
 
@@ -151,13 +152,13 @@ def test_files_that_are_no_scene(tmp_path, name, content, message):
         ("scene.zip", r"no known scene in it, but another archive, scene\.zip"),
     ],
 )
-def test_folders_of_other_things(tmp_path, name, message):
+def test_folders_of_other_things(tmp_path: Path, name: str, message: str) -> None:
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / name).write_text("x")
     refuses(tmp_path, message)
 
 
-def test_git_lfs_pointers_in_place_of_files(root):
+def test_git_lfs_pointers_in_place_of_files(root: Path) -> None:
     (root / "photos/003.png").write_text(LFS)
     scene = load_scene(root, DataConfig())
     assert len(scene.train) + len(scene.test) == 11
@@ -169,14 +170,14 @@ def test_git_lfs_pointers_in_place_of_files(root):
     refuses(root, r"cameras\.json is a pointer of Git LFS")
 
 
-def test_an_archive_whose_scene_lies_deeper(root, tmp_path):
+def test_an_archive_whose_scene_lies_deeper(root: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "vase.zip", "w") as archive:
         for path in sorted(root.rglob("*")):
             archive.write(path, Path("upload/today") / path.relative_to(root))
     assert views(tmp_path / "vase.zip") == 12
 
 
-def test_nan_as_windows_writes_it(root):
+def test_nan_as_windows_writes_it(root: Path) -> None:
     """Check that one view's NaN, as Windows writes it in JSON, loses that view."""
     text = (root / "cameras.json").read_text()
     text = re.sub(r'(?<="cam_from_world": \[\[)[-\d.e]+', "-nan(ind)", text, count=1)
@@ -188,7 +189,7 @@ def test_nan_as_windows_writes_it(root):
 
 
 @pytest.mark.parametrize("folder", ["depth", "masks_4", "mono_normal", "old", "photos_2"])
-def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root, folder):
+def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root: Path, folder: str) -> None:
     for path in (root / "photos").iterdir():
         save(root / folder / path.name, GREY, "RGB")
     (root / "photos/003.png").unlink()
@@ -197,7 +198,7 @@ def test_a_missing_photograph_is_not_replaced_by_another_image_of_its_name(root,
     assert len(scene.train) + len(scene.test) == 11
 
 
-def test_a_file_serves_one_photograph(tmp_path):
+def test_a_file_serves_one_photograph(tmp_path: Path) -> None:
     """Check that a file serves one of a rig's two photographs of one name.
 
     One of them is missing, and the other was converted.
@@ -213,11 +214,11 @@ def test_a_file_serves_one_photograph(tmp_path):
     assert isinstance(found.paths[3], MissingPhotoError)
 
 
-def test_developed_photographs_beside_raw_ones(root):
+def test_developed_photographs_beside_raw_ones(root: Path) -> None:
     for path in sorted((root / "photos").iterdir()):
         path.with_suffix(".CR2").write_text("raw")
 
-    def raw(content):
+    def raw(content: dict[str, Any]) -> None:
         for view in content["views"]:
             view["image"] = view["image"].replace(".png", ".CR2")
 
@@ -230,11 +231,11 @@ def test_developed_photographs_beside_raw_ones(root):
 
 
 @pytest.mark.parametrize("name", ["{}/masks/{:03d}.png", "elsewhere/masks/{:03d}.png", "C:\\moved\\Masks\\{:03d}.png"])
-def test_paths_of_masks_follow_those_of_photographs(tmp_path, name):
+def test_paths_of_masks_follow_those_of_photographs(tmp_path: Path, name: str) -> None:
     root = BallCapture().write_plain(tmp_path / "vase", mode="RGB")
     BallCapture().write_masks(root)
 
-    def named(content):
+    def named(content: dict[str, Any]) -> None:
         for i, view in enumerate(content["views"]):
             view["mask"] = name.format(root, i) if name.startswith("{}") else name.format(i)
 
@@ -243,7 +244,7 @@ def test_paths_of_masks_follow_those_of_photographs(tmp_path, name):
 
 
 @pytest.mark.parametrize("part", ["images", "images/left", "output/sparse", "output/sparse/0", "output"])
-def test_a_scene_given_by_a_part_of_it(tmp_path, part):
+def test_a_scene_given_by_a_part_of_it(tmp_path: Path, part: str) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(pycolmap.Camera.create_from_model_name(1, "PINHOLE", 100.0, 64, 64))
@@ -259,14 +260,14 @@ def test_a_scene_given_by_a_part_of_it(tmp_path, part):
     assert scene.notes[0] == f"{Path(part).name} is a part of the scene {scene.name}, which is read"
 
 
-def test_one_mask_for_two_photographs_is_used_for_none(root):
+def test_one_mask_for_two_photographs_is_used_for_none(root: Path) -> None:
     for camera in ("left", "right"):
         for number in range(6):
             source = root / f"photos/{number + 6 * (camera == 'right'):03d}.png"
             save(root / camera / f"{number}.png", np.asarray(Image.open(source).convert("RGB")), "RGB")
             save(root / f"masks/{number}.png", GREY[..., 0] * 0, "L")
 
-    def rig(content):
+    def rig(content: dict[str, Any]) -> None:
         for i, view in enumerate(content["views"]):
             view["image"] = f"{'left' if i < 6 else 'right'}/{i % 6}.png"
 
@@ -275,14 +276,14 @@ def test_one_mask_for_two_photographs_is_used_for_none(root):
     assert not scene.masked and scene.notes[0].startswith("masks/0.png may be the mask of several photographs: it is")
 
 
-def test_extensions_in_capitals(root):
+def test_extensions_in_capitals(root: Path) -> None:
     (root / "cameras.json").unlink()
     (root / "CAMS.CSV").write_text("#name,x,y,alt,heading,pitch,roll,f\n" + "photos/000.png,0,0,10,0,0,0,18\n" * 2)
     assert len(read_capture(root, "realitycapture").photos) == 2
 
 
 @pytest.mark.parametrize("cameras", [True, False], ids=["cameras alone", "photographs alone"])
-def test_a_confined_scene_takes_nothing_from_outside(tmp_path, root, cameras):
+def test_a_confined_scene_takes_nothing_from_outside(tmp_path: Path, root: Path, cameras: bool) -> None:
     """Check that a job of the service can't reach the files of another."""
     inner = tmp_path / "vase/job"
     inner.mkdir()

@@ -9,6 +9,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -128,9 +129,7 @@ TARGETS = {
     },
     "kapture_points": Target(kapture, "reconstruction/points3d.txt"),
     **{
-        f"colmap_{stem}_{suffix}": Target(
-            lambda root, text=suffix == "txt": colmap(root, text), f"sparse/0/{stem}.{suffix}"
-        )
+        f"colmap_{stem}_{suffix}": Target(partial(colmap, text=suffix == "txt"), f"sparse/0/{stem}.{suffix}")
         for stem in ("cameras", "images", "points3D")
         for suffix in ("bin", "txt")
     },
@@ -152,33 +151,33 @@ def fuzz_reader(root: Path, name: str, changes: st.SearchStrategy[Change], how: 
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_damaged_bytes(tmp_path, name):
+def test_damaged_bytes(tmp_path: Path, name: str) -> None:
     fuzz_reader(tmp_path, name, byte_changes(), QUICK)
 
 
 @pytest.mark.parametrize("name", JSON_TARGETS)
-def test_senseless_values(tmp_path, name):
+def test_senseless_values(tmp_path: Path, name: str) -> None:
     fuzz_reader(tmp_path, name, value_changes(), QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", TARGETS)
-def test_damaged_bytes_for_long(tmp_path, name):
+def test_damaged_bytes_for_long(tmp_path: Path, name: str) -> None:
     fuzz_reader(tmp_path, name, byte_changes(), LONG)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", JSON_TARGETS)
-def test_senseless_values_for_long(tmp_path, name):
+def test_senseless_values_for_long(tmp_path: Path, name: str) -> None:
     fuzz_reader(tmp_path, name, value_changes(), LONG)
 
 
 # What the long run found
 
 
-def test_messages_do_not_repeat_a_long_name_of_a_camera_model(tmp_path):
+def test_messages_do_not_repeat_a_long_name_of_a_camera_model(tmp_path: Path) -> None:
     sensors = kapture(tmp_path) / "sensors/sensors.txt"
     sensors.write_text(sensors.read_text().replace("OPENCV", "A" * 5000))
     with pytest.raises(SceneError, match=r"camera model A+ is not supported") as caught:
@@ -213,14 +212,14 @@ def fuzz_archive(root: Path, name: str, how: settings) -> None:
 
 
 @pytest.mark.parametrize("name", ARCHIVES)
-def test_damaged_archives(tmp_path, name):
+def test_damaged_archives(tmp_path: Path, name: str) -> None:
     fuzz_archive(tmp_path, name, QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", ARCHIVES)
-def test_damaged_archives_for_long(tmp_path, name):
+def test_damaged_archives_for_long(tmp_path: Path, name: str) -> None:
     fuzz_archive(tmp_path, name, LONG)
 
 
@@ -232,6 +231,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
         pillow_heif.from_pillow(Image.fromarray(pixels)).save(path)
     elif path.suffix == ".exr":
         output = OpenImageIO.ImageOutput.create(str(path))
+        assert output is not None
         assert output.open(str(path), OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "half"))
         assert output.write_image(pixels / np.float32(255)) and output.close()
     else:
@@ -241,7 +241,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.bmp", "a.heic", "a.exr"])
-def test_damaged_images_for_long(tmp_path, name):
+def test_damaged_images_for_long(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     write_image(path, np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8))
 

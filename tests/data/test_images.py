@@ -5,6 +5,8 @@ from __future__ import annotations
 import shutil
 import struct
 import zlib
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +16,13 @@ from PIL import Image, ImageOps
 from mgsr.data import images
 from mgsr.data.images import composite_on_white, image_size, read_image, read_mask, read_picture, reduce_area, upright
 from mgsr.errors import SceneError, in_short
+from tests.optional import present
 
 RNG = np.random.default_rng(3)
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGB", "RGBA", "P", "1"])
-def test_png_modes_agree_with_pillow(tmp_path, mode):
+def test_png_modes_agree_with_pillow(tmp_path: Path, mode: str) -> None:
     pixels = RNG.integers(0, 256, (11, 17, 4), dtype=np.uint8)
     image = Image.fromarray(pixels if "A" in mode else pixels[..., :3].copy()).convert(mode)
     image.save(tmp_path / "a.png")
@@ -30,7 +33,7 @@ def test_png_modes_agree_with_pillow(tmp_path, mode):
         np.testing.assert_array_equal(alpha, pixels[..., 3])
 
 
-def test_jpeg_agrees_with_pillow(tmp_path):
+def test_jpeg_agrees_with_pillow(tmp_path: Path) -> None:
     Image.fromarray(RNG.integers(0, 256, (16, 24, 3), dtype=np.uint8)).resize((48, 32)).save(tmp_path / "a.jpg")
     colors, alpha = read_image(tmp_path / "a.jpg", "test")
     with Image.open(tmp_path / "a.jpg") as image:
@@ -39,14 +42,14 @@ def test_jpeg_agrees_with_pillow(tmp_path):
     assert alpha is None
 
 
-def test_sixteen_bits(tmp_path):
+def test_sixteen_bits(tmp_path: Path) -> None:
     values = np.linspace(0, 65535, 20, dtype=np.uint16).reshape(4, 5)
     Image.fromarray(values).save(tmp_path / "a.png")
     colors, _ = read_image(tmp_path / "a.png", "test")
     np.testing.assert_allclose(colors[..., 0], values / 257, atol=0.51)
 
 
-def test_linear_exr_becomes_srgb(tmp_path):
+def test_linear_exr_becomes_srgb(tmp_path: Path) -> None:
     import OpenImageIO
 
     linear = np.array([[[0.0, 0.18, 1.0], [0.002, 0.5, 7.0]]], dtype=np.float32)
@@ -58,12 +61,13 @@ def test_linear_exr_becomes_srgb(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.tif", "a.exr"])
-def test_float_images_that_say_they_are_srgb_are_left_as_they_are(tmp_path, name):
+def test_float_images_that_say_they_are_srgb_are_left_as_they_are(tmp_path: Path, name: str) -> None:
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(2, 1, 3, "float")
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
     output = OpenImageIO.ImageOutput.create(str(tmp_path / name))
+    assert output is not None
     output.open(str(tmp_path / name), spec)
     output.write_image(np.full((1, 2, 3), 0.2, np.float32))
     output.close()
@@ -72,7 +76,12 @@ def test_float_images_that_say_they_are_srgb_are_left_as_they_are(tmp_path, name
     assert (colors == (51 if says_srgb(tmp_path / name) else 124)).all()
 
 
-def write_exr(path, channels: dict[str, float], window=(0, 0, 4, 3), display=None):
+def write_exr(
+    path: Path,
+    channels: dict[str, float],
+    window: tuple[int, int, int, int] = (0, 0, 4, 3),
+    display: tuple[int, int, int, int] | None = None,
+) -> Path:
     """Write an EXR of flat channels. window, display: x, y, width and height, by default the same."""
     import OpenImageIO
 
@@ -82,13 +91,14 @@ def write_exr(path, channels: dict[str, float], window=(0, 0, 4, 3), display=Non
     spec.x, spec.y, spec.width, spec.height = window
     spec.full_x, spec.full_y, spec.full_width, spec.full_height = display or window
     output = OpenImageIO.ImageOutput.create(str(path))
+    assert output is not None
     assert output.open(str(path), spec), output.geterror()
     output.write_image(np.broadcast_to(np.array(list(channels.values()), np.float32), (height, width, len(channels))))
     output.close()
     return path
 
 
-def as_read(path):
+def as_read(path: Path) -> tuple[list[int], int | None]:
     """Return a flat image's colour and alpha."""
     colors, alpha = read_image(path, "view 3")
     assert (colors == colors[0, 0]).all() and (alpha is None or (alpha == alpha[0, 0]).all())
@@ -99,7 +109,7 @@ def as_read(path):
 LIGHT, SHOWN = {"R": 0.18, "G": 0.5, "B": 1.0}, [118, 188, 255]
 
 
-def layer(name, **channels):
+def layer(name: str, **channels: float) -> dict[str, float]:
     return {f"{name}.{channel}": value for channel, value in channels.items()}
 
 
@@ -119,7 +129,9 @@ def layer(name, **channels):
         (layer("Normal", X=0.0, Y=0.0, Z=1.0) | {"Y": 0.5}, [188] * 3, None),
     ],
 )
-def test_channels_of_an_exr_go_by_their_names(tmp_path, channels, colors, alpha):
+def test_channels_of_an_exr_go_by_their_names(
+    tmp_path: Path, channels: dict[str, float], colors: list[int], alpha: int | None
+) -> None:
     """Check the channels, whose colours are premultiplied in an EXR: 0.09 at alpha 0.5 is 0.18.
 
     Source: OpenEXR's technical introduction.
@@ -135,14 +147,14 @@ def test_channels_of_an_exr_go_by_their_names(tmp_path, channels, colors, alpha)
         layer("Diffuse", **LIGHT) | layer("Glossy", **LIGHT),
     ],
 )
-def test_an_exr_of_which_no_layer_is_the_picture(tmp_path, channels):
+def test_an_exr_of_which_no_layer_is_the_picture(tmp_path: Path, channels: dict[str, float]) -> None:
     write_exr(tmp_path / "a.exr", channels)
     name = next(iter(channels))
     with pytest.raises(SceneError, match=rf"a\.exr: expected channels R, G, B.*got .*{name}.*view 3.*layer alone"):
         read_image(tmp_path / "a.exr", "view 3")
 
 
-def test_an_exr_whose_second_part_is_the_picture(tmp_path):
+def test_an_exr_whose_second_part_is_the_picture(tmp_path: Path) -> None:
     import OpenImageIO
 
     path, specs = str(tmp_path / "a.exr"), []
@@ -151,6 +163,7 @@ def test_an_exr_whose_second_part_is_the_picture(tmp_path):
         specs[-1].channelnames = names
         specs[-1].attribute("oiio:subimagename", "-".join(names))
     output = OpenImageIO.ImageOutput.create(path)
+    assert output is not None
     assert output.open(path, tuple(specs))
     output.write_image(np.full((3, 4, 2), 9, np.float32))
     assert output.open(path, specs[1], "AppendSubimage")
@@ -159,7 +172,7 @@ def test_an_exr_whose_second_part_is_the_picture(tmp_path):
     assert as_read(tmp_path / "a.exr") == (SHOWN, None)
 
 
-def test_an_exr_of_which_the_error_is_no_text(tmp_path):
+def test_an_exr_of_which_the_error_is_no_text(tmp_path: Path) -> None:
     """Check an error that is no text, as OpenImageIO puts bytes of the file into it (found by fuzzing)."""
     path = write_exr(tmp_path / "a.exr", LIGHT)
     path.write_bytes(path.read_bytes().replace(b"chlist", b"ch\xffist"))
@@ -180,7 +193,9 @@ def test_an_exr_of_which_the_error_is_no_text(tmp_path):
         ((-20, 1, 4, 3), (0, 0, 10, 8), range(0), range(0)),
     ],
 )
-def test_the_display_window_of_an_exr_is_read(tmp_path, window, display, rows, columns):
+def test_the_display_window_of_an_exr_is_read(
+    tmp_path: Path, window: tuple[int, int, int, int], display: tuple[int, int, int, int], rows: range, columns: range
+) -> None:
     path = write_exr(tmp_path / "a.exr", LIGHT | {"A": 1.0}, window, display)
     colors, alpha = read_image(path, "test")
     expected = np.zeros((8, 10), np.uint8)
@@ -190,7 +205,7 @@ def test_the_display_window_of_an_exr_is_read(tmp_path, window, display, rows, c
     assert image_size(path, "test") == (10, 8)
 
 
-def test_a_display_window_that_would_fill_the_memory(tmp_path):
+def test_a_display_window_that_would_fill_the_memory(tmp_path: Path) -> None:
     path = write_exr(tmp_path / "a.exr", LIGHT, display=(0, 0, 1 << 20, 1 << 20))
     for read in (image_size, read_image):
         with pytest.raises(SceneError, match=r"a\.exr: 1048576x1048576 pixels; at most .*: reduce it"):
@@ -212,10 +227,12 @@ PIXEL = [100, 60, 20, 128]
     ],
 )
 @pytest.mark.parametrize("depth", [np.uint8, np.uint16])
-def test_extra_samples_of_a_tiff(tmp_path, pixel, kinds, colors, alpha, depth):
+def test_extra_samples_of_a_tiff(
+    tmp_path: Path, pixel: list[int], kinds: list[str], colors: list[int], alpha: int | None, depth: type[np.generic]
+) -> None:
     values = np.broadcast_to(np.array(pixel, depth) * (257 if depth == np.uint16 else 1), (4, 6, len(pixel)))
     photometric = "rgb" if len(pixel) > 2 else "minisblack"
-    how = {"photometric": photometric, "extrasamples": kinds, "planarconfig": "contig"}
+    how: dict[str, Any] = {"photometric": photometric, "extrasamples": kinds, "planarconfig": "contig"}
     tifffile.imwrite(tmp_path / "a.tif", values.astype(depth), **how)
     assert as_read(tmp_path / "a.tif") == (colors, alpha)
 
@@ -224,13 +241,13 @@ def test_extra_samples_of_a_tiff(tmp_path, pixel, kinds, colors, alpha, depth):
     ("name", "mode"),
     [*((f"a.{end}", "RGBA") for end in ("png", "webp", "bmp", "tif")), ("a.png", "LA"), ("a.tif", "LA")],
 )
-def test_alpha_that_is_straight_in_the_file(tmp_path, name, mode):
+def test_alpha_that_is_straight_in_the_file(tmp_path: Path, name: str, mode: str) -> None:
     image = Image.new("RGBA", (6, 4), (100, 60, 20, 128)).convert(mode)
     image.save(tmp_path / name, lossless=True)
-    assert as_read(tmp_path / name) == (list(image.convert("RGB").getpixel((0, 0))), 128)
+    assert as_read(tmp_path / name) == (np.asarray(image.convert("RGB"))[0, 0].tolist(), 128)
 
 
-def test_a_float_tiff_with_values_of_8_bits(tmp_path):
+def test_a_float_tiff_with_values_of_8_bits(tmp_path: Path) -> None:
     values = np.full((4, 6, 3), 128, np.float32)
     values[:, :4] = 0  # most of it is black
     values[0, 5] = 217.5
@@ -241,15 +258,17 @@ def test_a_float_tiff_with_values_of_8_bits(tmp_path):
     assert read_image(tmp_path / "a.tif", "view 3")[0][3, 5].tolist() == [188] * 3  # 128 / 255 is 0.502
 
 
-def says_srgb(path) -> bool:
+def says_srgb(path: Path) -> bool:
     """Return whether a file says that it is sRGB; not every file type has a place for it."""
     import OpenImageIO
 
-    return str(OpenImageIO.ImageInput.open(str(path)).spec().getattribute("oiio:ColorSpace")).startswith("srgb")
+    return str(present(OpenImageIO.ImageInput.open(str(path))).spec().getattribute("oiio:ColorSpace")).startswith(
+        "srgb"
+    )
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".tif"])
-def test_cmyk_agrees_with_pillow(tmp_path, suffix):
+def test_cmyk_agrees_with_pillow(tmp_path: Path, suffix: str) -> None:
     image = Image.fromarray(RNG.integers(0, 256, (16, 24, 3), dtype=np.uint8)).resize((48, 32)).convert("CMYK")
     image.save(tmp_path / f"a{suffix}")
     colors, alpha = read_image(tmp_path / f"a{suffix}", "test")
@@ -259,7 +278,7 @@ def test_cmyk_agrees_with_pillow(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_upright_agrees_with_pillow(tmp_path, orientation):
+def test_upright_agrees_with_pillow(tmp_path: Path, orientation: int) -> None:
     pixels = RNG.integers(0, 256, (6, 9, 3), dtype=np.uint8)
     exif = Image.Exif()
     exif[0x0112] = orientation
@@ -271,7 +290,7 @@ def test_upright_agrees_with_pillow(tmp_path, orientation):
 
 
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "L"])
-def test_heic_agrees_with_pillow(tmp_path, mode):
+def test_heic_agrees_with_pillow(tmp_path: Path, mode: str) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     image = Image.fromarray(RNG.integers(0, 256, (4, 6, 4), dtype=np.uint8)).resize((96, 64)).convert(mode)
     pillow_heif.from_pillow(image).save(tmp_path / "a.heic", quality=90)
@@ -283,7 +302,7 @@ def test_heic_agrees_with_pillow(tmp_path, mode):
 
 
 @pytest.mark.parametrize(("written", "named"), [("a.heic", "a.jpg"), ("a.jpg", "b.heic"), ("a.png", "b.heic")])
-def test_content_and_not_the_name_tells_the_kind(tmp_path, written, named):
+def test_content_and_not_the_name_tells_the_kind(tmp_path: Path, written: str, named: str) -> None:
     """Check that the content tells the kind, as phones and messengers rename photographs."""
     pillow_heif = pytest.importorskip("pillow_heif")
     image = Image.new("RGB", (96, 64), (200, 100, 50))
@@ -294,7 +313,7 @@ def test_content_and_not_the_name_tells_the_kind(tmp_path, written, named):
     assert np.abs(colors.astype(int) - [200, 100, 50]).max() <= 3, "what lossy coding does"
 
 
-def test_truncated_jpeg(tmp_path):
+def test_truncated_jpeg(tmp_path: Path) -> None:
     Image.fromarray(RNG.integers(0, 256, (90, 120, 3), dtype=np.uint8)).save(tmp_path / "a.jpg")
     data = (tmp_path / "a.jpg").read_bytes()
     (tmp_path / "a.jpg").write_bytes(data[: len(data) // 2])
@@ -303,7 +322,7 @@ def test_truncated_jpeg(tmp_path):
 
 
 @pytest.mark.parametrize(("cut", "message"), [(20, "not an image that can be read"), (400, "damaged image")])
-def test_truncated_heic(tmp_path, cut, message):
+def test_truncated_heic(tmp_path: Path, cut: int, message: str) -> None:
     pillow_heif = pytest.importorskip("pillow_heif")
     pillow_heif.from_pillow(Image.new("RGB", (96, 64))).save(tmp_path / "a.heic")
     (tmp_path / "a.heic").write_bytes((tmp_path / "a.heic").read_bytes()[:cut])
@@ -311,7 +330,7 @@ def test_truncated_heic(tmp_path, cut, message):
         read_image(tmp_path / "a.heic", "view 3")
 
 
-def test_a_heic_whose_header_lies_about_its_colors(tmp_path):
+def test_a_heic_whose_header_lies_about_its_colors(tmp_path: Path) -> None:
     """Check a HEIC that opens, but on which pillow-heif raises SyntaxError when it decodes (found by fuzzing)."""
     pillow_heif = pytest.importorskip("pillow_heif")
     path = tmp_path / "a.heic"
@@ -325,13 +344,13 @@ def test_a_heic_whose_header_lies_about_its_colors(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.exr", "a.heic"])
-def test_wrong_magic(tmp_path, name):
+def test_wrong_magic(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"GIF89 no, not really an image at all")
     with pytest.raises(SceneError, match=rf"{name}: not an image that can be read: .*asked for by view 3"):
         read_image(tmp_path / name, "view 3")
 
 
-def test_images_too_large_for_any_machine_are_refused_by_their_header(tmp_path):
+def test_images_too_large_for_any_machine_are_refused_by_their_header(tmp_path: Path) -> None:
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
@@ -347,7 +366,7 @@ def test_images_too_large_for_any_machine_are_refused_by_their_header(tmp_path):
         read_image(tmp_path / "a.png", "view 3")
 
 
-def test_large_images_below_the_limit_are_taken(tmp_path, monkeypatch):
+def test_large_images_below_the_limit_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Image.new("RGB", (40, 25)).save(tmp_path / "a.png")
     monkeypatch.setattr(images, "MAX_PIXELS", 1000)
     assert image_size(tmp_path / "a.png", "test") == (40, 25)
@@ -356,32 +375,32 @@ def test_large_images_below_the_limit_are_taken(tmp_path, monkeypatch):
         image_size(tmp_path / "a.png", "test")
 
 
-def test_mask_in_an_alpha_channel(tmp_path):
+def test_mask_in_an_alpha_channel(tmp_path: Path) -> None:
     pixels = np.zeros((4, 4, 4), np.uint8)
     pixels[1:3, 1:3, 3] = 255
     Image.fromarray(pixels).save(tmp_path / "m.png")
     np.testing.assert_array_equal(read_mask(tmp_path / "m.png", "test"), pixels[..., 3])
 
 
-def test_area_reduction_by_whole_factors_is_the_mean():
+def test_area_reduction_by_whole_factors_is_the_mean() -> None:
     image = RNG.random((12, 8, 3)).astype(np.float32)
     expected = image.reshape(4, 3, 4, 2, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(reduce_area(image, 4, 4), expected, rtol=1e-5)
 
 
-def test_area_reduction_by_fractions():
+def test_area_reduction_by_fractions() -> None:
     """Check five pixels reduced to two: each takes two and a half."""
     image = np.arange(5, dtype=np.float32)[None, :, None]
     np.testing.assert_allclose(reduce_area(image, 2, 1)[0, :, 0], [(0 + 1 + 1) / 2.5, (1 + 3 + 4) / 2.5], rtol=1e-6)
 
 
-def test_white():
+def test_white() -> None:
     colors = np.full((1, 1, 3), 100, np.uint8)
     assert composite_on_white(colors, np.array([[0]], np.uint8)).max() == 255
     np.testing.assert_array_equal(composite_on_white(colors, np.array([[51]], np.uint8)), np.full((1, 1, 3), 224))
 
 
-def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
+def test_a_heic_that_holds_no_image_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that such a file is refused: pillow-heif opens it, and fails on its first image (found by fuzzing)."""
     import pillow_heif
 
@@ -393,7 +412,7 @@ def test_a_heic_that_holds_no_image_is_refused(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("reason", ["line after line\n" * 5000, "one line " * 5000])
-def test_what_libraries_say_is_cut_short(reason):
+def test_what_libraries_say_is_cut_short(reason: str) -> None:
     """Check that long messages are cut short.
 
     Fuzzing found that a damaged TIFF gives thousands of lines, and a damaged zip the bytes of its first file.

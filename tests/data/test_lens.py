@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -21,16 +23,17 @@ SMALL = {"f": 60, "fx": 60, "fy": 70, "cx": 47, "cy": 31, "omega": 0.8, "alpha":
 
 
 def pixels(lens: Lens) -> np.ndarray:
-    return np.stack(lens.distort(*RAYS[:, :2].T)).T @ K[:2, :2] + K[:2, 2]
+    distorted: np.ndarray = np.stack(lens.distort(*RAYS[:, :2].T)).T @ K[:2, :2] + K[:2, 2]
+    return distorted
 
 
-def parameters(camera) -> list[float]:
+def parameters(camera: Any) -> list[float]:
     names = [name.strip() for name in camera.params_info.split(",")]
     return [SMALL.get(name, 0.02 + 0.003 * i) for i, name in enumerate(names)]
 
 
 @pytest.mark.parametrize("number", [number for number, (name, _) in _MODELS.items() if name != "EQUIRECTANGULAR"])
-def test_every_camera_model_agrees_with_colmap(number):
+def test_every_camera_model_agrees_with_colmap(number: int) -> None:
     name, count = _MODELS[number]
     camera = pycolmap.Camera.create_from_model_name(1, name, 60.0, 96, 64)
     assert int(camera.model) == number and len(camera.params) == count
@@ -43,16 +46,17 @@ def test_every_camera_model_agrees_with_colmap(number):
     np.testing.assert_allclose(np.c_[x, y] @ matrix[:2, :2].T + matrix[:2, 2], expected, atol=1e-9)
 
 
-def test_the_polynomial_agrees_with_opencv():
+def test_the_polynomial_agrees_with_opencv() -> None:
     terms = np.array([0.1, -0.05, 0.01, -0.02, 0.03, 0.04, -0.02, 0.01, 0.005, -0.004, 0.003, 0.002])
-    lens = Lens(*terms[:4], higher=(terms[4],), divisor=tuple(terms[5:8]), prism=tuple(terms[8:]))
+    k1, k2, p1, p2, k3 = terms[:5]
+    lens = Lens(k1, k2, p1, p2, higher=(k3,), divisor=tuple(terms[5:8]), prism=tuple(terms[8:]))
     expected, _ = cv2.projectPoints(RAYS, np.zeros(3), np.zeros(3), K, terms)
     np.testing.assert_allclose(
         np.stack(lens.distort(*RAYS[:, :2].T)).T @ K[:2, :2] + K[:2, 2], expected[:, 0], atol=1e-9
     )
 
 
-def test_the_fisheye_agrees_with_opencv():
+def test_the_fisheye_agrees_with_opencv() -> None:
     terms = np.array([0.1, -0.05, 0.02, -0.01])
     lens = Lens(terms[0], terms[1], higher=tuple(terms[2:]), fisheye=True)
     expected, _ = cv2.fisheye.projectPoints(RAYS[:, None], np.zeros(3), np.zeros(3), K, terms)
@@ -62,17 +66,17 @@ def test_the_fisheye_agrees_with_opencv():
 
 
 @pytest.mark.parametrize("lens", [Lens(), Lens(higher=(0.0, 0.0)), DivisionLens(0.0)])
-def test_lenses_that_change_nothing_say_so(lens):
+def test_lenses_that_change_nothing_say_so(lens: Lens | DivisionLens) -> None:
     assert lens.flat
     np.testing.assert_array_equal(lens.distort(*RAYS[:, :2].T), RAYS[:, :2].T)
 
 
 @pytest.mark.parametrize("lens", [Lens(fisheye=True), Lens(skew=0.1), Lens(higher=(0.0, 0.1))])
-def test_lenses_that_change_something_say_so(lens):
+def test_lenses_that_change_something_say_so(lens: Lens) -> None:
     assert not lens.flat
 
 
-def test_the_whole_undistorted_image_agrees_with_opencv():
+def test_the_whole_undistorted_image_agrees_with_opencv() -> None:
     """Check against OpenCV's own maps and remapping of the same photograph, for the same window."""
     image = cv2.GaussianBlur(RNG.random((64, 96, 3)).astype(np.float32), (0, 0), 2)
     how = undistortion(Lens(-0.2, 0.05, 0.01, -0.01), K, 96, 64, "test")
@@ -101,7 +105,7 @@ STRONG = [
 
 @pytest.mark.parametrize("lens", STRONG)
 @pytest.mark.parametrize("focal", [25.0, 60.0])
-def test_what_is_known_is_what_the_photograph_shows(lens, focal):
+def test_what_is_known_is_what_the_photograph_shows(lens: Lens, focal: float) -> None:
     """Check that exactly those pixels are known whose ray the photograph shows, and that they lie where they should.
 
     The kept image and the pixels around it are checked. Where a rectangle was taken instead, it leaves out no more than
@@ -123,7 +127,9 @@ def test_what_is_known_is_what_the_photograph_shows(lens, focal):
     assert beyond == 0 if how.valid_mask is not None else beyond < known.sum() / 30
 
 
-def followed(lens, K, pixels):
+def followed(
+    lens: Lens, K: np.ndarray, pixels: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return whether the photograph shows what pinhole pixels show up to HALF_ANGLE, where, and which are certain.
 
     Uncertain pixels lie on an edge, to a thousandth of a pixel, or within a pixel of a fold. OpenCV projects a ray that
@@ -145,7 +151,7 @@ def followed(lens, K, pixels):
     return shown, places, sure
 
 
-def projected(lens, K, rays):
+def projected(lens: Lens, K: np.ndarray, rays: np.ndarray) -> np.ndarray:
     terms = np.array([lens.k1, lens.k2, *(lens.higher or (0.0, 0.0))])
     if lens.fisheye:
         skewed = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), K, terms, alpha=lens.skew)
@@ -158,7 +164,7 @@ def projected(lens, K, rays):
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
-def test_bytes_are_resampled_as_floats_are(channels):
+def test_bytes_are_resampled_as_floats_are(channels: int) -> None:
     """Check sharp noise, on which bicubic interpolation overshoots both ends of a byte."""
     image = RNG.choice(np.array([0, 255], np.uint8), (64, 96, channels))
     how = undistortion(Lens(-0.2), K, 96, 64, "test")
@@ -167,12 +173,12 @@ def test_bytes_are_resampled_as_floats_are(channels):
     np.testing.assert_array_equal(resample(image, how), np.clip(np.rint(exact), 0, 255).astype(np.uint8))
 
 
-def test_a_lens_without_usable_image_is_refused():
+def test_a_lens_without_usable_image_is_refused() -> None:
     with pytest.raises(SceneError, match=r"view 3: the lens distortion .* leaves no usable image"):
         undistortion(Lens(k1=-1e6), K, 96, 64, "view 3")
 
 
-def test_one_map_serves_all_photographs_of_a_camera():
+def test_one_map_serves_all_photographs_of_a_camera() -> None:
     undistort = Undistorter(PixelStore())
     assert undistort(Lens(0.1), K, 96, 64, "a") is undistort(Lens(0.1), K.copy(), 96, 64, "b")
     assert undistort(Lens(0.1), K, 96, 64, "a") is not undistort(Lens(0.2), K, 96, 64, "c")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -59,33 +62,33 @@ def standing_still() -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("ball", [BALL, CLOSE], ids=["whole", "cut off"])
-def test_silhouettes(ball):
+def test_silhouettes(ball: BallCapture) -> None:
     assert find_mask_use(silhouettes(ball), cameras(ball)) is MaskUse.OBJECT
 
 
 @pytest.mark.parametrize("masks", [passers_by(0.05), passers_by(0.2), passers_by(0.4, empty=0), strip()])
-def test_what_is_to_be_ignored(masks):
+def test_what_is_to_be_ignored(masks: list[np.ndarray]) -> None:
     assert find_mask_use(masks, cameras(BALL)) is MaskUse.IGNORE
 
 
-def test_a_thing_that_stands_still_may_be_either():
+def test_a_thing_that_stands_still_may_be_either() -> None:
     with pytest.raises(SceneError, match=r"may show an object or what is to be ignored .*masks=object .*masks=ignore"):
         find_mask_use(standing_still(), cameras(BALL))
 
 
-def test_a_ball_that_all_images_cut_off_may_be_either():
+def test_a_ball_that_all_images_cut_off_may_be_either() -> None:
     """Check that such masks are doubtful: the ball leaves the corners black, and so does a round lens hood."""
     close = BallCapture(views=24, K=np.array([[145.0, 0, 32], [0, 145, 32], [0, 0, 1]]))
     with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
         find_mask_use(silhouettes(close), cameras(close))
 
 
-def test_inverted_silhouettes():
+def test_inverted_silhouettes() -> None:
     with pytest.raises(SceneError, match=r"the masks are inverted: .*masks=ignore"):
         find_mask_use([255 - mask for mask in silhouettes(BALL)], cameras(BALL))
 
 
-def capture(root, masks, names="masks/{:03d}.png"):
+def capture(root: Path, masks: Sequence[np.ndarray | None], names: str = "masks/{:03d}.png") -> Path:
     BALL.write_plain(root, mode="RGB")
     for i, mask in enumerate(masks):
         if mask is not None:
@@ -94,7 +97,7 @@ def capture(root, masks, names="masks/{:03d}.png"):
 
 
 @pytest.mark.parametrize("names", ["masks/{:03d}.png", "masks/{:03d}.png.png"], ids=["plain", "as COLMAP"])
-def test_ignored_pixels_are_unknown(tmp_path, names):
+def test_ignored_pixels_are_unknown(tmp_path: Path, names: str) -> None:
     masks = passers_by(0.1)
     scene = load_scene(capture(tmp_path, masks, names), DataConfig())
     assert not scene.masked
@@ -109,14 +112,14 @@ def test_ignored_pixels_are_unknown(tmp_path, names):
         np.testing.assert_array_equal(view.valid_mask, ~around)
 
 
-def test_photographs_without_a_mask_are_used_whole(tmp_path):
+def test_photographs_without_a_mask_are_used_whole(tmp_path: Path) -> None:
     masks = [mask if i % 3 else None for i, mask in enumerate(passers_by(0.1))]
     scene = load_scene(capture(tmp_path, masks), DataConfig())
     assert len(scene.train) + len(scene.test) == 24 and not scene.masked
     assert scene.notes[0].startswith("the masks say what to ignore")
 
 
-def test_instant_ngps_dynamic_masks(tmp_path):
+def test_instant_ngps_dynamic_masks(tmp_path: Path) -> None:
     """Check that white is ignored in dynamic_mask_NAME.png beside the photograph, as colmap2nerf.py writes them."""
     masks = [255 - mask for mask in passers_by(0.1)]
     scene = load_scene(capture(tmp_path, masks, "photos/dynamic_mask_{:03d}.png"), DataConfig())
@@ -128,7 +131,7 @@ def test_instant_ngps_dynamic_masks(tmp_path):
 
 
 @pytest.mark.parametrize("top", [0.15, 0.3])
-def test_skies_are_no_silhouettes(tmp_path, top):
+def test_skies_are_no_silhouettes(tmp_path: Path, top: float) -> None:
     """Check masks that are black above, where sky lies behind every object.
 
     Either they are ignored, or the two meanings are named.
@@ -144,21 +147,21 @@ def test_skies_are_no_silhouettes(tmp_path, top):
             load_scene(root, DataConfig())
 
 
-def test_a_lens_hood_is_no_silhouette(tmp_path):
+def test_a_lens_hood_is_no_silhouette(tmp_path: Path) -> None:
     y, x = np.mgrid[:SIDE, :SIDE] + 0.5
     hood = np.where(np.hypot(x - 32, y - 32) < 34, 255, 0).astype(np.uint8)
     with pytest.raises(SceneError, match="may show an object or what is to be ignored"):
         load_scene(capture(tmp_path, [hood] * BALL.views), DataConfig())
 
 
-def test_what_is_ignored_does_not_shrink_the_ball(tmp_path):
+def test_what_is_ignored_does_not_shrink_the_ball(tmp_path: Path) -> None:
     masks = [mask.copy() for mask in strip()]
     root = capture(tmp_path, masks)
     scale = load_scene(root, DataConfig()).user_from_scene.scale
     assert scale == load_scene(root, DataConfig(masks=Masks.OFF)).user_from_scene.scale
 
 
-def test_a_scene_for_other_programs_keeps_what_is_ignored(tmp_path):
+def test_a_scene_for_other_programs_keeps_what_is_ignored(tmp_path: Path) -> None:
     scene = load_scene(capture(tmp_path / "scene", passers_by(0.1)), DataConfig())
     write_scene(tmp_path, scene)
     again = load_scene(tmp_path, DataConfig())
@@ -168,7 +171,7 @@ def test_a_scene_for_other_programs_keeps_what_is_ignored(tmp_path):
         assert (view.valid_mask is None) == (other.valid_mask is None)
 
 
-def test_the_meaning_that_is_given_counts(tmp_path):
+def test_the_meaning_that_is_given_counts(tmp_path: Path) -> None:
     root = capture(tmp_path, standing_still())
     assert load_scene(root, DataConfig(masks=Masks.OBJECT)).masked
     assert not load_scene(root, DataConfig(masks=Masks.IGNORE)).masked
@@ -176,6 +179,6 @@ def test_the_meaning_that_is_given_counts(tmp_path):
     assert not off.masked and all(view.valid_mask is None for view in off.train)
 
 
-def test_ignore_without_masks_is_refused(tmp_path):
+def test_ignore_without_masks_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="masks=ignore: no photograph has a mask; put them into masks/"):
         load_scene(capture(tmp_path, []), DataConfig(masks=Masks.IGNORE))

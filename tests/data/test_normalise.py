@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def bare_views(ball: BallCapture) -> list[View]:
 
 
 @pytest.mark.parametrize("scale", [0.01, 1.0, 300.0])
-def test_masks_give_the_ball(tmp_path, scale):
+def test_masks_give_the_ball(tmp_path: Path, scale: float) -> None:
     ball = BallCapture(views=40, center=CENTER * scale, scale=scale)
     frame = load_scene(ball.write_plain(tmp_path), DataConfig()).user_from_scene
     # The hull of 35 silhouettes sticks out of the ball by a few per cent, and pixels are 1/30 of its radius.
@@ -35,7 +36,7 @@ def test_masks_give_the_ball(tmp_path, scale):
 
 @pytest.mark.parametrize("views", [8, 12, 20, 40])
 @pytest.mark.parametrize("focal", [60, 80, 105])
-def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path, views, focal):
+def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path: Path, views: int, focal: int) -> None:
     """Check the ball against the hull of all masks, worked out point by point.
 
     No point is in it that any view has outside its mask or its image. Where the ball fills the images (105: nine tenths
@@ -58,7 +59,7 @@ def test_masks_give_the_ball_however_large_it_is_in_the_images(tmp_path, views, 
     np.testing.assert_allclose(frame.offset, center, atol=0.05)
 
 
-def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path):
+def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path: Path) -> None:
     """Check that close-ups, half the views, which show a part of the object, do not carve the rest."""
     ball, near = (BallCapture(views=16, K=np.array([[f, 0, 32.0], [0, f, 32], [0, 0, 1]])) for f in (80, 200))
     root = ball.write_plain(tmp_path)
@@ -72,7 +73,7 @@ def test_an_object_that_images_cut_off_keeps_what_lies_beyond_them(tmp_path):
     np.testing.assert_allclose(frame.offset, ball.center, atol=0.05)
 
 
-def test_cameras_alone_give_what_they_see_in_common():
+def test_cameras_alone_give_what_they_see_in_common() -> None:
     ball = BallCapture(center=CENTER, scale=2.0)
     frame = normalisation(bare_views(ball), None, [])
     np.testing.assert_allclose(frame.offset, CENTER, atol=1e-9)
@@ -80,7 +81,7 @@ def test_cameras_alone_give_what_they_see_in_common():
     assert frame.scale == pytest.approx(6 * np.sin(np.arctan(29 / 90)), rel=1e-6)
 
 
-def test_far_points_do_not_matter():
+def test_far_points_do_not_matter() -> None:
     ball = BallCapture(center=CENTER)
     rng = np.random.default_rng(0)
     near = CENTER + rng.normal(size=(500, 3)) * 0.15
@@ -91,7 +92,7 @@ def test_far_points_do_not_matter():
     assert 0.3 < both.scale < 0.6
 
 
-def test_the_ball_moves_to_the_points_beside_the_focus():
+def test_the_ball_moves_to_the_points_beside_the_focus() -> None:
     rng = np.random.default_rng(0)
     can = CENTER + np.array([0.4, 0, 0]) + rng.normal(size=(2000, 3)) * 0.1
     table = np.c_[rng.uniform(-4, 4, (500, 2)) + CENTER[:2], np.full(500, CENTER[2] - 0.3)]
@@ -101,7 +102,7 @@ def test_the_ball_moves_to_the_points_beside_the_focus():
     np.testing.assert_allclose(frame.offset, CENTER + np.array([0.4, 0, 0]), atol=0.05)
 
 
-def test_one_camera_that_looks_elsewhere():
+def test_one_camera_that_looks_elsewhere() -> None:
     ball = BallCapture(views=20, center=CENTER)
     poses = ball.poses()
     poses[4] = look_at(CENTER + np.array([3, 0, 0]), CENTER + np.array([3, 9, 0.1]))
@@ -110,7 +111,7 @@ def test_one_camera_that_looks_elsewhere():
     assert np.linalg.norm(point - CENTER) < 0.01
 
 
-def test_cameras_that_look_into_one_direction():
+def test_cameras_that_look_into_one_direction() -> None:
     poses = [look_at(np.array([x, -5.0, z]), np.array([x, 0.0, z])) for x in (-1.0, 0, 1) for z in (-0.5, 0, 0.5)]
     K = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
     views = [
@@ -124,14 +125,14 @@ def test_cameras_that_look_into_one_direction():
     assert blind.offset[1] > -5 and blind.scale > 0
 
 
-def test_smallest_ball_of_a_lopsided_cloud():
+def test_smallest_ball_of_a_lopsided_cloud() -> None:
     points = np.array([[-2.0, 0, 0], [2, 0, 0], [1, 1, 0], [1, -1, 0], [1, 0, 1]])
     center, radius = smallest_ball(points)
     np.testing.assert_allclose(center, 0, atol=0.01)
     assert radius == pytest.approx(2, rel=0.01)
 
 
-def test_round_trip_of_points_and_cameras(tmp_path):
+def test_round_trip_of_points_and_cameras(tmp_path: Path) -> None:
     ball = BallCapture(center=CENTER, scale=2.0)
     frame = load_scene(ball.write_plain(tmp_path), DataConfig()).user_from_scene
     points = np.random.default_rng(0).normal(size=(20, 3)) * 10
@@ -145,9 +146,9 @@ def test_round_trip_of_points_and_cameras(tmp_path):
 
 @pytest.mark.parametrize("name", ["bunny_flash", "spot_soft", "teapot_hdr", "wingnut_dark"])
 @pytest.mark.parametrize("masks", list(Masks)[:2])
-def test_shared_scenes_lie_in_the_unit_ball(shared_data, name, masks):
+def test_shared_scenes_lie_in_the_unit_ball(shared_data: Path, name: str, masks: Masks) -> None:
     root = shared_data / "scenes" / name
     frame = load_scene(root, DataConfig(masks=masks)).user_from_scene
-    vertices = frame.to_scene(trimesh.load(root / "mesh_gt.ply").vertices)
+    vertices = frame.to_scene(trimesh.load_mesh(root / "mesh_gt.ply").vertices)
     assert np.linalg.norm(vertices, axis=1).max() < 1.02
     assert 0.85 < frame.scale < 1.15 and np.linalg.norm(frame.offset) < 0.2

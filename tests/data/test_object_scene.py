@@ -11,6 +11,7 @@ from mgsr.config import make_config
 from mgsr.data.object_scene import with_object
 from mgsr.data.readers import load_scene
 from tests.cli.spheres import write_spheres
+from tests.optional import present
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def test_the_frame_is_that_of_the_capture_with_masks(folder: Path) -> None:
     masked = load_scene(folder, make_config().data)
     bare = load_scene(folder, make_config(overrides=["masks=off"]).data)
     assert not bare.masked and bare.user_from_scene.scale != pytest.approx(masked.user_from_scene.scale, rel=1e-3)
-    found = with_object(bare, *([view.alpha for view in views] for views in (masked.train, masked.test)))
+    found = with_object(bare, *([present(view.alpha) for view in views] for views in (masked.train, masked.test)))
     assert found.masked
     assert found.user_from_scene.scale == pytest.approx(masked.user_from_scene.scale)
     np.testing.assert_allclose(found.user_from_scene.offset, masked.user_from_scene.offset, atol=1e-9)
@@ -35,10 +36,10 @@ def test_the_frame_is_that_of_the_capture_with_masks(folder: Path) -> None:
 def test_views_without_the_object_and_with_odd_masks_are_left_out(folder: Path) -> None:
     masked = load_scene(folder, make_config().data)
     bare = load_scene(folder, make_config(overrides=["masks=off"]).data)
-    masks = [view.alpha for view in masked.train]
+    masks = [present(view.alpha) for view in masked.train]
     masks[0] = np.zeros_like(masks[0])
     masks[3] = np.roll(masks[3], 30, axis=1)
-    found = with_object(bare, masks, [view.alpha for view in masked.test])
+    found = with_object(bare, masks, [present(view.alpha) for view in masked.test])
     names = [view.name for view in found.train]
     assert bare.train[0].name not in names and bare.train[3].name not in names and len(names) == len(masks) - 2
     assert "leave out where the others have the object" in found.notes[-1]

@@ -6,12 +6,14 @@ Other forms of the same cameras are compared too.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from mgsr.data.capture import Capture
@@ -44,13 +46,14 @@ def draw_all(root: Path, names: list[str] = NAMES, width: int = WIDTH, height: i
         draw(root / name, width, height)
 
 
-def words(*values) -> str:
+def words(*values: ArrayLike) -> str:
     return " ".join(repr(float(x)) for value in values for x in np.ravel(value))
 
 
 def local(i: int, points: np.ndarray = POINTS) -> np.ndarray:
     """Return world points in the axes of camera i: x right, y down, z forward."""
-    return points @ ROTATIONS[i].T + POSES[i][:3, 3]
+    in_camera: np.ndarray = points @ ROTATIONS[i].T + POSES[i][:3, 3]
+    return in_camera
 
 
 def agree(capture: Capture, pixels: Callable[[int], np.ndarray], points: np.ndarray = POINTS) -> None:
@@ -95,7 +98,7 @@ def loses(root: Path, name: str, *parts: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["bundler", "openmvg", "meshroom"])
-def test_three_forms_of_one_scene_have_the_cameras_of_its_fourth(shared_data, name):
+def test_three_forms_of_one_scene_have_the_cameras_of_its_fourth(shared_data: Path, name: str) -> None:
     cases = shared_data / "cases" / "04_unread_formats"
     capture = read_capture(cases / name, name)
     assert len(capture.photos) == 12 and not capture.lost
@@ -106,7 +109,7 @@ def test_three_forms_of_one_scene_have_the_cameras_of_its_fourth(shared_data, na
         assert photo.image.stem == f"{i:03d}" and photo.size == (128, 128) and photo.lens is None
 
 
-def test_other_programs_folders_are_left_to_them(shared_data):
+def test_other_programs_folders_are_left_to_them(shared_data: Path) -> None:
     new = ("bundler", "nvm", "openmvg", "meshroom", "blocksexchange", "realitycapture_xmp", "kapture", "pix4d")
     kinds = [kind for kind in all_formats() if kind.name in new]
     assert len(kinds) == len(new)
@@ -139,7 +142,7 @@ def bundler_pixels(i: int, k1: float = 0.2, k2: float = -0.1) -> np.ndarray:
     return np.stack([WIDTH / 2 + p[:, 0], HEIGHT / 2 - p[:, 1]], axis=1)
 
 
-def test_bundler_projects_as_its_manual_says(tmp_path):
+def test_bundler_projects_as_its_manual_says(tmp_path: Path) -> None:
     capture = read_capture(bundler(tmp_path), "bundler")
     agree(capture, bundler_pixels)
     assert capture.points is not None and not capture.notes
@@ -151,11 +154,11 @@ def test_bundler_projects_as_its_manual_says(tmp_path):
     "edit",
     [lambda text: text.replace("\n", "\r\n"), lambda text: "\ufeff" + text, lambda text: text.replace("\n", " \n\n")],
 )
-def test_bundler_files_of_other_systems(tmp_path, edit):
+def test_bundler_files_of_other_systems(tmp_path: Path, edit: Callable[..., Any]) -> None:
     agree(read_capture(bundler(tmp_path, edit=edit, edit_list=edit), "bundler"), bundler_pixels)
 
 
-def test_bundler_lists_with_names_alone_and_with_blanks_in_them(tmp_path):
+def test_bundler_lists_with_names_alone_and_with_blanks_in_them(tmp_path: Path) -> None:
     bundler(tmp_path, edit_list=lambda _: "".join(f"./my photos/{i:03d}.jpg{' 0 70.5' * (i % 2)}\n" for i in range(4)))
     (tmp_path / "images").rename(tmp_path / "my photos")
     agree(read_capture(tmp_path, "bundler"), bundler_pixels)
@@ -170,7 +173,7 @@ def test_bundler_lists_with_names_alone_and_with_blanks_in_them(tmp_path):
         ("scene.out", "my images.lst"),
     ],
 )
-def test_bundler_files_by_the_names_that_programs_give(tmp_path, bundle, listed):
+def test_bundler_files_by_the_names_that_programs_give(tmp_path: Path, bundle: str, listed: str) -> None:
     bundler(tmp_path)
     (tmp_path / "bundle").mkdir()
     (tmp_path / "bundle.out").rename(tmp_path / bundle)
@@ -179,17 +182,17 @@ def test_bundler_files_by_the_names_that_programs_give(tmp_path, bundle, listed)
     agree(read_capture(tmp_path, "bundler"), bundler_pixels)
 
 
-def test_a_camera_that_bundler_did_not_place_is_lost_alone(tmp_path):
+def test_a_camera_that_bundler_did_not_place_is_lost_alone(tmp_path: Path) -> None:
     bundler(tmp_path, edit=lambda text: text.replace(f"{F} 0.2", "0 0.2", 1))
     loses(tmp_path, "bundler", "bundle.out, camera 0 (images/000.jpg)", "did not place it")
 
 
-def test_a_camera_with_no_number_is_lost_alone(tmp_path):
+def test_a_camera_with_no_number_is_lost_alone(tmp_path: Path) -> None:
     bundler(tmp_path, edit=lambda text: text.replace(f"{F} 0.2", "-nan(ind) 0.2", 1))
     loses(tmp_path, "bundler", "bundle.out, camera 0", "expected 15 numbers")
 
 
-def test_damaged_bundler_files_are_named(tmp_path):
+def test_damaged_bundler_files_are_named(tmp_path: Path) -> None:
     bundler(tmp_path)
     whole = (tmp_path / "bundle.out").read_text()
     for text, reason in [
@@ -210,7 +213,8 @@ def test_damaged_bundler_files_are_named(tmp_path):
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    return Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+    wxyz: np.ndarray = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+    return wxyz
 
 
 def nvm(root: Path, r: float = 0.3, header: str = "NVM_V3 ", edit: Edit = same) -> Path:
@@ -237,11 +241,12 @@ def nvm(root: Path, r: float = 0.3, header: str = "NVM_V3 ", edit: Edit = same) 
 def undistorted(pixels: np.ndarray, r: float, f: float = F) -> np.ndarray:
     """Return what multicore bundle adjustment makes of a measurement, in pixels from the principal point."""
     measured = pixels - [WIDTH / 2, HEIGHT / 2]
-    return measured * (1 + r / f**2 * (measured**2).sum(axis=1, keepdims=True))
+    straight: np.ndarray = measured * (1 + r / f**2 * (measured**2).sum(axis=1, keepdims=True))
+    return straight
 
 
 @pytest.mark.parametrize("r", [0.3, -0.2, 0.0, 1e-12])
-def test_visualsfm_measures_as_its_bundle_adjustment_says(tmp_path, r):
+def test_visualsfm_measures_as_its_bundle_adjustment_says(tmp_path: Path, r: float) -> None:
     capture = read_capture(nvm(tmp_path, r), "nvm")
     assert len(capture.photos) == 4 and not capture.lost and not capture.notes
     for i, photo in enumerate(capture.photos):
@@ -253,7 +258,7 @@ def test_visualsfm_measures_as_its_bundle_adjustment_says(tmp_path, r):
     assert capture.points.positions.tolist() == [[0.5, 1.5, -2.5]] and capture.points.colors.tolist() == [[10, 20, 30]]
 
 
-def test_rays_that_the_measured_lens_cannot_show_are_nan():
+def test_rays_that_the_measured_lens_cannot_show_are_nan() -> None:
     edge = 2 / 3 / np.sqrt(3 * 0.2)  # the largest undistorted radius of d (1 - 0.2 d^2)
     x, _ = InverseRadialLens(-0.2).distort(np.array([edge - 1e-6, edge + 1e-6]), np.zeros(2))
     assert np.isfinite(x).tolist() == [True, False]
@@ -261,35 +266,36 @@ def test_rays_that_the_measured_lens_cannot_show_are_nan():
 
 def plain_pixels(i: int, fx: float = F, fy: float = F, cx: float = WIDTH / 2, cy: float = HEIGHT / 2) -> np.ndarray:
     rays = local(i)
-    return rays[:, :2] / rays[:, 2:] * [fx, fy] + [cx, cy]
+    projected: np.ndarray = rays[:, :2] / rays[:, 2:] * [fx, fy] + [cx, cy]
+    return projected
 
 
 @pytest.mark.parametrize("edit", [lambda text: text.replace("\n", "\r\n"), lambda text: "\ufeff" + text])
-def test_nvm_files_of_other_systems(tmp_path, edit):
+def test_nvm_files_of_other_systems(tmp_path: Path, edit: Callable[..., Any]) -> None:
     agree(read_capture(nvm(tmp_path, 0.0, edit=edit), "nvm"), plain_pixels)
 
 
 @pytest.mark.parametrize("blank", ['"', " "])
-def test_nvm_names_with_blanks(tmp_path, blank):
+def test_nvm_names_with_blanks(tmp_path: Path, blank: str) -> None:
     nvm(tmp_path, 0.0, edit=lambda text: text.replace("images/", f"C:\\my{blank}photos\\"))
     (tmp_path / "images").rename(tmp_path / "my photos")
     agree(read_capture(tmp_path, "nvm"), plain_pixels)
 
 
 @pytest.mark.parametrize("header", ["NVM_V3 FixedK 80 31 90 23", "NVM_V3\nFixedK 80 31 90 23"])
-def test_a_fixed_calibration_holds_for_all_photographs(tmp_path, header):
+def test_a_fixed_calibration_holds_for_all_photographs(tmp_path: Path, header: str) -> None:
     capture = read_capture(nvm(tmp_path, 0.0, header), "nvm")
     agree(capture, lambda i: plain_pixels(i, 80, 90, 31, 23))
 
 
-def test_nvm_with_matrices_and_translations(tmp_path):
+def test_nvm_with_matrices_and_translations(tmp_path: Path) -> None:
     nvm(tmp_path)
     rows = [f"{name} {F} {words(pose[:3, :3], pose[:3, 3])} 0 0" for name, pose in zip(NAMES, POSES, strict=True)]
     (tmp_path / "scene.nvm").write_text("\n".join(["NVM_V3_R9T", "4", *rows]))
     agree(read_capture(tmp_path, "nvm"), plain_pixels)
 
 
-def test_the_largest_model_of_an_nvm_is_used(tmp_path):
+def test_the_largest_model_of_an_nvm_is_used(tmp_path: Path) -> None:
     small = "1\nimages/000.jpg 50 1 0 0 0 1 2 3 0 0\n0\n\n"
     nvm(tmp_path, 0.0, edit=lambda text: text.replace("4  \n", small + "4  \n"))
     capture = read_capture(tmp_path, "nvm")
@@ -297,14 +303,14 @@ def test_the_largest_model_of_an_nvm_is_used(tmp_path):
     assert capture.notes == ("the largest model of scene.nvm is used, with 4 photographs; others have 1",)
 
 
-def test_one_bad_camera_of_an_nvm_is_lost_alone(tmp_path):
+def test_one_bad_camera_of_an_nvm_is_lost_alone(tmp_path: Path) -> None:
     nvm(tmp_path, edit=lambda text: text.replace(f"{F} ", "1.#QNAN ", 1))
     loses(tmp_path, "nvm", "scene.nvm, images/000.jpg", "expected 10 numbers")
     nvm(tmp_path, edit=lambda text: text.replace(words(quaternion(ROTATIONS[0])), "0 0 0 0"))
     loses(tmp_path, "nvm", "scene.nvm, images/000.jpg", "quaternion")
 
 
-def test_damaged_nvm_files_are_named(tmp_path):
+def test_damaged_nvm_files_are_named(tmp_path: Path) -> None:
     nvm(tmp_path)
     whole = (tmp_path / "scene.nvm").read_text()
     for text, reason in [
@@ -320,7 +326,7 @@ def test_damaged_nvm_files_are_named(tmp_path):
 
 # OpenMVG
 
-OPENMVG_LENSES = {
+OPENMVG_LENSES: dict[str, tuple[dict[str, list[float]], Callable[[np.ndarray], np.ndarray]]] = {
     "pinhole": ({}, lambda xy: xy),
     "pinhole_radial_k1": ({"disto_k1": [0.1]}, lambda xy: brown(xy, (0.1,))),
     "pinhole_radial_k3": ({"disto_k3": [0.1, -0.05, 0.02]}, lambda xy: brown(xy, (0.1, -0.05, 0.02))),
@@ -336,7 +342,8 @@ def fisheye(xy: np.ndarray, k: tuple[float, ...]) -> np.ndarray:
     """Return rays whose angle t becomes t (1 + k1 t^2 + k2 t^4 + ...)."""
     r = np.linalg.norm(xy, axis=1, keepdims=True)
     t = np.arctan(r)
-    return xy / r * t * (1 + sum(term * t ** (2 * i + 2) for i, term in enumerate(k)))
+    distorted: np.ndarray = xy / r * t * (1 + sum(term * t ** (2 * i + 2) for i, term in enumerate(k)))
+    return distorted
 
 
 def openmvg(root: Path, model: str = "pinhole_brown_t2", nested: bool = False, absolute: bool = False) -> Path:
@@ -350,7 +357,11 @@ def openmvg(root: Path, model: str = "pinhole_brown_t2", nested: bool = False, a
         | {"id_intrinsic": min(i, 2), "id_pose": 10 + i}
         for i in range(4)
     ]
-    kinds = [{"polymorphic_id": first + 1, "polymorphic_name": model}, {"polymorphic_id": 1}, {"polymorphic_id": 1}]
+    kinds: list[dict[str, Any]] = [
+        {"polymorphic_id": first + 1, "polymorphic_name": model},
+        {"polymorphic_id": 1},
+        {"polymorphic_id": 1},
+    ]
     pointers = [{"id": first + 9, "data": data}, {"id": 9}, {"id": first + 10, "data": data}]
     content = {
         "sfm_data_version": "0.3",
@@ -377,10 +388,11 @@ def openmvg(root: Path, model: str = "pinhole_brown_t2", nested: bool = False, a
 
 @pytest.mark.parametrize("model", OPENMVG_LENSES)
 @pytest.mark.parametrize("nested", [False, True])
-def test_openmvg_projects_as_its_headers_say(tmp_path, model, nested):
+def test_openmvg_projects_as_its_headers_say(tmp_path: Path, model: str, nested: bool) -> None:
     def pixels(i: int) -> np.ndarray:
         rays = local(i)
-        return F * OPENMVG_LENSES[model][1](rays[:, :2] / rays[:, 2:]) + [31, 23.5]
+        distorted: np.ndarray = F * OPENMVG_LENSES[model][1](rays[:, :2] / rays[:, 2:]) + [31, 23.5]
+        return distorted
 
     capture = read_capture(openmvg(tmp_path, model, nested), "openmvg")
     agree(capture, pixels)
@@ -388,18 +400,18 @@ def test_openmvg_projects_as_its_headers_say(tmp_path, model, nested):
     assert capture.points.positions.tolist() == [[0.5, 1.5, -2.5]]
 
 
-def test_openmvg_paths_of_another_machine(tmp_path):
+def test_openmvg_paths_of_another_machine(tmp_path: Path) -> None:
     assert len(read_capture(openmvg(tmp_path, absolute=True), "openmvg").photos) == 4
 
 
-def edit_json(path: Path, change: Callable[[dict], object]) -> None:
+def edit_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))
 
 
-def test_openmvg_views_that_cannot_be_used_are_lost_alone(tmp_path):
-    def lose(change: Callable[[dict], object], *parts: str) -> None:
+def test_openmvg_views_that_cannot_be_used_are_lost_alone(tmp_path: Path) -> None:
+    def lose(change: Callable[[dict[str, Any]], object], *parts: str) -> None:
         edit_json(openmvg(tmp_path) / "sfm_data.json", change)
         loses(tmp_path, "openmvg", "sfm_data.json, view images/000.jpg", *parts)
 
@@ -415,7 +427,7 @@ def test_openmvg_views_that_cannot_be_used_are_lost_alone(tmp_path):
 @pytest.mark.parametrize(
     ("model", "cure"), [("spherical", "panorama"), ("pinhole_radial_k1_pba", "ExportUndistortedImages")]
 )
-def test_openmvg_models_that_are_not_read_are_refused_with_a_cure(tmp_path, model, cure):
+def test_openmvg_models_that_are_not_read_are_refused_with_a_cure(tmp_path: Path, model: str, cure: str) -> None:
     edit_json(
         openmvg(tmp_path) / "sfm_data.json",
         lambda content: content["intrinsics"][0]["value"].update(polymorphic_name=model),
@@ -423,13 +435,13 @@ def test_openmvg_models_that_are_not_read_are_refused_with_a_cure(tmp_path, mode
     fails(tmp_path, "openmvg", "sfm_data.json, view images/000.jpg", model, cure)
 
 
-def test_openmvg_without_poses_is_no_scene(tmp_path):
+def test_openmvg_without_poses_is_no_scene(tmp_path: Path) -> None:
     edit_json(openmvg(tmp_path) / "sfm_data.json", lambda content: content.update(extrinsics=[]))
     assert not [kind for kind in all_formats() if kind.recognises(tmp_path)]
 
 
 @pytest.mark.parametrize("part", ["views", "intrinsics", "extrinsics", "structure"])
-def test_damaged_openmvg_files_are_named(tmp_path, part):
+def test_damaged_openmvg_files_are_named(tmp_path: Path, part: str) -> None:
     path = openmvg(tmp_path) / "sfm_data.json"
     edit_json(path, lambda content: content.update({part: [{"key": 1}, *content[part]] if part != "views" else 7}))
     if part != "extrinsics":  # its first entry is what the format is recognised by
@@ -441,11 +453,11 @@ def test_damaged_openmvg_files_are_named(tmp_path, part):
 # Meshroom
 
 
-def texts(values) -> list[str]:
+def texts(values: ArrayLike) -> list[str]:
     return [repr(float(value)) for value in np.ravel(values)]
 
 
-def meshroom(root: Path, intrinsic: dict | None = None, version: tuple[int, int, int] = (1, 2, 6)) -> Path:
+def meshroom(root: Path, intrinsic: dict[str, Any] | None = None, version: tuple[int, int, int] = (1, 2, 6)) -> Path:
     given = {"focalLength": repr(F / WIDTH * 36), "principalPoint": ["-1.5", "2"], "type": "pinhole"}
     content = {
         "version": [str(number) for number in version],
@@ -475,7 +487,7 @@ def meshroom(root: Path, intrinsic: dict | None = None, version: tuple[int, int,
     return root
 
 
-def test_meshroom_reads_numbers_that_are_texts_and_paths_of_another_machine(tmp_path):
+def test_meshroom_reads_numbers_that_are_texts_and_paths_of_another_machine(tmp_path: Path) -> None:
     capture = read_capture(meshroom(tmp_path), "meshroom")
     agree(capture, lambda i: plain_pixels(i, cx=WIDTH / 2 - 1.5, cy=HEIGHT / 2 + 2))
     assert capture.points is not None
@@ -506,7 +518,9 @@ VERSIONS = {
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_files_of_all_versions_of_alicevision_have_the_same_camera(tmp_path, version):
+def test_files_of_all_versions_of_alicevision_have_the_same_camera(
+    tmp_path: Path, version: tuple[int, int, int]
+) -> None:
     intrinsic, fy = VERSIONS[version]
     photo = read_capture(meshroom(tmp_path, intrinsic, version), "meshroom").photos[0]
     np.testing.assert_allclose(photo.K, [[1000, 0, 2020], [0, fy, 1040], [0, 0, 1]], rtol=1e-12)
@@ -518,7 +532,8 @@ RADIAL = (0.1, -0.05, 0.02)
 
 def fov(xy: np.ndarray, omega: float) -> np.ndarray:
     r = np.linalg.norm(xy, axis=1, keepdims=True)
-    return xy / r * np.arctan(2 * r * np.tan(omega / 2)) / omega
+    distorted: np.ndarray = xy / r * np.arctan(2 * r * np.tan(omega / 2)) / omega
+    return distorted
 
 
 MESHROOM_LENSES = [
@@ -532,10 +547,13 @@ MESHROOM_LENSES = [
 
 
 @pytest.mark.parametrize(("old", "new", "terms", "lens"), MESHROOM_LENSES)
-def test_meshroom_lenses_bend_as_alicevision_says(tmp_path, old, new, terms, lens):
+def test_meshroom_lenses_bend_as_alicevision_says(
+    tmp_path: Path, old: str | None, new: str, terms: list[float], lens: Callable[..., Any]
+) -> None:
     def pixels(i: int) -> np.ndarray:
         rays = local(i)
-        return F * lens(rays[:, :2] / rays[:, 2:]) + [WIDTH / 2, HEIGHT / 2]
+        distorted: np.ndarray = F * lens(rays[:, :2] / rays[:, 2:]) + [WIDTH / 2, HEIGHT / 2]
+        return distorted
 
     given = {"focalLength": repr(F / WIDTH * 36), "principalPoint": ["0", "0"], "distortionParams": texts(terms)}
     if old:
@@ -544,10 +562,10 @@ def test_meshroom_lenses_bend_as_alicevision_says(tmp_path, old, new, terms, len
     agree(read_capture(meshroom(tmp_path, newer, (1, 2, 14)), "meshroom"), pixels)
 
 
-def test_a_view_of_a_rig_stands_where_its_rig_and_its_place_say(tmp_path):
+def test_a_view_of_a_rig_stands_where_its_rig_and_its_place_say(tmp_path: Path) -> None:
     place = POSES[3]
 
-    def into_rig(content: dict) -> None:
+    def into_rig(content: dict[str, Any]) -> None:
         content["views"][0] |= {"rigId": "5", "subPoseId": "1", "isPoseIndependant": "false"}
         pose = {"rotation": texts(place[:3, :3].T), "center": texts(CENTERS[3])}
         content["rigs"] = [{"rigId": "5", "subPoses": [{"status": "constant", "pose": {}}, {"pose": pose}]}]
@@ -557,8 +575,8 @@ def test_a_view_of_a_rig_stands_where_its_rig_and_its_place_say(tmp_path):
     np.testing.assert_allclose(photo.cam_from_world, place @ POSES[0], atol=1e-12)
 
 
-def test_meshroom_views_that_cannot_be_used_are_lost_alone(tmp_path):
-    def lose(change: Callable[[dict], object], *parts: str) -> None:
+def test_meshroom_views_that_cannot_be_used_are_lost_alone(tmp_path: Path) -> None:
+    def lose(change: Callable[[dict[str, Any]], object], *parts: str) -> None:
         edit_json(meshroom(tmp_path) / "cameras.sfm", change)
         loses(tmp_path, "meshroom", "cameras.sfm, view 0 (images/000.jpg)", *parts)
 
@@ -581,17 +599,19 @@ def test_meshroom_views_that_cannot_be_used_are_lost_alone(tmp_path):
         ({"distortionType": "radialk3", "distortionParams": ["1"]}, "distortionParams: expected 3 numbers"),
     ],
 )
-def test_meshroom_cameras_that_are_not_read_are_refused_with_a_cure(tmp_path, change, cure):
+def test_meshroom_cameras_that_are_not_read_are_refused_with_a_cure(
+    tmp_path: Path, change: dict[str, list[str] | str], cure: str
+) -> None:
     edit_json(meshroom(tmp_path) / "cameras.sfm", lambda content: content["intrinsics"][0].update(change))
     fails(tmp_path, "meshroom", "cameras.sfm, view 0", cure)
 
 
-def test_meshroom_files_without_poses_are_no_scene(tmp_path):
+def test_meshroom_files_without_poses_are_no_scene(tmp_path: Path) -> None:
     edit_json(meshroom(tmp_path) / "cameras.sfm", lambda content: content.update(poses=""))
     assert not [kind for kind in all_formats() if kind.recognises(tmp_path)]
 
 
-def test_the_meshroom_file_with_landmarks_is_read(tmp_path):
+def test_the_meshroom_file_with_landmarks_is_read(tmp_path: Path) -> None:
     meshroom(tmp_path)
     (tmp_path / "cameras.sfm").rename(tmp_path / "sfm.sfm")
     content = json.loads((tmp_path / "sfm.sfm").read_text())
@@ -599,7 +619,7 @@ def test_the_meshroom_file_with_landmarks_is_read(tmp_path):
     assert read_capture(tmp_path, "meshroom").file == "sfm.sfm"
 
 
-def test_damaged_meshroom_files_are_named(tmp_path):
+def test_damaged_meshroom_files_are_named(tmp_path: Path) -> None:
     path = meshroom(tmp_path) / "cameras.sfm"
     edit_json(path, lambda content: content.update(views={"0": 1}))
     fails(tmp_path, "meshroom", "cameras.sfm: views: expected a list of objects", "export it again")
@@ -615,7 +635,7 @@ def test_damaged_meshroom_files_are_named(tmp_path):
 FAR = np.array([651999.7, 6863073.6, 1318.9])  # as in Bentley's example, in Lambert 93
 
 
-def tags(name: str, values: dict[str, object]) -> str:
+def tags(name: str, values: Mapping[str, object]) -> str:
     return f"<{name}>" + "".join(f"<{key}>{value}</{key}>" for key, value in values.items()) + f"</{name}>"
 
 
@@ -674,7 +694,7 @@ def block_pixels(i: int, cx: float = 31, cy: float = 23.5) -> np.ndarray:
     return F * brown(rays[:, :2] / rays[:, 2:], RADIAL, 0.01, -0.02) + [cx, cy]
 
 
-def test_blocks_project_as_bentley_says_far_from_the_origin(tmp_path):
+def test_blocks_project_as_bentley_says_far_from_the_origin(tmp_path: Path) -> None:
     capture = read_capture(blocksexchange(tmp_path), "blocksexchange")
     agree(capture, block_pixels, POINTS + FAR)
     assert capture.points is not None
@@ -696,7 +716,7 @@ ORIENTATIONS = {
 
 
 @pytest.mark.parametrize("name", [None, *ORIENTATIONS])
-def test_blocks_turn_the_cameras_axes(tmp_path, name):
+def test_blocks_turn_the_cameras_axes(tmp_path: Path, name: str | None) -> None:
     x, y = ORIENTATIONS[name or "XRightYDown"]
     blocksexchange(tmp_path, orientation=name, axes=np.stack([x, y, np.cross(x, y)]))
     agree(read_capture(tmp_path, "blocksexchange"), block_pixels, POINTS + FAR)
@@ -713,11 +733,11 @@ def test_blocks_turn_the_cameras_axes(tmp_path, name):
         lambda text: text.replace("<Component>1</Component>", ""),
     ],
 )
-def test_blocks_of_other_programs(tmp_path, edit):
+def test_blocks_of_other_programs(tmp_path: Path, edit: Callable[..., Any]) -> None:
     agree(read_capture(blocksexchange(tmp_path, edit=edit), "blocksexchange"), block_pixels, POINTS + FAR)
 
 
-def test_a_block_in_utf_16(tmp_path):
+def test_a_block_in_utf_16(tmp_path: Path) -> None:
     blocksexchange(tmp_path)
     path = tmp_path / "block.xml"
     path.write_text(path.read_text().replace("utf-8", "utf-16"), encoding="utf-16")
@@ -736,7 +756,7 @@ BENTLEY_CAMERAS = [
 
 
 @pytest.mark.parametrize("camera", BENTLEY_CAMERAS)
-def test_bentleys_example_is_one_camera_in_all_its_forms(tmp_path, camera):
+def test_bentleys_example_is_one_camera_in_all_its_forms(tmp_path: Path, camera: str) -> None:
     size = f"<ImageDimensions><Width>{WIDTH}</Width><Height>{HEIGHT}</Height></ImageDimensions>"
     blocksexchange(tmp_path, camera, edit=lambda text: text.replace(size, BENTLEY_SIZE))
     photo = read_capture(tmp_path, "blocksexchange").photos[0]
@@ -745,14 +765,14 @@ def test_bentleys_example_is_one_camera_in_all_its_forms(tmp_path, camera):
 
 
 @pytest.mark.parametrize(("x", "y"), [("31.5", "23.5"), ("32", "24")])
-def test_the_middle_of_a_blocks_photographs_however_it_is_counted(tmp_path, x, y):
+def test_the_middle_of_a_blocks_photographs_however_it_is_counted(tmp_path: Path, x: str, y: str) -> None:
     point = f"<PrincipalPoint><x>{x}</x><y>{y}</y></PrincipalPoint>"
     blocksexchange(tmp_path, f"<FocalLengthPixels>{F}</FocalLengthPixels>{point}")
     photo = read_capture(tmp_path, "blocksexchange").photos[0]
     assert photo.K[:2, 2].tolist() == [WIDTH / 2, HEIGHT / 2]
 
 
-def test_millimetres_run_along_the_cameras_axes(tmp_path):
+def test_millimetres_run_along_the_cameras_axes(tmp_path: Path) -> None:
     point = "<PixelSize>0.01</PixelSize><PrincipalPoint><xmm>0.02</xmm><ymm>0.03</ymm></PrincipalPoint>"
     camera = f"<FocalLengthPixels>{F}</FocalLengthPixels>{point}"
     blocksexchange(tmp_path, camera, "XDownYLeft")
@@ -760,7 +780,7 @@ def test_millimetres_run_along_the_cameras_axes(tmp_path):
     np.testing.assert_allclose(photo.K[:2, 2], [WIDTH / 2 - 3, HEIGHT / 2 + 2])
 
 
-def test_bentleys_example_has_one_rotation_as_matrix_and_as_angles(tmp_path):
+def test_bentleys_example_has_one_rotation_as_matrix_and_as_angles(tmp_path: Path) -> None:
     bentley = [
         [-0.9999982912233401, -0.001636319085375301, -0.0008602425863163225],
         [-0.001631068695467463, 0.9999802528616577, -0.00606906089589293],
@@ -772,19 +792,20 @@ def test_bentleys_example_has_one_rotation_as_matrix_and_as_angles(tmp_path):
     np.testing.assert_allclose(photo.cam_from_world[:3, :3], bentley, atol=1e-9)
 
 
-def test_aspect_and_skew_of_a_block(tmp_path):
+def test_aspect_and_skew_of_a_block(tmp_path: Path) -> None:
     camera = BLOCK_CAMERA.replace("<AspectRatio>1<", "<AspectRatio>1.1<").replace("<Skew>0<", "<Skew>2<")
     capture = read_capture(blocksexchange(tmp_path, camera), "blocksexchange")
 
     def pixels(i: int) -> np.ndarray:
         rays = local(i)
         bent = brown(rays[:, :2] / rays[:, 2:], RADIAL, 0.01, -0.02)
-        return bent @ np.array([[F, 2], [0, 1.1 * F]]).T + [31, 23.5]
+        distorted: np.ndarray = bent @ np.array([[F, 2], [0, 1.1 * F]]).T + [31, 23.5]
+        return distorted
 
     agree(capture, pixels, POINTS + FAR)
 
 
-def test_a_blocks_fisheye_is_a_polynomial_of_the_angle_over_90_degrees(tmp_path):
+def test_a_blocks_fisheye_is_a_polynomial_of_the_angle_over_90_degrees(tmp_path: Path) -> None:
     camera = tags("FisheyeFocalMatrix", {"M_00": 90, "M_01": 0, "M_10": 0, "M_11": 95}) + tags(
         "FisheyeDistortion", {"P0": 0, "P1": 1, "P2": 0, "P3": -0.05, "P4": 0}
     )
@@ -794,7 +815,8 @@ def test_a_blocks_fisheye_is_a_polynomial_of_the_angle_over_90_degrees(tmp_path)
         xy = local(i)[:, :2] / local(i)[:, 2:]
         r = np.linalg.norm(xy, axis=1, keepdims=True)
         share = np.arctan(r) / (np.pi / 2)
-        return xy / r * (share - 0.05 * share**3) * [90, 95] + [WIDTH / 2, HEIGHT / 2]
+        distorted: np.ndarray = xy / r * (share - 0.05 * share**3) * [90, 95] + [WIDTH / 2, HEIGHT / 2]
+        return distorted
 
     agree(read_capture(tmp_path, "blocksexchange"), pixels, POINTS + FAR)
 
@@ -814,7 +836,9 @@ def test_a_blocks_fisheye_is_a_polynomial_of_the_angle_over_90_degrees(tmp_path)
         ("Photogroup>", "Group>", ("no photographs in it",)),
     ],
 )
-def test_blocks_that_cannot_be_used_are_refused_with_a_cure(tmp_path, old, new, parts):
+def test_blocks_that_cannot_be_used_are_refused_with_a_cure(
+    tmp_path: Path, old: str, new: str, parts: tuple[str, ...]
+) -> None:
     blocksexchange(tmp_path, edit=lambda text: text.replace(old, new))
     fails(tmp_path, "blocksexchange", "block.xml", *parts)
 
@@ -827,7 +851,7 @@ def test_blocks_that_cannot_be_used_are_refused_with_a_cure(tmp_path, old, new, 
         ("<M_11>", "<M_11>x", "M_11: expected a number"),
     ],
 )
-def test_one_bad_photograph_of_a_block_is_lost_alone(tmp_path, old, new, part):
+def test_one_bad_photograph_of_a_block_is_lost_alone(tmp_path: Path, old: str, new: str, part: str) -> None:
     def edit(text: str) -> str:
         text = text.replace(old, new, 1)
         return text.replace("</Center>", "</Center2>", 1) if "Center2" in new else text
@@ -899,7 +923,9 @@ def rc_brown(xy: np.ndarray) -> np.ndarray:
         lambda text: f'<?xpacket begin=""?>\n{text}<?xpacket end="w"?>',
     ],
 )
-def test_xmp_cameras_project_as_realitycapture_says(tmp_path, elements, edit):
+def test_xmp_cameras_project_as_realitycapture_says(
+    tmp_path: Path, elements: tuple[str, ...], edit: Callable[..., Any]
+) -> None:
     rc_agree(read_capture(realitycapture_xmp(tmp_path, elements, edit), "realitycapture_xmp"), rc_brown)
 
 
@@ -913,12 +939,12 @@ def test_xmp_cameras_project_as_realitycapture_says(tmp_path, elements, edit):
         ("brown3t2", "0.1 -0.05 0.02 0 -0.02 0.01", lambda xy: brown(xy, RADIAL, -0.02, 0.01)),
     ],
 )
-def test_xmp_distortion_models(tmp_path, model, terms, lens):
+def test_xmp_distortion_models(tmp_path: Path, model: str, terms: str, lens: Callable[..., Any]) -> None:
     realitycapture_xmp(tmp_path, DistortionModel=model, DistortionCoeficients=terms)
     rc_agree(read_capture(tmp_path, "realitycapture_xmp"), lens)
 
 
-def test_xmp_files_by_whole_names_beside_others_and_in_several_folders(tmp_path):
+def test_xmp_files_by_whole_names_beside_others_and_in_several_folders(tmp_path: Path) -> None:
     realitycapture_xmp(tmp_path)
     for i in range(4):
         (tmp_path / f"cam{i % 2}").mkdir(exist_ok=True)
@@ -931,7 +957,7 @@ def test_xmp_files_by_whole_names_beside_others_and_in_several_folders(tmp_path)
     ]  # fmt: skip
 
 
-def test_xmp_files_of_other_programs_are_no_cameras(tmp_path):
+def test_xmp_files_of_other_programs_are_no_cameras(tmp_path: Path) -> None:
     realitycapture_xmp(tmp_path, edit=lambda text: text.replace("capturingreality", "adobe"))
     assert not [kind for kind in all_formats() if kind.recognises(tmp_path)]
     realitycapture_xmp(tmp_path, edit=lambda text: text.replace("Position", "Place"))
@@ -948,11 +974,13 @@ def test_xmp_files_of_other_programs_are_no_cameras(tmp_path):
         ({"Position": "1 2 -nan(ind)"}, ("Position: expected 3 numbers",)),
     ],
 )
-def test_xmp_cameras_that_cannot_be_used_are_refused_with_a_cure(tmp_path, change, parts):
+def test_xmp_cameras_that_cannot_be_used_are_refused_with_a_cure(
+    tmp_path: Path, change: dict[str, Any], parts: tuple[str, ...]
+) -> None:
     fails(realitycapture_xmp(tmp_path, **change), "realitycapture_xmp", "000.xmp", *parts)
 
 
-def test_one_bad_xmp_is_lost_alone(tmp_path):
+def test_one_bad_xmp_is_lost_alone(tmp_path: Path) -> None:
     realitycapture_xmp(tmp_path)
     (tmp_path / "000.xmp").write_text((tmp_path / "000.xmp").read_text()[:-30])
     loses(tmp_path, "realitycapture_xmp", "000.xmp: not valid XML")
@@ -999,7 +1027,7 @@ def kapture(root: Path, files: dict[str, Edit] | None = None) -> Path:
     return root
 
 
-def fields(*values) -> str:
+def fields(*values: ArrayLike) -> str:
     return words(*values).replace(" ", ", ")
 
 
@@ -1009,7 +1037,7 @@ def kapture_pixels(i: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("edit", [same, lambda text: "\ufeff" + text.replace("\n", "\r\n")])
-def test_kapture_places_sensors_themselves_and_through_rigs(tmp_path, edit):
+def test_kapture_places_sensors_themselves_and_through_rigs(tmp_path: Path, edit: Callable[..., Any]) -> None:
     names = ("sensors", "records_camera", "trajectories", "rigs")
     capture = read_capture(kapture(tmp_path, {name: edit for name in names}), "kapture")
     agree(capture, kapture_pixels)
@@ -1025,7 +1053,9 @@ def test_kapture_places_sensors_themselves_and_through_rigs(tmp_path, edit):
         ("trajectories", fields(quaternion(ROTATIONS[0])), ", , , ", ("pose: expected 7 numbers",)),
     ],
 )
-def test_kapture_records_that_cannot_be_used_are_lost_alone(tmp_path, file, old, new, parts):
+def test_kapture_records_that_cannot_be_used_are_lost_alone(
+    tmp_path: Path, file: str, old: str, new: str, parts: tuple[str, ...]
+) -> None:
     kapture(tmp_path, {file: lambda text: text.replace(old, new)})
     loses(tmp_path, "kapture", "sensors/records_camera.txt, 000.jpg", *parts)
 
@@ -1040,17 +1070,17 @@ def test_kapture_records_that_cannot_be_used_are_lost_alone(tmp_path, file, old,
         ("rigs", "rig, cam0", "rig; cam0", ("rigs.txt, line 2",)),
     ],
 )
-def test_damaged_kapture_files_are_named(tmp_path, file, old, new, parts):
+def test_damaged_kapture_files_are_named(tmp_path: Path, file: str, old: str, new: str, parts: tuple[str, ...]) -> None:
     kapture(tmp_path, {file: lambda text: text.replace(old, new)})
     fails(tmp_path, "kapture", "sensors/", *parts)
 
 
-def test_kapture_without_trajectories_says_so(tmp_path):
+def test_kapture_without_trajectories_says_so(tmp_path: Path) -> None:
     (kapture(tmp_path) / "sensors/trajectories.txt").unlink()
     fails(tmp_path, "kapture", "sensors/trajectories.txt is missing", "put it there")
 
 
-def test_rigs_that_hold_each_other_end(tmp_path):
+def test_rigs_that_hold_each_other_end(tmp_path: Path) -> None:
     kapture(tmp_path, {"rigs": lambda text: text + "a, rig, 1, 0, 0, 0, 0, 0, 0\nrig, a, 1, 0, 0, 0, 0, 0, 0\n"})
     agree(read_capture(tmp_path, "kapture"), kapture_pixels)
 
@@ -1080,7 +1110,7 @@ def pix4d(root: Path, edit: Edit = same) -> Path:
 
 
 @pytest.mark.parametrize("edit", [same, lambda text: "\ufeff" + text.replace("\n", "\r\n")])
-def test_pix4d_projects_as_its_head_says(tmp_path, edit):
+def test_pix4d_projects_as_its_head_says(tmp_path: Path, edit: Callable[..., Any]) -> None:
     def pixels(i: int) -> np.ndarray:
         """Return pixels by m = K [R | -R t] X, with Brown's terms between."""
         seen = POINTS @ ROTATIONS[i].T - ROTATIONS[i] @ CENTERS[i]
@@ -1099,6 +1129,6 @@ def test_pix4d_projects_as_its_head_says(tmp_path, edit):
         (f".jpg {WIDTH} {HEIGHT}", "", ("expected a photograph's name, width and height",)),
     ],
 )
-def test_damaged_pix4d_files_are_named(tmp_path, old, new, parts):
+def test_damaged_pix4d_files_are_named(tmp_path: Path, old: str, new: str, parts: tuple[str]) -> None:
     pix4d(tmp_path, lambda text: text.replace(old, new))
     fails(tmp_path, "pix4d", "site_calibrated_camera_parameters.txt", *parts)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,6 +15,7 @@ from PIL import Image
 from mgsr.errors import SceneError
 from tests.data.captures import BallCapture
 from tests.data.reading import draw, project, read_capture, read_strictly
+from tests.optional import present
 
 BALL = BallCapture(views=4, center=np.array([1.0, -2, 3]))
 
@@ -19,7 +23,7 @@ BALL = BallCapture(views=4, center=np.array([1.0, -2, 3]))
 DINO_BOX = np.array([[-0.041897, 0.001126, -0.037845], [0.030897, 0.088227, 0.035495]])
 
 
-def test_the_real_dino_lies_in_its_bounding_box(shared_data):
+def test_the_real_dino_lies_in_its_bounding_box(shared_data: Path) -> None:
     """Check that in every photograph what exceeds the README's threshold well lies in the projected box.
 
     It also fills much of the box.
@@ -38,7 +42,7 @@ def test_the_real_dino_lies_in_its_bounding_box(shared_data):
         assert np.ptp(rows) > 0.5 * min(480, high[1] - low[1])
 
 
-def middlebury(root, lines=None):
+def middlebury(root: Path, lines: list[str] | None = None) -> Path:
     rows = []
     for i, pose in enumerate(BALL.poses()):
         draw(root / f"v{i}.png")
@@ -47,14 +51,14 @@ def middlebury(root, lines=None):
     return root
 
 
-def test_middlebury_cameras(tmp_path):
+def test_middlebury_cameras(tmp_path: Path) -> None:
     for photo, pose in zip(read_capture(middlebury(tmp_path), "middlebury").photos, BALL.poses(), strict=True):
         np.testing.assert_allclose(photo.cam_from_world, pose)
         # Its pixels are counted from the middle of the first.
-        np.testing.assert_allclose(photo.K - BALL.K, [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+        np.testing.assert_allclose(photo.K - BALL.K, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
-def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path):
+def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path: Path) -> None:
     path = middlebury(tmp_path) / "v_par.txt"
     path.write_text(path.read_text(), encoding="utf-8-sig")
     (tmp_path / "._v_par.txt").write_bytes(b"\0\5\x16\7 Mac OS X \xff\xfe")
@@ -72,13 +76,18 @@ def test_middlebury_with_a_byte_order_mark_beside_a_file_of_macos(tmp_path):
         (["1", "../elsewhere.png " + "1 " * 21], r"\.\./elsewhere\.png is missing"),
     ],
 )
-def test_middlebury_refusals(tmp_path, lines, message):
+def test_middlebury_refusals(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         read_strictly(middlebury(tmp_path, lines), "middlebury")
 
 
-def neus(root, change=lambda matrices: None, names="image/{:06d}.png", masks="mask/{:03d}.png"):
-    matrices = {}
+def neus(
+    root: Path,
+    change: Callable[[dict[str, np.ndarray]], object] = lambda matrices: None,
+    names: str = "image/{:06d}.png",
+    masks: str = "mask/{:03d}.png",
+) -> Path:
+    matrices: dict[str, Any] = {}
     for i, pose in enumerate(BALL.poses()):
         draw(root / names.format(i))
         draw(root / masks.format(i))
@@ -90,19 +99,21 @@ def neus(root, change=lambda matrices: None, names="image/{:06d}.png", masks="ma
     return root
 
 
-def test_neus_cameras_agree_with_opencvs_decomposition(tmp_path):
+def test_neus_cameras_agree_with_opencvs_decomposition(tmp_path: Path) -> None:
     capture = read_capture(neus(tmp_path), "neus")
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
         K, rotation, center, *_ = cv2.decomposeProjectionMatrix(BALL.K @ pose[:3])
         np.testing.assert_allclose(photo.cam_from_world[:3, :3], rotation, atol=1e-9)
-        np.testing.assert_allclose(photo.K, K / K[2, 2] + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], atol=1e-9)
+        np.testing.assert_allclose(
+            photo.K, K / K[2, 2] + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]], atol=1e-9
+        )
         middle = center[:3, 0] / center[3, 0]
         np.testing.assert_allclose(photo.cam_from_world[:3, :3] @ middle + photo.cam_from_world[:3, 3], 0, atol=1e-9)
 
 
-def test_masks_of_dtu_go_by_their_order(tmp_path):
+def test_masks_of_dtu_go_by_their_order(tmp_path: Path) -> None:
     capture = read_capture(neus(tmp_path), "neus")
-    assert [photo.mask.name for photo in capture.photos] == [f"{i:03d}.png" for i in range(4)]
+    assert [present(photo.mask).name for photo in capture.photos] == [f"{i:03d}.png" for i in range(4)]
     assert [photo.image.name for photo in capture.photos] == [f"{i:06d}.png" for i in range(4)]
 
 
@@ -121,19 +132,19 @@ def test_masks_of_dtu_go_by_their_order(tmp_path):
         (lambda m: m.update(huge=np.zeros(100_000)), "takes 800128 bytes, expected 65536 at most"),
     ],
 )
-def test_neus_refusals(tmp_path, change, message):
+def test_neus_refusals(tmp_path: Path, change: Callable[..., Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):
         read_strictly(neus(tmp_path, change), "neus")
 
 
-def test_neus_file_that_is_no_archive(tmp_path):
+def test_neus_file_that_is_no_archive(tmp_path: Path) -> None:
     neus(tmp_path)
     (tmp_path / "cameras_sphere.npz").write_bytes(b"PK\x03\x04 not really")
     with pytest.raises(SceneError, match=r"cameras_sphere\.npz: damaged"):
         read_capture(tmp_path, "neus")
 
 
-def test_neus_without_images(tmp_path):
+def test_neus_without_images(tmp_path: Path) -> None:
     np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.eye(4))
     with pytest.raises(SceneError, match="no images in image/ or images/; put them there"):
         read_capture(tmp_path, "neus")

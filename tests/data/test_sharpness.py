@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import pytest
@@ -29,12 +31,13 @@ def texture(seed: int) -> np.ndarray:
 def moved(image: np.ndarray, length: int, angle: float) -> np.ndarray:
     """Return an image blurred as if the camera moved by `length` pixels."""
     steps = np.linspace(-0.5, 0.5, 4 * length)[:, None] * length * np.array([np.cos(angle), np.sin(angle)])
-    shifts = [np.float32([[1, 0, x], [0, 1, y]]) for x, y in steps]
+    shifts = [np.array([[1, 0, x], [0, 1, y]], np.float32) for x, y in steps]
     copies = [cv2.warpAffine(image, shift, (128, 96), borderMode=cv2.BORDER_REFLECT) for shift in shifts]
-    return np.mean(copies, axis=0).astype(np.uint8)
+    mean: np.ndarray = np.mean(copies, axis=0).astype(np.uint8)
+    return mean
 
 
-def views(blurred: set[int], change=lambda image, i: image) -> list[View]:
+def views(blurred: set[int], change: Callable[[np.ndarray, int], np.ndarray] = lambda image, i: image) -> list[View]:
     """Return views of a walk around an object; the photographs show other parts of one texture."""
     rng = np.random.default_rng(1)
     found = []
@@ -46,14 +49,14 @@ def views(blurred: set[int], change=lambda image, i: image) -> list[View]:
 
 
 @pytest.mark.parametrize("blurred", [set(), {4}, set(range(1, COUNT, 3)), {i for i in range(COUNT) if i % 3}])
-def test_moved_photographs_are_told_from_sharp_ones(blurred):
+def test_moved_photographs_are_told_from_sharp_ones(blurred: set[int]) -> None:
     assert set(np.flatnonzero(less_sharp(views(blurred)))) == blurred
 
 
-def test_contrast_and_noise_are_no_blur():
+def test_contrast_and_noise_are_no_blur() -> None:
     rng = np.random.default_rng(2)
 
-    def change(image, i):
+    def change(image: np.ndarray, i: int) -> np.ndarray:
         dark = image * (0.3 if i % 2 else 1.0) + 10
         return np.clip(dark + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
 
@@ -61,7 +64,7 @@ def test_contrast_and_noise_are_no_blur():
 
 
 @pytest.mark.parametrize("blurred", list(Blurred))
-def test_blurred_photographs_are_kept_or_dropped(blurred):
+def test_blurred_photographs_are_kept_or_dropped(blurred: Blurred) -> None:
     items = [LoadedView(view) for view in views({3, 8, 20})]
     (train, test), (note,) = without_blurred(items[:25], items[25:], blurred)
     assert note.startswith("3 of 30 photographs are much less sharp than their neighbours (003, 008, 020)")
@@ -90,6 +93,9 @@ def ring(count: int, arc: float = 360) -> list[View]:
         (ring(9, arc=60), False, None),
     ],
 )
-def test_too_few_photographs(photographs, masked, said):
+def test_too_few_photographs(photographs: list[View], masked: bool, said: str | None) -> None:
     note = note_of_few_views(photographs, np.zeros(3), masked)
-    assert (note is None) if said is None else (note.startswith("too few photographs") and said in note)
+    if said is None:
+        assert note is None
+    else:
+        assert note is not None and note.startswith("too few photographs") and said in note

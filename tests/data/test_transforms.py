@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ import trimesh
 
 from mgsr.config import DataConfig
 from mgsr.data.capture import Split
+from mgsr.data.lens import Lens
 from mgsr.data.photo_files import SceneFolder
 from mgsr.data.readers import load_scene
 from mgsr.data.usable import usable_photos
@@ -25,7 +28,7 @@ APPLIED = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]])
 
 
 @pytest.fixture
-def root(tmp_path):
+def root(tmp_path: Path) -> Path:
     frames = []
     for i, pose in enumerate(BALL.poses()):
         draw(tmp_path / f"images/frame_{i}.png")
@@ -36,25 +39,26 @@ def root(tmp_path):
     return tmp_path
 
 
-def edit(root, **values):
+def edit(root: Path, **values: Any) -> None:
     edit_json(root / "transforms.json", lambda content: content.update(values))
 
 
-def test_cameras(root):
+def test_cameras(root: Path) -> None:
     for photo, pose in zip(read_capture(root, "nerfstudio").photos, BALL.poses(), strict=True):
         np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
         np.testing.assert_array_equal(photo.K, BALL.K)
         assert photo.lens is None and photo.split is None
 
 
-def test_a_frames_own_intrinsics_and_lens_overrule_the_files(root):
+def test_a_frames_own_intrinsics_and_lens_overrule_the_files(root: Path) -> None:
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(fl_x=100, k1=0.1, k3=0.01))
     photos = read_capture(root, "nerfstudio").photos
     assert [photo.K[0, 0] for photo in photos] == [80, 80, 100, 80, 80, 80]
+    assert isinstance(photos[2].lens, Lens)
     assert photos[2].lens.k1 == 0.1 and photos[2].lens.higher == (0.01, 0) and photos[1].lens is None
 
 
-def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
+def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root: Path) -> None:
     """Check the frame's own angle: tan(45 degrees) is 1, half of 64 pixels."""
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=math.pi / 2))
     edit_json(root / "transforms.json", lambda content: content["frames"][3].update(camera_angle_x=1, fl_x=70, fl_y=75))
@@ -73,7 +77,7 @@ def test_a_frames_own_angle_of_view_overrules_the_files_focal_lengths(root):
         (40, "frame 2 .*camera_angle_x: expected an angle between 0 and pi radians, got 40; mend the file"),
     ],
 )
-def test_angles_that_no_lens_has(root, angle, message):
+def test_angles_that_no_lens_has(root: Path, angle: float, message: str) -> None:
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(camera_angle_x=angle))
     folder = SceneFolder.at(root)
     photos, (note,) = usable_photos(read_capture(root, "nerfstudio"), folder)
@@ -81,20 +85,20 @@ def test_angles_that_no_lens_has(root, angle, message):
 
 
 @pytest.mark.parametrize("side", [0, 1e300, -3])
-def test_sizes_that_no_image_has(root, side):
+def test_sizes_that_no_image_has(root: Path, side: float) -> None:
     edit(root, w=side)
     with pytest.raises(SceneError, match=r"frame 0 .*: an image of \S{1,12} pixels; expected sides from 1 to 1000000"):
         load_scene(root, DataConfig())
 
 
-def test_a_photograph_that_is_there_twice_is_refused(root):
+def test_a_photograph_that_is_there_twice_is_refused(root: Path) -> None:
     edit_json(root / "transforms.json", lambda content: content["frames"].append(dict(content["frames"][1])))
     message = r"frame 6 \(images/frame_1\.png\): the same photograph as .*frame 1 \(images/frame_1\.png\); remove one"
     with pytest.raises(SceneError, match=message):
         read_capture(root, "nerfstudio")
 
 
-def test_blenders_test_photographs_must_not_train(tmp_path):
+def test_blenders_test_photographs_must_not_train(tmp_path: Path) -> None:
     BALL.write_blender(tmp_path, test=2)
     frame = json.loads((tmp_path / "transforms_train.json").read_text())["frames"][3]
     edit_json(tmp_path / "transforms_test.json", lambda content: content["frames"].append(frame))
@@ -104,16 +108,17 @@ def test_blenders_test_photographs_must_not_train(tmp_path):
 
 
 @pytest.mark.parametrize("way", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
-def test_fisheyes(root, way):
+def test_fisheyes(root: Path, way: dict[str, str | bool]) -> None:
     edit(root, k1=0.05, **way)
-    assert read_capture(root, "nerfstudio").photos[0].lens.fisheye
+    lens = read_capture(root, "nerfstudio").photos[0].lens
+    assert isinstance(lens, Lens) and lens.fisheye
 
 
-def test_results_go_back_to_the_frame_before_the_applied_transform(root):
+def test_results_go_back_to_the_frame_before_the_applied_transform(root: Path) -> None:
     """Check that the point a camera sees in its middle is the ball's centre in the original frame."""
     scale, pad = 0.5, np.vstack([APPLIED, [0, 0, 0, 1]])
 
-    def apply(content):
+    def apply(content: dict[str, Any]) -> None:
         content.update(applied_transform=APPLIED.tolist(), applied_scale=scale, ply_file_path="points.ply")
         for frame in content["frames"]:
             moved = pad @ np.array(frame["transform_matrix"])
@@ -128,26 +133,27 @@ def test_results_go_back_to_the_frame_before_the_applied_transform(root):
     for photo, pose in zip(capture.photos, BALL.poses(), strict=True):
         np.testing.assert_allclose(photo.cam_from_world, pose, atol=1e-12)
         np.testing.assert_allclose(project(photo, points[:1]), [BALL.K[:2, 2]], atol=1e-9)
+    assert capture.points is not None
     np.testing.assert_allclose(capture.points.positions, points, atol=1e-6)
     np.testing.assert_array_equal(capture.points.colors[0], [10, 20, 30])
 
 
-def test_splits(root):
+def test_splits(root: Path) -> None:
     edit(root, train_filenames=["images/frame_0.png"], test_filenames=["./images/frame_3.png"])
     splits = [photo.split for photo in read_capture(root, "nerfstudio").photos]
     assert splits == [Split.TRAIN] * 3 + [Split.TEST] + [Split.TRAIN] * 2
 
 
-def test_named_masks(root):
+def test_named_masks(root: Path) -> None:
     draw(root / "elsewhere/m.png")
     edit_json(root / "transforms.json", lambda content: content["frames"][1].update(mask_path="elsewhere/m.png"))
     assert read_capture(root, "nerfstudio").photos[1].mask == root / "elsewhere/m.png"
 
 
-def test_instant_ngp_leaves_out_extensions_and_photographs(root):
+def test_instant_ngp_leaves_out_extensions_and_photographs(root: Path) -> None:
     """Check that a missing photograph is left out, as instant-ngp's loader does, and that too many are refused."""
 
-    def as_ngp(content):
+    def as_ngp(content: dict[str, Any]) -> None:
         content.update(aabb_scale=4, camera_angle_x=0.7)
         for frame in content["frames"]:
             frame["file_path"] = "./" + frame["file_path"].removesuffix(".png")
@@ -186,14 +192,14 @@ def test_instant_ngp_leaves_out_extensions_and_photographs(root):
         ({"ply_file_path": 3}, "ply_file_path: expected the path of a file, got '3'"),
     ],
 )
-def test_refusals(root, values, message):
+def test_refusals(root: Path, values: dict[str, list[list[int] | str] | str | bool | float], message: str) -> None:
     edit(root, **values)
     with pytest.raises(SceneError, match=message):
         read_strictly(root, "nerfstudio")
 
 
 @pytest.mark.parametrize("name", ["./", "images/.."])
-def test_the_folder_itself_is_no_photograph(root, name):
+def test_the_folder_itself_is_no_photograph(root: Path, name: str) -> None:
     """Check that a file named as the folder, with an image's suffix, is not taken for it (found by fuzzing)."""
     draw(root.with_name(root.name + ".png"))
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(file_path=name))
@@ -203,12 +209,12 @@ def test_the_folder_itself_is_no_photograph(root, name):
     assert re.search(r"photograph 3: expected the path of an image, got './'|images/\.\. is missing", str(lost))
 
 
-def test_the_longest_names_are_looked_for(root):
+def test_the_longest_names_are_looked_for(root: Path) -> None:
     edit_json(root / "transforms.json", lambda content: content["frames"][2].update(file_path="n" * 240))
     assert len(read_capture(root, "nerfstudio").photos) == 5
 
 
-def test_points_that_are_no_ply(root):
+def test_points_that_are_no_ply(root: Path) -> None:
     (root / "points.ply").write_text("ply\nformat ascii 1.0\nelement vertex 5\n")
     edit(root, ply_file_path="points.ply")
     with pytest.raises(SceneError, match=r"points\.ply: expected a PLY with vertices"):

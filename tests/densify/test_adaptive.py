@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from mgsr.config import DensifyConfig
-from mgsr.densify.adaptive import adapt, rotation_matrices, split_in_two
-from mgsr.densify.reset import lowered_opacities
+from mgsr.densify.adaptive import adapt, lowered_opacities, rotation_matrices, split_in_two
 from mgsr.densify.state import DensifyState
 
 CONFIG = DensifyConfig(gradient_threshold=1.0, split_above=0.1, prune_above=10.0, prune_opacity=0.05)

@@ -37,6 +37,7 @@ def test_a_round_of_densification_clears() -> None:
     plan = make_plan(scene, ball_points(300, RADIUS), make_config("draft"))
     stage, branch = plan.stages[1], plan.train_state.gaussians
     with torch.no_grad():
+        assert branch is not None
         branch.model.means[0] = torch.tensor(scene.train[0].camera.center * 0.9, dtype=torch.float32)
     stage.adapt(branch)
     assert len(branch.model) == 299

@@ -11,6 +11,7 @@ from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions, least_contributing
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.gaussians.surfels import SurfelModel
+from tests.ops.splat_scenes import splat_arguments
 from tests.oracles import gaussians, surfels
 from tests.training.ball import ball_scene
 
@@ -39,29 +40,39 @@ def noise() -> Callable[..., torch.Tensor]:
 @pytest.mark.parametrize("kind", ["surfels", "gaussians", "split gaussians"])
 def test_it_is_what_a_lone_white_splat_adds_to_black_ones(kind: str) -> None:
     model = some_surfels() if kind == "surfels" else some_gaussians(split=kind.startswith("split"))
-    add = added_by_surfel if kind == "surfels" else added_by_gaussian
     cameras = [view.camera for view in ball_scene(size=24, train=3).train]
-    alone = torch.tensor([sum(add(model, camera, i) for camera in cameras) for i in range(COUNT)])
+    alone = torch.tensor([sum(added(model, camera, i) for camera in cameras) for i in range(COUNT)])
     assert alone.min() < 0.05 * alone.max()
     torch.testing.assert_close(contributions(model, cameras), alone, rtol=1e-4, atol=1e-3)
 
 
+def added(model: SurfelModel | GaussianModel, camera: Camera, index: int) -> float:
+    return (
+        added_by_surfel(model, camera, index)
+        if isinstance(model, SurfelModel)
+        else added_by_gaussian(model, camera, index)
+    )
+
+
 def added_by_surfel(model: SurfelModel, camera: Camera, index: int) -> float:
     """Return the light in the oracle's image where one surfel is white and all others are black."""
-    geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
+    tensors = (model.means, model.quats, model.scales(), model.opacities(), white(index))
+    geometry = splat_arguments(t.double() for t in tensors)
     view = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world), camera.width, camera.height
     return float(surfels.render(*geometry, *view, torch.zeros(3)).color[..., 0].sum())
 
 
 def added_by_gaussian(model: GaussianModel, camera: Camera, index: int) -> float:
     """Return the light in the oracle's image where one Gaussian, in both halves, is white and all others are black."""
-    geometry = [t.double() for t in (model.means, model.quats, model.scales(), model.opacities(), white(index))]
+    tensors = (model.means, model.quats, model.scales(), model.opacities(), white(index))
+    geometry = splat_arguments(t.double() for t in tensors)
     reflected = None
     if model.split:
         reflected = (model.refl_opacities().double(), geometry[-1], model.weights().double())
     images = gaussians.render(*geometry, camera, torch.zeros(3), reflected, model.low_pass)
-    added = 0 if images.reflected is None else images.weight * images.reflected[..., 0]
-    return float((images.color[..., 0] + added).sum())
+    if images.reflected is None or images.weight is None:
+        return float(images.color[..., 0].sum())
+    return float((images.color[..., 0] + images.weight * images.reflected[..., 0]).sum())
 
 
 def white(index: int) -> torch.Tensor:

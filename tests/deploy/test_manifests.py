@@ -12,6 +12,7 @@ import kubernetes_validate
 import pytest
 import yaml
 from cloudcoil.models.keda.v1alpha1 import ScaledObject, TriggerAuthentication
+from pydantic import BaseModel
 
 from deploy.by_hand import IMAGES, read_dockerfile, stages
 
@@ -55,7 +56,7 @@ def test_the_workflows_have_the_form_of_workflows() -> None:
 
 @pytest.mark.parametrize("document", DOCUMENTS.values(), ids=DOCUMENTS)
 def test_each_manifest_has_the_form_of_its_kind(document: dict[str, Any]) -> None:
-    models = {"ScaledObject": ScaledObject, "TriggerAuthentication": TriggerAuthentication}
+    models: dict[str, type[BaseModel]] = {"ScaledObject": ScaledObject, "TriggerAuthentication": TriggerAuthentication}
     if document["kind"] in models:
         models[document["kind"]].model_validate(document)
     else:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 from numpy.lib.recfunctions import append_fields
 from plyfile import PlyData, PlyElement
+from trimesh.visual import ColorVisuals
 
 from mgsr.errors import ConfigError, MeshError, SceneError
 from mgsr.export.convert import convert
@@ -16,18 +20,20 @@ from mgsr.export.mesh_reading import load_mesh
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import LOW_PASS, UNIT, read_number
 from mgsr.export.splats import load_splats, write_splats
-from tests.export.test_mesh_files import ball
+from mgsr.geometry.mesh import Mesh
+from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import PLY_STEPS, SPZ_STEPS, check_close, splats
 
 
 @pytest.mark.parametrize("offset", [0.0, 5e6])
-def test_obj_holds_what_was_given(tmp_path, offset):
+def test_obj_holds_what_was_given(tmp_path: Path, offset: float) -> None:
     vertices, faces, normals, colors = ball(offset)
-    write_obj(tmp_path / "a.obj", vertices, faces, normals, colors)
-    mesh = trimesh.load(tmp_path / "a.obj", process=False, force="mesh", maintain_order=True)
+    write_obj(tmp_path / "a.obj", *mesh_and_colors(vertices, faces, normals, colors))
+    mesh = trimesh.load_mesh(tmp_path / "a.obj", process=False, maintain_order=True)
     np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-5)
     np.testing.assert_array_equal(mesh.faces, faces)
     np.testing.assert_allclose(mesh.vertex_normals, normals, atol=1e-5)
+    assert isinstance(mesh.visual, ColorVisuals)
     np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3] / 255, colors, atol=1.01 / 255)
     lines = [line.split() for line in (tmp_path / "a.obj").read_text().splitlines() if line.startswith("v ")]
     cut_off = (np.array(lines)[:, 4:].astype(float) * 255).astype(int)
@@ -36,48 +42,49 @@ def test_obj_holds_what_was_given(tmp_path, offset):
 
 @pytest.mark.parametrize("before", [".ply", ".glb", ".obj"])
 @pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
-def test_meshes(tmp_path, before, after):
+def test_meshes(tmp_path: Path, before: str, after: str) -> None:
     arrays = ball()
-    {".ply": write_ply, ".glb": write_glb, ".obj": write_obj}[before](tmp_path / f"a{before}", *arrays)
+    writers: dict[str, Callable[..., None]] = {".ply": write_ply, ".glb": write_glb, ".obj": write_obj}
+    writers[before](tmp_path / f"a{before}", *mesh_and_colors(*arrays))
     assert convert(tmp_path / f"a{before}", tmp_path / f"b{after}", scale=2.0) == "a mesh of 320 faces"
-    mesh = trimesh.load(tmp_path / f"b{after}", process=False, force="mesh")
+    mesh = trimesh.load_mesh(tmp_path / f"b{after}", process=False)
     np.testing.assert_allclose(mesh.vertices, 2 * arrays[0], atol=1e-5)
     np.testing.assert_array_equal(mesh.faces, arrays[1])
     np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, arrays[3], atol=1.01 / 255)
 
 
 @pytest.mark.parametrize("after", [".ply", ".glb", ".obj"])
-def test_vertices_take_the_colours_of_a_picture(tmp_path, after):
+def test_vertices_take_the_colours_of_a_picture(tmp_path: Path, after: str) -> None:
     """Check a square with a texel at each corner."""
     vertices = np.array([[0.0, 1, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0]])
     uvs = np.array([[0.0, 0], [0, 1], [1, 1], [1, 0]]) * 0.9 + 0.05
     picture = np.array([[[200, 10, 20], [30, 220, 40]], [[1, 2, 250], [120, 130, 140]]], np.uint8)
     normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
-    write_textured_glb(tmp_path / "a.glb", vertices, faces, normals, uvs, picture)
+    write_textured_glb(tmp_path / "a.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
     convert(tmp_path / "a.glb", tmp_path / f"b{after}")
     expected = picture[[0, 1, 1, 0], [0, 0, 1, 1]] / 255
     np.testing.assert_allclose(load_mesh(tmp_path / f"b{after}").colors, expected, atol=1.01 / 255)
 
 
-def test_up(tmp_path):
-    write_ply(tmp_path / "a.ply", *ball())
+def test_up(tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()))
     convert(tmp_path / "a.ply", tmp_path / "b.glb", up=UpAxis.Z)
     given, turned = (
-        trimesh.load(tmp_path / "a.ply", process=False),
-        trimesh.load(tmp_path / "b.glb", force="mesh", process=False),
+        trimesh.load_mesh(tmp_path / "a.ply", process=False),
+        trimesh.load_mesh(tmp_path / "b.glb", process=False),
     )
     np.testing.assert_allclose(turned.vertices[:, 1], given.vertices[:, 2], atol=1e-6)
 
 
 @pytest.mark.parametrize(("suffix", "steps"), [(".spz", SPZ_STEPS), (".compressed.ply", PLY_STEPS)])
-def test_splats_there_and_back(tmp_path, suffix, steps):
+def test_splats_there_and_back(tmp_path: Path, suffix: str, steps: dict[str, float]) -> None:
     write_splats(tmp_path / "a.ply", splats())
     assert convert(tmp_path / "a.ply", tmp_path / f"b{suffix}") == "40 splats"
     convert(tmp_path / f"b{suffix}", tmp_path / "c.ply", scale=1.0)
     check_close(load_splats(tmp_path / "c.ply"), splats(), steps)
 
 
-def test_the_scale_of_splats(tmp_path):
+def test_the_scale_of_splats(tmp_path: Path) -> None:
     write_splats(tmp_path / "a.ply", splats())
     convert(tmp_path / "a.ply", tmp_path / "b.ply", scale=1000)
     read = load_splats(tmp_path / "b.ply")
@@ -85,7 +92,7 @@ def test_the_scale_of_splats(tmp_path):
     np.testing.assert_allclose(np.exp(read["log_scales"]), np.exp(splats()["log_scales"]) * 1000, rtol=1e-5)
 
 
-def test_splats_keep_what_their_header_says(tmp_path):
+def test_splats_keep_what_their_header_says(tmp_path: Path) -> None:
     """Check that the unit and the low-pass survive, which `mgsr evaluate` needs; the numbers stay exact."""
     write_splats(tmp_path / "a.ply", splats(), unit=0.3, low_pass=0.1)
     convert(tmp_path / "a.ply", tmp_path / "b.ply")
@@ -97,15 +104,15 @@ def test_splats_keep_what_their_header_says(tmp_path):
     np.testing.assert_allclose(scaled["means"], splats()["means"] * 10, rtol=1e-6)
 
 
-def test_meshes_keep_their_unit(tmp_path):
-    write_ply(tmp_path / "a.ply", *ball(), unit=0.3)
+def test_meshes_keep_their_unit(tmp_path: Path) -> None:
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()), unit=0.3)
     convert(tmp_path / "a.ply", tmp_path / "b.ply", scale=10)
     assert read_number(tmp_path / "b.ply", UNIT) == 3.0
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "log_scales", "opacity_logits", "sh"])
 @pytest.mark.parametrize("target", ["b.ply", "b.compressed.ply", "b.spz"])
-def test_splats_without_a_number(tmp_path, name, target):
+def test_splats_without_a_number(tmp_path: Path, name: str, target: str) -> None:
     given = splats()
     given[name][3:5] = np.nan
     write_splats(tmp_path / "a.ply", given)
@@ -114,9 +121,9 @@ def test_splats_without_a_number(tmp_path, name, target):
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e39, 1e300])
-def test_scales_that_files_can_not_hold(tmp_path, scale):
+def test_scales_that_files_can_not_hold(tmp_path: Path, scale: float) -> None:
     write_splats(tmp_path / "splats.ply", splats())
-    write_ply(tmp_path / "mesh.ply", *ball())
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     for source, target in (
         ("splats.ply", "b.ply"),
         ("splats.ply", "b.spz"),
@@ -127,7 +134,7 @@ def test_scales_that_files_can_not_hold(tmp_path, scale):
             convert(tmp_path / source, tmp_path / target, scale)
 
 
-def test_errors_of_splats_name_the_file(tmp_path):
+def test_errors_of_splats_name_the_file(tmp_path: Path) -> None:
     given = splats()
     given["log_scales"] -= 7
     write_splats(tmp_path / "a.ply", given)
@@ -140,16 +147,16 @@ def test_errors_of_splats_name_the_file(tmp_path):
         convert(tmp_path / "d4.ply", tmp_path / "b.spz")
 
 
-def test_the_light_splits_loss_is_told(tmp_path):
+def test_the_light_splits_loss_is_told(tmp_path: Path) -> None:
     given = splats() | {"refl_opacity_logits": np.zeros(40, np.float32), "weight_logits": np.zeros(40, np.float32)}
     write_splats(tmp_path / "a.ply", given | {"refl_sh": np.zeros((40, 1, 3), np.float32)})
     assert convert(tmp_path / "a.ply", tmp_path / "b.spz") == "40 splats, without their reflected half"
     assert convert(tmp_path / "a.ply", tmp_path / "b.ply") == "40 splats"
 
 
-def test_refusals(tmp_path):
+def test_refusals(tmp_path: Path) -> None:
     write_splats(tmp_path / "splats.ply", splats())
-    write_ply(tmp_path / "mesh.ply", *ball())
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(*ball()))
     with pytest.raises(
         ConfigError, match=r"b\.obj: .*splats\.ply is taken as splats, .* \.compressed\.ply, \.ply, \.spz"
     ):

@@ -1,14 +1,18 @@
 """The environment map's file."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mgsr.errors import SceneError
 from mgsr.export.environment_map import StoredEnvironmentMap, load_environment_map, write_environment_map
+from mgsr.geometry.mesh import Mesh
 
-MAPS = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
+MAPS: dict[str, Any] = {"scene": np.zeros((4, 4, 3)), "camera": np.zeros((4, 4, 3))}
 MESH = {"vertices": np.eye(3), "faces": np.array([[0, 1, 2]])}
 
 
@@ -17,7 +21,7 @@ def stored_environment_map() -> StoredEnvironmentMap:
     generator = np.random.default_rng(0)
     maps = generator.random((2, 3, 4, 4)).astype(np.float32)
     corners = np.add(np.eye(3), [512346.25, 4501234.5, 431.0])
-    return StoredEnvironmentMap(maps, np.array([0.5, 0.25, 0.125], np.float32), (corners, np.array([[0, 1, 2]])))
+    return StoredEnvironmentMap(maps, np.array([0.5, 0.25, 0.125], np.float32), Mesh(corners, np.array([[0, 1, 2]])))
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -26,10 +30,11 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     read = load_environment_map(tmp_path / "light.npz")
     assert np.array_equal(read.maps, light.maps) and np.array_equal(read.bounce, light.bounce)
     assert read.surface is not None and light.surface is not None
-    assert np.array_equal(read.surface[0], light.surface[0]) and np.array_equal(read.surface[1], light.surface[1])
+    assert np.array_equal(read.surface.vertices, light.surface.vertices)
+    assert np.array_equal(read.surface.faces, light.surface.faces)
     with np.load(tmp_path / "light.npz") as content:  # as its own description says, without our reader
         assert np.array_equal(content["camera"][1, 2], light.maps[1, :, 1, 2])
-        assert np.array_equal(content["vertices"] + content["origin"], light.surface[0])
+        assert np.array_equal(content["vertices"] + content["origin"], light.surface.vertices)
 
 
 def test_a_light_without_a_mesh_is_read(tmp_path: Path) -> None:
@@ -66,7 +71,7 @@ def test_a_broken_file_is_named(tmp_path: Path, content: bytes) -> None:
         {**MAPS, **MESH, "origin": np.zeros(2)},
     ],
 )
-def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
+def test_other_arrays_are_refused(tmp_path: Path, arrays: dict[str, Any]) -> None:
     np.savez(tmp_path / "light.npz", **arrays)
     with pytest.raises(SceneError, match=r"light\.npz"):
         load_environment_map(tmp_path / "light.npz")

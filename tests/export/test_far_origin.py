@@ -25,7 +25,7 @@ from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import read_origin
 from mgsr.export.splats import Splats, load_splats, write_splats
 from mgsr.export.spz import load_spz, read_spz_origin, write_spz
-from tests.export.test_mesh_files import ball
+from tests.export.test_mesh_files import ball, mesh_and_colors
 from tests.export.test_packed_splats import GOLDEN, splats
 
 UTM = np.array([512345.67, 4501234.4, 431.2])
@@ -54,7 +54,8 @@ def places(path: Path) -> np.ndarray:
     vertex = PlyData.read(str(path))["vertex"]
     stored = np.stack([vertex[axis] for axis in "xyz"], axis=1)
     assert stored.dtype == np.float32
-    return stored.astype(np.float64) + named_origin(path.read_bytes())
+    positions: np.ndarray = stored.astype(np.float64) + named_origin(path.read_bytes())
+    return positions
 
 
 def nearest(found: np.ndarray, given: np.ndarray) -> float:
@@ -215,6 +216,6 @@ def test_origins_that_are_no_places(tmp_path: Path, words: bytes) -> None:
 def test_obj_of_a_small_scene_far_away(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball()
     far = 0.01 * vertices + GEOCENTRIC
-    write_obj(tmp_path / "a.obj", far, faces, normals, colors)
-    mesh = trimesh.load(tmp_path / "a.obj", process=False, force="mesh", maintain_order=True)
+    write_obj(tmp_path / "a.obj", *mesh_and_colors(far, faces, normals, colors))
+    mesh = trimesh.load_mesh(tmp_path / "a.obj", process=False, maintain_order=True)
     np.testing.assert_allclose(mesh.vertices, far, rtol=0, atol=1e-8)

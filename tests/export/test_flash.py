@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import trimesh
 
 from mgsr.errors import SceneError
 from mgsr.export.flash import load_flash, write_flash
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.lighting import Lighting
 from tests.mesh.shapes import looking_at_origin
 
@@ -19,31 +21,42 @@ def lighting() -> Lighting:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.7)
     count = len(ball.vertices)
     besides = 0.1 + 0.05 * np.asarray(ball.vertices)[:, 2]
-    return Lighting(np.asarray(ball.vertices), np.asarray(ball.faces), besides, np.arange(count)[::-1], 0.2, -0.1, 4.0)
+    return Lighting(
+        Mesh(np.asarray(ball.vertices), np.asarray(ball.faces)), besides, np.arange(count)[::-1], 0.2, -0.1, 4.0
+    )
 
 
-def arrays() -> dict[str, np.ndarray]:
+def arrays() -> dict[str, Any]:
     full = lighting()
     lamp = np.array([full.right, full.down, full.lamp])
-    return {"vertices": full.vertices, "faces": full.faces, "besides": full.besides, "like": full.like, "lamp": lamp}
+    return {
+        "vertices": full.mesh.vertices,
+        "faces": full.mesh.faces,
+        "besides": full.ambient,
+        "like": full.proxy_vertex,
+        "lamp": lamp,
+    }
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
     write_flash(tmp_path / "flash.npz", lighting())
     found, view = load_flash(tmp_path / "flash.npz"), looking_at_origin(np.array([1.0, 2.0, 2.0]))
-    assert np.array_equal(found.faces, lighting().faces) and np.array_equal(found.like, lighting().like)
+    assert np.array_equal(found.mesh.faces, lighting().mesh.faces) and np.array_equal(
+        found.proxy_vertex, lighting().proxy_vertex
+    )
     assert (found.right, found.down, found.lamp) == (0.2, -0.1, 4.0)
     assert np.abs(found.seen_by(view).astype(int) - lighting().seen_by(view)).max() <= 1
 
 
 def test_a_far_surface_keeps_its_shape(tmp_path: Path) -> None:
     away, origin = np.array([512345.6, 4501234.4, 431.2]), np.array([512346.0, 4501234.0, 431.0])
-    far = replace(lighting(), vertices=lighting().vertices + away)
+    near = lighting().mesh
+    far = replace(lighting(), mesh=near.moved(near.vertices + away))
     write_flash(tmp_path / "flash.npz", far, origin)
-    np.testing.assert_allclose(load_flash(tmp_path / "flash.npz").vertices, far.vertices, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(load_flash(tmp_path / "flash.npz").mesh.vertices, far.mesh.vertices, rtol=0, atol=1e-7)
     with np.load(tmp_path / "flash.npz") as content:
         assert content["vertices"].dtype == np.float32
-        np.testing.assert_allclose(content["vertices"] + content["origin"], far.vertices, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(content["vertices"] + content["origin"], far.mesh.vertices, rtol=0, atol=1e-7)
 
 
 def test_a_near_surface_names_no_origin(tmp_path: Path) -> None:

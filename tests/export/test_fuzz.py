@@ -23,6 +23,7 @@ from mgsr.export.splats import load_splats, write_splats
 from mgsr.export.spz import load_spz, read_spz_origin, write_spz
 from tests.export.test_environment_map import stored_environment_map
 from tests.export.test_flash import lighting
+from tests.export.test_mesh_files import mesh_and_colors
 from tests.export.test_packed_splats import splats
 from tests.fuzzing import LONG, QUICK, byte_changes, fuzz
 
@@ -50,7 +51,7 @@ MESHES: dict[str, Callable[..., None]] = {"mesh.ply": write_ply, "mesh.glb": wri
 def fuzz_file(root: Path, name: str, how: settings) -> None:
     path = root / name
     if name in MESHES:
-        MESHES[name](path, *MESH)
+        MESHES[name](path, *mesh_and_colors(*MESH))
         load: Callable[[Path], Any] = load_mesh
     elif name in LIGHTS:
         LIGHTS[name][0](path)
@@ -62,12 +63,12 @@ def fuzz_file(root: Path, name: str, how: settings) -> None:
 
 
 @pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
-def test_damaged_files(tmp_path, name):
+def test_damaged_files(tmp_path: Path, name: str) -> None:
     fuzz_file(tmp_path, name, QUICK)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("name", [*SPLATS, *MESHES, *LIGHTS])
-def test_damaged_files_for_long(tmp_path, name):
+def test_damaged_files_for_long(tmp_path: Path, name: str) -> None:
     fuzz_file(tmp_path, name, LONG)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply, write_textured_glb
 from mgsr.export.obj_files import write_obj
 from mgsr.export.ply_notes import UNIT, read_number
+from mgsr.geometry.mesh import Mesh
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -28,9 +31,16 @@ def ball(offset: float = 0.0) -> Arrays:
     return mesh.vertices + offset, mesh.faces, np.array(mesh.vertex_normals), colors
 
 
+def mesh_and_colors(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, colors: np.ndarray
+) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with given normals, and its colours."""
+    return Mesh(vertices, faces).with_normals(normals), colors
+
+
 def test_ply_holds_what_was_given(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball()
-    write_ply(tmp_path / "mesh.ply", vertices, faces, normals, colors)
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(vertices, faces, normals, colors))
     data = PlyData.read(str(tmp_path / "mesh.ply"))
     read = data["vertex"]
     np.testing.assert_allclose(np.stack([read[axis] for axis in "xyz"], 1), vertices, atol=1e-7)
@@ -43,7 +53,7 @@ def test_ply_holds_what_was_given(tmp_path: Path) -> None:
 
 def test_ply_far_from_the_origin_keeps_its_shape(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball(offset=5e6)
-    write_ply(tmp_path / "mesh.ply", vertices, faces, normals, colors)
+    write_ply(tmp_path / "mesh.ply", *mesh_and_colors(vertices, faces, normals, colors))
     read = PlyData.read(str(tmp_path / "mesh.ply"))["vertex"]
     np.testing.assert_allclose(np.stack([read[axis] for axis in "xyz"], 1), vertices, rtol=0, atol=1e-8)
 
@@ -51,7 +61,7 @@ def test_ply_far_from_the_origin_keeps_its_shape(tmp_path: Path) -> None:
 @pytest.mark.parametrize("offset", [0.0, 5e6])
 def test_glb_holds_what_was_given(tmp_path: Path, offset: float) -> None:
     vertices, faces, normals, colors = ball(offset)
-    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors)
+    write_glb(tmp_path / "mesh.glb", *mesh_and_colors(vertices, faces, normals, colors))
     scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
     (node,) = scene.graph.nodes_geometry
     pose, name = scene.graph[node]
@@ -64,7 +74,7 @@ def test_glb_holds_what_was_given(tmp_path: Path, offset: float) -> None:
 def test_glb_colours_are_linear_and_fine(tmp_path: Path) -> None:
     vertices, faces, normals, _ = ball()
     colors = np.linspace(0, 0.1, len(vertices) * 3).reshape(-1, 3)  # dark: 8 linear bits would keep three levels
-    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors)
+    write_glb(tmp_path / "mesh.glb", *mesh_and_colors(vertices, faces, normals, colors))
     data = (tmp_path / "mesh.glb").read_bytes()
     length = int.from_bytes(data[12:16], "little")
     document = json.loads(data[20 : 20 + length])
@@ -84,21 +94,22 @@ def test_textured_glb_puts_the_picture_where_it_belongs(tmp_path: Path) -> None:
     normals, faces = np.tile([0.0, 0, 1], (4, 1)), np.array([[0, 1, 2], [0, 2, 3]])
     picture = np.zeros((8, 8, 3), np.uint8)
     picture[:4, :4], picture[4:, 4:] = (200, 10, 20), (1, 2, 250)
-    write_textured_glb(tmp_path / "mesh.glb", vertices, faces, normals, uvs, picture)
-    mesh = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False)
+    write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs, picture)
+    mesh = trimesh.load_mesh(tmp_path / "mesh.glb", process=False)
     np.testing.assert_allclose(mesh.vertices, vertices, atol=1e-6)
     np.testing.assert_array_equal(mesh.faces, faces)
-    image = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    visual: Any = mesh.visual
+    image = np.asarray(visual.material.baseColorTexture.convert("RGB"))
     np.testing.assert_array_equal(image, picture)
-    rows, columns = 7 - (mesh.visual.uv[:, 1] * 7).astype(int), (mesh.visual.uv[:, 0] * 7).astype(int)
+    rows, columns = 7 - (visual.uv[:, 1] * 7).astype(int), (visual.uv[:, 0] * 7).astype(int)
     np.testing.assert_array_equal(image[rows, columns], [(200, 10, 20), (0, 0, 0), (1, 2, 250), (0, 0, 0)])
     with pytest.raises(MeshError, match="uvs: expected"):
-        write_textured_glb(tmp_path / "mesh.glb", vertices, faces, normals, uvs[:3], picture)
+        write_textured_glb(tmp_path / "mesh.glb", Mesh(vertices, faces).with_normals(normals), uvs[:3], picture)
 
 
 def test_a_ply_tells_its_unit(tmp_path: Path) -> None:
-    write_ply(tmp_path / "a.ply", *ball(), unit=0.1)
-    write_ply(tmp_path / "b.ply", *ball())
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*ball()), unit=0.1)
+    write_ply(tmp_path / "b.ply", *mesh_and_colors(*ball()))
     assert [read_number(tmp_path / name, UNIT) for name in ("a.ply", "b.ply")] == [0.1, 1.0]
     assert len(PlyData.read(str(tmp_path / "a.ply"))["vertex"].data) == len(ball()[0])
     for text in (b"x", b"nan", b"-1", b"0"):
@@ -108,8 +119,11 @@ def test_a_ply_tells_its_unit(tmp_path: Path) -> None:
 
 def test_glb_normals_are_unit_also_where_there_is_none(tmp_path: Path) -> None:
     vertices, faces, normals, colors = ball()
-    write_glb(tmp_path / "mesh.glb", vertices, faces, np.vstack([np.zeros((1, 3)), 0.5 * normals[1:]]), colors)
-    written = trimesh.load(tmp_path / "mesh.glb", force="mesh", process=False).vertex_normals
+    write_glb(
+        tmp_path / "mesh.glb",
+        *mesh_and_colors(vertices, faces, np.vstack([np.zeros((1, 3)), 0.5 * normals[1:]]), colors),
+    )
+    written = trimesh.load_mesh(tmp_path / "mesh.glb", process=False).vertex_normals
     np.testing.assert_allclose(written[1:], normals[1:], atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(written[0]), 1, atol=1e-6)
 
@@ -127,8 +141,8 @@ def test_glb_stands_upright(tmp_path: Path, up: UpAxis, top: tuple[float, float,
     """Check a triangle whose third corner is its top; it stays right-handed, so its face's side follows."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], top])
     arrays = (vertices, np.array([[0, 1, 2]]), np.tile(np.cross([1, 0, 0], top) / 3, (3, 1)), np.ones((3, 3)))
-    write_glb(tmp_path / "mesh.glb", *arrays, up)
-    mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_geometry()
+    write_glb(tmp_path / "mesh.glb", *mesh_and_colors(*arrays), up)
+    mesh = trimesh.load_scene(tmp_path / "mesh.glb", process=False).to_mesh()
     np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 3, 0]], atol=1e-6)
     np.testing.assert_allclose(mesh.face_normals, [[0, 0, 1]], atol=1e-6)
 
@@ -138,18 +152,18 @@ def test_glb_stands_upright_for_any_direction(tmp_path: Path, up: tuple[float, f
     """Check that the node's matrix takes it to y by the shortest way, about the axis that is normal to both."""
     direction = np.array(up) / np.linalg.norm(up)
     vertices, faces, normals, colors = ball(4e6)
-    write_glb(tmp_path / "mesh.glb", vertices, faces, normals, colors, direction)
+    write_glb(tmp_path / "mesh.glb", *mesh_and_colors(vertices, faces, normals, colors), direction)
     scene = trimesh.load_scene(tmp_path / "mesh.glb", process=False)
     pose, _ = scene.graph[next(iter(scene.graph.nodes_geometry))]
     turn = Rotation.from_matrix(pose[:3, :3])
     np.testing.assert_allclose(turn.apply(direction), [0, 1, 0], atol=1e-12)
     assert turn.magnitude() == pytest.approx(np.arccos(direction[1]))
-    np.testing.assert_allclose(scene.to_geometry().vertices, turn.apply(vertices), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(scene.to_mesh().vertices, turn.apply(vertices), rtol=0, atol=1e-6)
 
 
 def test_glb_keeps_far_places_through_a_conversion(tmp_path: Path) -> None:
     arrays = ball(5e6)
-    write_ply(tmp_path / "a.ply", *arrays)
+    write_ply(tmp_path / "a.ply", *mesh_and_colors(*arrays))
     for name in ("b.glb", "c.ply", "d.obj", "e.ply"):
         before = sorted(tmp_path.iterdir())[-1]
         convert(before, tmp_path / name)
@@ -163,11 +177,11 @@ def test_srgb_curve_ends() -> None:
 
 
 @pytest.mark.parametrize("write", [write_ply, write_glb, write_obj])
-def test_bad_meshes_are_refused(tmp_path: Path, write) -> None:
+def test_bad_meshes_are_refused(tmp_path: Path, write: Callable[..., Any]) -> None:
     vertices, faces, normals, colors = ball()
     with pytest.raises(MeshError, match="at least one face"):
-        write(tmp_path / "mesh", vertices, faces[:0], normals, colors)
+        write(tmp_path / "mesh", *mesh_and_colors(vertices, faces[:0], normals, colors))
     with pytest.raises(MeshError, match="colors: expected"):
-        write(tmp_path / "mesh", vertices, faces, normals, colors[:-1])
+        write(tmp_path / "mesh", *mesh_and_colors(vertices, faces, normals, colors[:-1]))
     with pytest.raises(MeshError, match="faces: expected"):
-        write(tmp_path / "mesh", vertices, faces + 1, normals, colors)
+        write(tmp_path / "mesh", *mesh_and_colors(vertices, faces + 1, normals, colors))

@@ -73,7 +73,9 @@ COLORS = np.array([[0, 64, 255, 255], [128, 128, 128, 255], [10, 0, 0, 255], [25
 )
 @pytest.mark.parametrize("factor", [None, FACTOR])
 @pytest.mark.parametrize("pictured", [False, True])
-def test_gltf_multiplies_linear_colours(tmp_path, stored, factor, pictured):
+def test_gltf_multiplies_linear_colours(
+    tmp_path: Path, stored: np.ndarray, factor: tuple[float, float, float, float] | None, pictured: bool
+) -> None:
     attributes = {"COLOR_0": stored} | ({"TEXCOORD_0": UVS} if pictured else {})
     material: dict[str, Any] = {} if factor is None else {"baseColorFactor": list(factor)}
     material |= {"baseColorTexture": {"index": 0}} if pictured else {}
@@ -83,7 +85,7 @@ def test_gltf_multiplies_linear_colours(tmp_path, stored, factor, pictured):
     np.testing.assert_allclose(load_mesh(tmp_path / "a.glb").colors, linear_to_srgb(linear), atol=1e-5)
 
 
-def test_gltf_without_vertex_colours(tmp_path):
+def test_gltf_without_vertex_colours(tmp_path: Path) -> None:
     write_square(tmp_path / "factor.glb", {}, {"baseColorFactor": [0.21404, 0.0, 1.0, 1.0]})
     np.testing.assert_allclose(load_mesh(tmp_path / "factor.glb").colors, [[0.5, 0, 1]] * 4, atol=1e-4)
     write_square(tmp_path / "picture.glb", {"TEXCOORD_0": UVS}, {"baseColorTexture": {"index": 0}})
@@ -93,10 +95,10 @@ def test_gltf_without_vertex_colours(tmp_path):
         np.testing.assert_allclose(load_mesh(tmp_path / f"{name}.glb").colors, 0.5)
 
 
-def test_mirrored_nodes_keep_the_outside_outside(tmp_path):
+def test_mirrored_nodes_keep_the_outside_outside(tmp_path: Path) -> None:
     write_square(
         tmp_path / "a.glb",
-        {"NORMAL": np.tile(np.float32([[0, 0, 1]]), (4, 1))},
+        {"NORMAL": np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))},
         nodes=[{"mesh": 0, "scale": [-2, 1, 1]}],
     )
     mesh = load_mesh(tmp_path / "a.glb")
@@ -127,9 +129,13 @@ def test_mirrored_nodes_keep_the_outside_outside(tmp_path):
         ({"images": [{"bufferView": 0, "mimeType": "image/png"}]}, "a picture in it can't be read; export it with PNG"),
     ],
 )
-def test_gltf_that_is_refused(tmp_path, given, message):
-    given = {"material": {"baseColorTexture": {"index": 0}}, "uvs": UVS} | given
-    write_square(tmp_path / "a.glb", {"TEXCOORD_0": given.pop("uvs")}, given.pop("material"), **given)
+def test_gltf_that_is_refused(
+    tmp_path: Path,
+    given: dict[str, Any],
+    message: str,
+) -> None:
+    document: dict[str, Any] = {"material": {"baseColorTexture": {"index": 0}}, "uvs": UVS} | given
+    write_square(tmp_path / "a.glb", {"TEXCOORD_0": document.pop("uvs")}, document.pop("material"), **document)
     with pytest.raises(MeshError, match=rf"a\.glb: .*{message}"):
         load_mesh(tmp_path / "a.glb")
 
@@ -152,7 +158,9 @@ def test_gltf_that_is_refused(tmp_path, given, message):
         ),
     ],
 )
-def test_obj_materials(tmp_path, obj, mtl, expected):
+def test_obj_materials(
+    tmp_path: Path, obj: str, mtl: str | None, expected: list[list[float]] | np.ndarray | None
+) -> None:
     Image.fromarray(TEXELS).save(tmp_path / "a.png")
     (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{SQUARE}{obj}")
     if mtl is not None:
@@ -163,7 +171,7 @@ def test_obj_materials(tmp_path, obj, mtl, expected):
         np.testing.assert_allclose(colors, expected, atol=0.51 / 255)
 
 
-def test_obj_vertex_colours_count_before_materials(tmp_path):
+def test_obj_vertex_colours_count_before_materials(tmp_path: Path) -> None:
     lines = "v 0 0 0 1 0 0\nv 1 0 0 0 .5 0\nv 1 1 0 0 0 .25\n"
     (tmp_path / "a.mtl").write_text("newmtl a\nKd 0.8 0.8 0.8\n")
     (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{lines}usemtl a\nf 1 2 3\n")
@@ -171,7 +179,7 @@ def test_obj_vertex_colours_count_before_materials(tmp_path):
 
 
 @pytest.mark.parametrize("number", ["nan", "1e400"])
-def test_vertices_without_a_place(tmp_path, number):
+def test_vertices_without_a_place(tmp_path: Path, number: str) -> None:
     (tmp_path / "a.obj").write_text(f"v {number} 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n")
     with pytest.raises(MeshError, match=r"a\.obj: 1 of 3 vertices are NaN or infinite; remove them"):
         load_mesh(tmp_path / "a.obj")
@@ -187,13 +195,13 @@ def test_vertices_without_a_place(tmp_path, number):
         ("a.obj", b"v 0 0 0\n", "expected a mesh with faces, got none"),
     ],
 )
-def test_files_that_are_no_meshes(tmp_path, name, data, message):
+def test_files_that_are_no_meshes(tmp_path: Path, name: str, data: bytes, message: str) -> None:
     (tmp_path / name).write_bytes(data)
     with pytest.raises(MeshError, match=f"{name}: {message}"):
         load_mesh(tmp_path / name)
 
 
-def test_a_cut_off_glb(tmp_path):
+def test_a_cut_off_glb(tmp_path: Path) -> None:
     write_square(tmp_path / "a.glb", {})
     (tmp_path / "a.glb").write_bytes((tmp_path / "a.glb").read_bytes()[:-1])
     with pytest.raises(MeshError, match=r"a\.glb: ends early"):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gzip
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,7 +62,7 @@ def check_close(found: Splats, given: Splats, steps: dict[str, float]) -> None:
         np.testing.assert_allclose(theirs, ours, atol=step, rtol=0, err_msg=name)
 
 
-def test_another_program_reads_our_spz_as_we_do(tmp_path):
+def test_another_program_reads_our_spz_as_we_do(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", splats())
     assert gzip.decompress((tmp_path / "a.spz").read_bytes()) == gzip.decompress((GOLDEN / "ours.spz").read_bytes())
     theirs = load_splats(GOLDEN / "ours.spz.ply")
@@ -69,7 +71,7 @@ def test_another_program_reads_our_spz_as_we_do(tmp_path):
     check_close(ours, theirs, {"means": 1e-6, "quats": 1e-3, "log_scales": 1e-6, "sh": 1e-3})
 
 
-def test_we_read_another_programs_spz_of_version_3():
+def test_we_read_another_programs_spz_of_version_3() -> None:
     """Check another program's file; half a step of its quaternions is 0.0007 in three parts.
 
     They have nine bits and a sign up to the root of a half.
@@ -78,7 +80,7 @@ def test_we_read_another_programs_spz_of_version_3():
     check_close(found, splats(), {"means": 1.3e-4, "quats": 2.1e-3, "log_scales": 0.032, "sh": 0.07})
 
 
-def test_spz_keeps_rotations(tmp_path):
+def test_spz_keeps_rotations(tmp_path: Path) -> None:
     """Check rotations to half a step in each of three parts of a quaternion, and what w is off for it."""
     given = splats(2000, coefficients=1)
     given["log_scales"][:] = (-6, -4, -2)
@@ -91,7 +93,7 @@ def test_spz_keeps_rotations(tmp_path):
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 100.0, 1e6])
-def test_spz_positions_have_as_many_bits_as_there_is_place_for(tmp_path, size):
+def test_spz_positions_have_as_many_bits_as_there_is_place_for(tmp_path: Path, size: float) -> None:
     given = splats() | {"log_scales": np.zeros((40, 3), np.float32)}
     given["means"] = (given["means"] * size).astype(np.float32)
     write_spz(tmp_path / "a.spz", given)
@@ -100,7 +102,7 @@ def test_spz_positions_have_as_many_bits_as_there_is_place_for(tmp_path, size):
 
 
 @pytest.mark.parametrize(("shift", "factor"), [(-7.5, "1000"), (9, "0.0001")])
-def test_spz_of_sizes_that_it_can_not_hold(tmp_path, shift, factor):
+def test_spz_of_sizes_that_it_can_not_hold(tmp_path: Path, shift: float, factor: str) -> None:
     given = splats()
     given["log_scales"] += shift
     with pytest.raises(
@@ -113,7 +115,7 @@ def test_spz_of_sizes_that_it_can_not_hold(tmp_path, shift, factor):
     write_spz(tmp_path / "a.spz", given)
 
 
-def test_compressed_ply_from_before_colours_had_ranges(tmp_path):
+def test_compressed_ply_from_before_colours_had_ranges(tmp_path: Path) -> None:
     write_compressed_ply(tmp_path / "new.ply", splats(coefficients=1))
     data = PlyData.read(str(tmp_path / "new.ply"))
     kept = [name for name in data["chunk"].data.dtype.names if name[-2:] not in ("_r", "_g", "_b")]
@@ -126,13 +128,15 @@ def test_compressed_ply_from_before_colours_had_ranges(tmp_path):
 
 @pytest.mark.parametrize("coefficients", [1, 16])
 @pytest.mark.parametrize(("write", "load"), [(write_spz, load_spz), (write_compressed_ply, load_compressed_ply)])
-def test_no_splats_at_all(tmp_path, write, load, coefficients):
+def test_no_splats_at_all(
+    tmp_path: Path, write: Callable[..., Any], load: Callable[..., Any], coefficients: int
+) -> None:
     write(tmp_path / "a", splats(0, coefficients))
     assert load(tmp_path / "a")["sh"].shape == (0, coefficients, 3)
 
 
 @pytest.mark.parametrize("write", [write_spz, write_compressed_ply])
-def test_infinite_opacity_logits(tmp_path, write):
+def test_infinite_opacity_logits(tmp_path: Path, write: Callable[..., Any]) -> None:
     given = splats()
     given["opacity_logits"][:2] = (np.inf, -np.inf)
     write(tmp_path / "a", given)
@@ -141,11 +145,11 @@ def test_infinite_opacity_logits(tmp_path, write):
     np.testing.assert_allclose(1 / (1 + np.exp(-found["opacity_logits"][which])), [1, 0], atol=0.002)
 
 
-def test_we_read_another_programs_compressed_ply():
+def test_we_read_another_programs_compressed_ply() -> None:
     check_close(load_compressed_ply(GOLDEN / "theirs.compressed.ply"), splats(), PLY_STEPS)
 
 
-def test_our_compressed_ply_is_the_same_as_another_programs(tmp_path):
+def test_our_compressed_ply_is_the_same_as_another_programs(tmp_path: Path) -> None:
     """Check that our file and another program's hold the same numbers, in each program's order."""
     write_compressed_ply(tmp_path / "a.compressed.ply", splats())
     ours = load_compressed_ply(tmp_path / "a.compressed.ply")
@@ -158,7 +162,9 @@ def test_our_compressed_ply_is_the_same_as_another_programs(tmp_path):
     ("write", "load", "steps"),
     [(write_spz, load_spz, SPZ_STEPS), (write_compressed_ply, load_compressed_ply, PLY_STEPS)],
 )
-def test_surfels_of_every_degree_over_several_chunks(tmp_path, write, load, steps, coefficients):
+def test_surfels_of_every_degree_over_several_chunks(
+    tmp_path: Path, write: Callable[..., Any], load: Callable[..., Any], steps: dict[str, float], coefficients: int
+) -> None:
     given = splats(600, coefficients, axes=2)
     write(tmp_path / "a", given)
     thick = np.full((600, 1), max(np.log(SURFEL_THICKNESS), -10 if write is write_spz else -20), np.float32)
@@ -166,7 +172,7 @@ def test_surfels_of_every_degree_over_several_chunks(tmp_path, write, load, step
     check_close(load(tmp_path / "a"), given, steps)
 
 
-def test_spz_far_from_the_origin(tmp_path):
+def test_spz_far_from_the_origin(tmp_path: Path) -> None:
     given = splats()
     given["means"] += 5000
     write_spz(tmp_path / "a.spz", given)
@@ -196,14 +202,14 @@ def packed_header(*fields: int) -> bytes:
         ),
     ],
 )
-def test_spz_refusals(tmp_path, data, message):
+def test_spz_refusals(tmp_path: Path, data: bytes, message: str) -> None:
     (tmp_path / "a.spz").write_bytes(data)
     with pytest.raises(SceneError, match=message):
         load_spz(tmp_path / "a.spz")
 
 
 @pytest.mark.parametrize("cut", [10, 300, 2000])
-def test_compressed_ply_refusals(tmp_path, cut):
+def test_compressed_ply_refusals(tmp_path: Path, cut: int) -> None:
     (tmp_path / "a.compressed.ply").write_bytes((GOLDEN / "theirs.compressed.ply").read_bytes()[:cut])
     with pytest.raises(SceneError, match=r"a\.compressed\.ply: expected a compressed PLY of splats"):
         load_compressed_ply(tmp_path / "a.compressed.ply")

@@ -41,11 +41,15 @@ def test_all_maps_come_back(tmp_path: Path) -> None:
         stored = read(path) / 255
         assert stored.shape == (5, 7, 4)
         # Straight: the colour is as given also where alpha is small, and was not multiplied or divided on the way.
+        assert color is not None
         np.testing.assert_allclose(stored[..., :3], color, atol=0.5 / 255 + 1e-9)
         np.testing.assert_allclose(stored[..., 3], given.alpha, atol=0.5 / 255 + 1e-9)
+    assert given.reflected is not None
     np.testing.assert_allclose(read(paths[2]) / 255, np.clip(given.reflected, 0, 1), atol=0.5 / 255 + 1e-9)
+    assert given.weight is not None
     np.testing.assert_allclose(read(paths[3]) / 255, given.weight, atol=0.5 / 255 + 1e-9)
     normal = read(paths[5])[..., :3] / 127.5 - 1
+    assert given.normal is not None
     np.testing.assert_allclose(normal * given.alpha[..., None], given.normal, atol=0.01)
 
 
@@ -55,6 +59,7 @@ def test_depth_is_in_the_users_unit(tmp_path: Path) -> None:
     image = Image.open(path)
     assert np.asarray(image).dtype in (np.uint16, np.int32)
     depth = np.asarray(image).astype(np.float64) * float(image.info["depth_scale"])
+    assert given.depth is not None
     np.testing.assert_allclose(depth, given.depth, atol=4 / 65535)
     assert (depth[given.depth == 0] == 0).all()
 

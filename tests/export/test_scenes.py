@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def _left_out(scene: Scene) -> list[str]:
 
 
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
-def test_colmap_reads_the_cameras_and_points(tmp_path, scene, scale):
+def test_colmap_reads_the_cameras_and_points(tmp_path: Path, scene: Scene, scale: float) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     write_scene(tmp_path, scene, scale)
     model = pycolmap.Reconstruction(str(tmp_path / "sparse/0"))
@@ -54,11 +55,12 @@ def test_colmap_reads_the_cameras_and_points(tmp_path, scene, scale):
         np.testing.assert_allclose(image.cam_from_world().matrix(), expected[:3], atol=1e-9 * scale)
         np.testing.assert_allclose(model.cameras[image.camera_id].calibration_matrix(), BALL.K)
     places = np.array([model.points3D[i + 1].xyz for i in range(5)])
+    assert scene.points is not None
     np.testing.assert_allclose(places, FRAME.to_user(scene.points.positions) * scale, rtol=1e-9)
     np.testing.assert_array_equal([model.points3D[i + 1].color for i in range(5)], scene.points.colors)
 
 
-def test_the_whole_folder_keeps_the_split(tmp_path, scene):
+def test_the_whole_folder_keeps_the_split(tmp_path: Path, scene: Scene) -> None:
     write_scene(tmp_path, scene)
     read = load_scene(tmp_path, DataConfig())
     assert read.format == "nerfstudio" and _left_out(read) == []
@@ -66,7 +68,7 @@ def test_the_whole_folder_keeps_the_split(tmp_path, scene):
 
 
 @pytest.mark.parametrize("name", ["colmap", "nerfstudio"])
-def test_our_readers_get_back_what_was_written(tmp_path, scene, name):
+def test_our_readers_get_back_what_was_written(tmp_path: Path, scene: Scene, name: str) -> None:
     write_scene(tmp_path, scene)
     if name == "nerfstudio":
         shutil.rmtree(tmp_path / "sparse")
@@ -87,7 +89,7 @@ def test_our_readers_get_back_what_was_written(tmp_path, scene, name):
     assert np.asarray(Image.open(tmp_path / "images/train_r_0.png")).shape == (SIDE, SIDE, 3)
 
 
-def test_nerfstudio_finds_split_points_and_masks(tmp_path, scene):
+def test_nerfstudio_finds_split_points_and_masks(tmp_path: Path, scene: Scene) -> None:
     """Check what nerfstudio 1.1.5's dataparser asks for: a list for each of its three splits, and points.
 
     The points are in the file's own frame.
@@ -102,14 +104,16 @@ def test_nerfstudio_finds_split_points_and_masks(tmp_path, scene):
     assert all((tmp_path / frame[key]).is_file() for frame in content["frames"] for key in ("file_path", "mask_path"))
     vertex = PlyData.read(str(tmp_path / content["ply_file_path"]))["vertex"]
     places = np.stack([vertex[axis] for axis in "xyz"], 1)
+    assert scene.points is not None
     np.testing.assert_allclose(places, FRAME.to_user(scene.points.positions) * 10)
     np.testing.assert_array_equal(np.stack([vertex[name] for name in ("red", "green", "blue")], 1), scene.points.colors)
     shutil.rmtree(tmp_path / "sparse")
     read = load_scene(tmp_path, DataConfig())
+    assert read.points is not None
     np.testing.assert_allclose(read.user_from_scene.to_user(read.points.positions), places)
 
 
-def test_names_are_flat_plain_and_unique(tmp_path, scene):
+def test_names_are_flat_plain_and_unique(tmp_path: Path, scene: Scene) -> None:
     pycolmap = pytest.importorskip("pycolmap")
     given = ["my photo 1", "my_photo_1", "MY photo 1", "left/m\u00fchle"]
     train = [replace(view, name=name) for view, name in zip(scene.train, given, strict=True)]
@@ -123,7 +127,7 @@ def test_names_are_flat_plain_and_unique(tmp_path, scene):
     assert not any(key.endswith("_filenames") for key in content), "a scene without tests has no split"
 
 
-def test_a_scene_without_points_and_masks(tmp_path, scene):
+def test_a_scene_without_points_and_masks(tmp_path: Path, scene: Scene) -> None:
     bare = [replace(view, alpha=None) for view in scene.train]
     write_scene(tmp_path, replace(scene, train=bare, points=None))
     assert "ply_file_path" not in json.loads((tmp_path / "transforms.json").read_text())
@@ -131,7 +135,7 @@ def test_a_scene_without_points_and_masks(tmp_path, scene):
     assert not (tmp_path / "sparse_pc.ply").exists()
 
 
-def test_a_written_scene_keeps_its_names_when_it_is_written_again(tmp_path, scene):
+def test_a_written_scene_keeps_its_names_when_it_is_written_again(tmp_path: Path, scene: Scene) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     write_scene(tmp_path / "a", scene)

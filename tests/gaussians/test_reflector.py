@@ -10,25 +10,25 @@ import trimesh
 from mgsr.data.camera import Camera
 from mgsr.gaussians import reflector as reflector_module
 from mgsr.gaussians.reflector import Reflector
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 
 CPU = torch.device("cpu")
 SIZE = 2.0  # of the corner's mirrors
 
 
-def ball() -> Triangles:
+def ball() -> Mesh:
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.5)
-    return np.asarray(sphere.vertices), np.asarray(sphere.faces)
+    return Mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces))
 
 
-def corner() -> Triangles:
+def corner() -> Mesh:
     """Build two square mirrors at a right angle: on z = 0 facing +z, and on x = 0 facing +x.
 
     They meet at the y axis.
     """
     floor = np.array([[0, -1, 0], [SIZE, -1, 0], [SIZE, 1, 0], [0, 1, 0.0]])
     wall = np.array([[0, -1, 0], [0, 1, 0], [0, 1, SIZE], [0, -1, SIZE]])
-    return np.concatenate([floor, wall]), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    return Mesh(np.concatenate([floor, wall]), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
 
 
 def camera_at(place: list[float], target: list[float], focal: float = 30.0) -> Camera:
@@ -50,12 +50,13 @@ def sights(camera: Camera) -> np.ndarray:
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.cam_from_world[:3, :3]
-    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    directions: np.ndarray = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return directions
 
 
 def test_a_ball_has_its_normals_and_mirrors_nothing_of_itself() -> None:
     camera = camera_at([1.0, 0.5, 2.0], [0.0, 0.0, 0.0], focal=40.0)
-    seen = Reflector(*ball()).seen_by(camera, CPU)
+    seen = Reflector(ball()).seen_by(camera, CPU)
     rays, middle = sights(camera), camera.center
     along = (rays * middle).sum(axis=-1)
     root = along**2 - middle @ middle + 0.25
@@ -68,7 +69,7 @@ def test_a_ball_has_its_normals_and_mirrors_nothing_of_itself() -> None:
 
 def test_beside_the_surface_the_nearest_pixels_normal_is_seen() -> None:
     camera = camera_at([1.0, 0.5, 2.0], [0.0, 0.0, 0.0], focal=40.0)
-    seen = Reflector(*ball()).seen_by(camera, CPU)
+    seen = Reflector(ball()).seen_by(camera, CPU)
     normals, near = seen.normals.numpy(), np.zeros(24 * 32, bool)
     assert np.abs(np.linalg.norm(normals, axis=-1) - 1).max() < 1e-2
     assert (normals[0, 0] == normals[0, 1]).all()
@@ -82,7 +83,7 @@ def test_beside_the_surface_the_nearest_pixels_normal_is_seen() -> None:
 
 def test_a_corner_throws_the_sight_on_where_it_meets_itself() -> None:
     camera = corner_camera()
-    seen = Reflector(*corner()).seen_by(camera, CPU)
+    seen = Reflector(corner()).seen_by(camera, CPU)
     rays, twice = sights(camera).reshape(-1, 3), np.zeros(24 * 32, bool)
     twice[seen.bounced.numpy()] = True
     expected = np.zeros(24 * 32, bool)
@@ -105,7 +106,7 @@ def test_a_corner_throws_the_sight_on_where_it_meets_itself() -> None:
 
 
 def test_what_a_camera_sees_is_kept_while_there_is_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera, reflector = corner_camera(), Reflector(*corner())
+    camera, reflector = corner_camera(), Reflector(corner())
     first = reflector.seen_by(camera, CPU)
     assert reflector.seen_by(camera, CPU) is first
     monkeypatch.setattr(reflector_module, "KEPT", first.size)
@@ -115,5 +116,5 @@ def test_what_a_camera_sees_is_kept_while_there_is_room(monkeypatch: pytest.Monk
 
 
 def test_a_camera_that_looks_away_sees_nothing() -> None:
-    seen = Reflector(*ball()).seen_by(camera_at([0.0, 0.0, 2.0], [0.0, 0.0, 4.0]), CPU)
+    seen = Reflector(ball()).seen_by(camera_at([0.0, 0.0, 2.0], [0.0, 0.0, 4.0]), CPU)
     assert not seen.normals.any() and not len(seen.bounced) and not len(seen.near)

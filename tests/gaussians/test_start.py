@@ -19,11 +19,14 @@ def generator() -> torch.Generator:
 
 def rotate(quats: np.ndarray, vector: list[float]) -> np.ndarray:
     """Rotate a vector by quaternions, with SciPy's rotation, which orders xyzw."""
-    return Rotation.from_quat(quats[:, [1, 2, 3, 0]]).apply(vector)
+    rotated: np.ndarray = Rotation.from_quat(quats[:, [1, 2, 3, 0]]).apply(vector)
+    return rotated
 
 
 def test_quats_take_z_to_the_normals() -> None:
-    normals = np.vstack([np.random.default_rng(0).normal(size=(50, 3)), [[0, 0, 1], [0, 0, -1], [0, 0, -2.0]]])
+    normals = np.vstack(
+        [np.random.default_rng(0).normal(size=(50, 3)), [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -2.0]]]
+    )
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     assert np.allclose(rotate(quats_from_normals(normals), [0, 0, 1]), unit, atol=1e-6)
 
@@ -33,6 +36,7 @@ def test_surfels_lie_on_the_surface() -> None:
     config = SurfelConfig(start_opacity=0.1, start_scale=1.0)
     model = start_surfels(points.positions, points.normals, points.colors, config, generator())
     assert len(model) == 500
+    assert points.normals is not None
     assert np.allclose(rotate(model.quats.numpy(), [0, 0, 1]), points.normals, atol=1e-5)
     assert torch.allclose(model.opacities(), torch.tensor(0.1))
     started = torch.from_numpy(points.colors / 255.0).float()

@@ -8,15 +8,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from mgsr.config import AlphaLoss, DepthUnit, TrainConfig, make_config
 from mgsr.data.camera import Camera
-from mgsr.losses.alpha import silhouette
-from mgsr.losses.depths import depth_agreement, depth_unit
-from mgsr.losses.objective import gaussian_terms, mutual_terms, surfel_terms, total
+from mgsr.losses.objective import (
+    depth_agreement,
+    depth_unit,
+    gaussian_terms,
+    mutual_terms,
+    silhouette,
+    surfel_terms,
+    total,
+)
 from mgsr.losses.target import Target
 from mgsr.ops.depth_normals import normal_agreement_term
-from mgsr.ops.terms import scalar
+from mgsr.ops.terms import Term, scalar
 from mgsr.renderers.outputs import GaussianOutputs, SurfelOutputs
 
 SIZE = 16
@@ -38,6 +45,12 @@ def gaussians() -> GaussianOutputs:
     image, alpha = random(SIZE, SIZE, 3, seed=2), torch.full((SIZE, SIZE), 0.8, requires_grad=True)
     depth = random(SIZE, SIZE, seed=4)
     return GaussianOutputs(image, random(SIZE, SIZE, 3, seed=3), None, None, depth, alpha, STATS)
+
+
+def of_images(term: Term | Tensor) -> Term:
+    """Return a term that the kernels differentiate."""
+    assert isinstance(term, Term)
+    return term
 
 
 def target(masked: bool = True) -> Target:
@@ -93,15 +106,17 @@ def test_a_term_without_weight_is_not_computed() -> None:
 @pytest.mark.parametrize("teaching", ["both_ways", "one_way"])
 def test_who_is_taught(teaching: str) -> None:
     """Check that one way the 2D branch's terms leave C_tran alone, and the depth loss the 2D branch's depth."""
-    config = make_config(overrides=[f"teaching={teaching}", "surfels.depth=expected"]).train
+    config = make_config(overrides=[f"teaching={teaching}", "surface_depth=expected"]).train
     flat, full = surfels(), gaussians()
     terms = mutual_terms(flat, full, target(), config)
     by_image = torch.autograd.grad(
-        scalar(terms["surfels.transmitted"]), full.transmitted, retain_graph=True, allow_unused=True
+        scalar(of_images(terms["surfels.transmitted"])), full.transmitted, retain_graph=True, allow_unused=True
     )
-    by_depth = torch.autograd.grad(scalar(terms["mutual.depth"]), flat.depth, retain_graph=True, allow_unused=True)
+    depth = of_images(terms["mutual.depth"])
+    by_depth = torch.autograd.grad(scalar(depth), flat.depth, retain_graph=True, allow_unused=True)
     assert (by_image[0] is not None) == (by_depth[0] is not None) == (teaching == "both_ways")
-    assert torch.autograd.grad(scalar(terms["mutual.depth"]), full.depth)[0].abs().sum() > 0
+    assert full.depth is not None
+    assert torch.autograd.grad(scalar(depth), full.depth)[0].abs().sum() > 0
 
 
 def test_the_total_is_the_weighted_sum() -> None:
@@ -134,7 +149,7 @@ def test_unknown_pixels_teach_nothing(masked: bool, kind: AlphaLoss) -> None:
     Colour and alpha get no gradient there; far from them, beyond any window, the gradients are those of a photograph
     that shows all.
     """
-    config = replace(make_config().train, alpha_loss=kind)
+    config = make_config(overrides=[f"alpha_loss={kind}"]).train
     config = replace(config, gaussians=replace(config.gaussians, transmitted_tv_weight=0.0))
     invalid = torch.arange(SIZE) * SIZE + 1  # the second column
     results = []

@@ -25,7 +25,7 @@ def cases() -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def test_places_are_where_householder_reflects_the_ray() -> None:
-    seen = set()
+    seen: set[tuple[float, ...]] = set()
     for normal, ray in cases():
         unit = TURN @ normal / np.linalg.norm(normal)
         thrown = (np.eye(3) - 2 * np.outer(unit, unit)) @ [*ray, 1.0]
@@ -44,7 +44,8 @@ def test_the_normals_gradient_is_that_of_differences() -> None:
             ((places(normal + step * axis, ray)[0] - places(normal - step * axis, ray)[0]) @ v) / (2 * step)
             for axis in np.eye(3)
         ]
-        np.testing.assert_allclose(places(normal, ray, v)[1], numeric, rtol=1e-6, atol=1e-6 / np.linalg.norm(normal))
+        atol = 1e-6 / float(np.linalg.norm(normal))
+        np.testing.assert_allclose(places(normal, ray, v)[1], numeric, rtol=1e-6, atol=atol)
 
 
 @pytest.mark.parametrize("side", [1.0, 2.0, 7.0])

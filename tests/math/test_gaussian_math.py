@@ -8,7 +8,7 @@ import pytest
 from mgsr.native import _gaussians
 
 
-def case(seed: int):
+def case(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     pose, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     pose *= np.sign(np.linalg.det(pose))
@@ -16,24 +16,24 @@ def case(seed: int):
     return rng.uniform(-0.5, 0.5, 3), rng.normal(size=4), rng.uniform(0.05, 0.4, 3), camera
 
 
-def project(mean, quat, scale, camera):
+def project(mean: np.ndarray, quat: np.ndarray, scale: np.ndarray, camera: np.ndarray) -> np.ndarray:
     out = np.empty(7)
     _gaussians.project_double(mean, quat, scale, camera, 0.3, out)
     return out
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_projection_vjp(seed):
+def test_projection_vjp(seed: int) -> None:
     mean, quat, scale, camera = case(seed)
     v_out = np.random.default_rng(seed + 99).normal(size=7)
     grads = [np.zeros(3), np.zeros(4), np.zeros(3)]
     _gaussians.project_double_vjp(mean, quat, scale, camera, 0.3, v_out, *grads)
     for which, (value, grad) in enumerate(zip((mean, quat, scale), grads, strict=True)):
         for i in range(len(value)):
-            ends = []
+            ends: list[float] = []
             for step in (1e-6, -1e-6):
-                inputs = [mean.copy(), quat.copy(), scale.copy()]
+                inputs = (mean.copy(), quat.copy(), scale.copy())
                 inputs[which][i] += step
-                ends.append(v_out @ project(*inputs, camera))
+                ends.append(float(v_out @ project(*inputs, camera)))
             numeric = (ends[0] - ends[1]) / 2e-6
             assert abs(numeric - grad[i]) < 1e-6 * max(1.0, abs(numeric)), (which, i)

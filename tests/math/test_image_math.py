@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import ArrayLike
 
 from mgsr.native import _adam, _harmonics, _image
 from tests.oracles import harmonics as oracle
@@ -14,7 +17,7 @@ from tests.oracles import harmonics as oracle
 
 class Harmonics(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, coeffs, means, center, degree):
+    def forward(ctx: Any, coeffs: torch.Tensor, means: torch.Tensor, center: np.ndarray, degree: int) -> torch.Tensor:
         rgb = np.empty(means.shape)
         _harmonics.harmonics_double(coeffs.numpy(), means.numpy(), center, degree, rgb, None, None, None)
         ctx.save_for_backward(coeffs, means)
@@ -22,18 +25,19 @@ class Harmonics(torch.autograd.Function):
         return torch.from_numpy(rgb)
 
     @staticmethod
-    def backward(ctx, v_rgb):
+    def backward(ctx: Any, v_rgb: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, None, None]:
         coeffs, means = (t.numpy() for t in ctx.saved_tensors)
         v_coeffs, v_means, rgb = np.zeros_like(coeffs), np.zeros_like(means), np.empty_like(means)
         v = np.ascontiguousarray(v_rgb.numpy())
-        _harmonics.harmonics_double(coeffs, means, *ctx.rest, rgb, v, v_coeffs, v_means)
+        center, degree = ctx.rest
+        _harmonics.harmonics_double(coeffs, means, center, degree, rgb, v, v_coeffs, v_means)
         return torch.from_numpy(v_coeffs), torch.from_numpy(v_means), None, None
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_harmonics(degree: int) -> None:
     generator = torch.Generator().manual_seed(degree)
-    options = {"generator": generator, "dtype": torch.float64}
+    options: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
     coeffs = torch.randn(4, (degree + 1) ** 2, 3, **options) * 0.3
     means, center = torch.randn(4, 3, **options), np.array([0.1, 0.2, -3.0])
     rgb = Harmonics.apply(coeffs, means, center, degree)
@@ -46,7 +50,7 @@ def test_harmonics(degree: int) -> None:
     assert torch.autograd.gradcheck(lambda c, m: Harmonics.apply(c, m, center, degree), inputs)
 
 
-def central_differences(function, x: np.ndarray, step: float = 1e-6) -> np.ndarray:
+def central_differences(function: Callable[[np.ndarray], ArrayLike], x: np.ndarray, step: float = 1e-6) -> np.ndarray:
     """Return the derivatives [inputs, outputs] of a function by central differences."""
     rows = []
     for i in range(len(x)):

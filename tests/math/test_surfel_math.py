@@ -8,21 +8,23 @@ import pytest
 from mgsr.native import _surfels
 from tests.math.test_gaussian_math import case as gaussian_case
 
+Splat = tuple[np.ndarray, np.ndarray, np.ndarray]  # mean, quat, scale
+
 SIZES = (3, 4, 2)
 
 
-def case(seed: int):
+def case(seed: int) -> tuple[Splat, np.ndarray]:
     mean, quat, scale, camera = gaussian_case(seed)
     return (mean, quat, scale[:2].copy()), camera
 
 
-def project(splat, camera):
+def project(splat: Splat, camera: np.ndarray) -> np.ndarray:
     out = np.empty(12)
     _surfels.project_double(*splat, camera, out)
     return out
 
 
-def to_pixels(splat, camera, u, v):
+def to_pixels(splat: Splat, camera: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel coordinates and camera depths of the splat's points (u, v), from the definition."""
     mean, quat, scale = splat
     w, x, y, z = quat / np.linalg.norm(quat)
@@ -34,7 +36,7 @@ def to_pixels(splat, camera, u, v):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_pixels_are_carried_back_to_the_splat(seed):
+def test_pixels_are_carried_back_to_the_splat(seed: int) -> None:
     splat, camera = case(seed)
     u, v = np.random.default_rng(seed).uniform(-2, 2, (2, 50))
     pixels, depth = to_pixels(splat, camera, u, v)
@@ -46,7 +48,7 @@ def test_pixels_are_carried_back_to_the_splat(seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_outline_is_the_image_of_the_circle(seed):
+def test_outline_is_the_image_of_the_circle(seed: int) -> None:
     splat, camera = case(seed)
     r2, out = 4.0, np.empty(5)
     assert _surfels.outline_double(*splat, camera, r2, 0.01, out)
@@ -57,7 +59,7 @@ def test_outline_is_the_image_of_the_circle(seed):
     np.testing.assert_allclose(np.einsum("ni,ij,nj->n", d, inverse, d), 1, atol=1e-7)
 
 
-def test_outline_says_when_the_disk_reaches_the_camera():
+def test_outline_says_when_the_disk_reaches_the_camera() -> None:
     splat, camera = case(0)
     depth = project(splat, camera)[2]
     assert not _surfels.outline_double(*splat, camera, 4.0, depth - 1e-3, np.empty(5))
@@ -65,18 +67,19 @@ def test_outline_says_when_the_disk_reaches_the_camera():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_projection_vjp(seed):
+def test_projection_vjp(seed: int) -> None:
     splat, camera = case(seed)
     v_out = np.random.default_rng(seed + 99).normal(size=12)
     grads = [np.zeros(size) for size in SIZES]
     _surfels.project_double_vjp(*splat, camera, v_out, *grads)
     for which, size in enumerate(SIZES):
         for i in range(size):
-            ends = []
+            ends: list[float] = []
             for step in (1e-6, -1e-6):
-                moved = [part.copy() for part in splat]
+                mean, quat, scale = splat
+                moved = (mean.copy(), quat.copy(), scale.copy())
                 moved[which][i] += step
-                ends.append(v_out @ project(moved, camera))
+                ends.append(float(v_out @ project(moved, camera)))
             numeric = (ends[0] - ends[1]) / 2e-6
             # Slanted splats bend within a step; 1e-6 of the gradient's own size is what central differences leave.
             assert abs(numeric - grads[which][i]) < 3e-6 * max(1.0, abs(numeric)), (which, i)

@@ -9,7 +9,8 @@ import trimesh
 
 from mgsr.data.camera import Camera
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.raycast import RayCaster, pixel_rays
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import pixel_rays
 from mgsr.mesh.views import SurfaceView
 
 
@@ -44,7 +45,7 @@ def position_color(points: np.ndarray) -> np.ndarray:
 
 def views_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[SurfaceView]:
     """Return what the cameras see of a mesh, without any error."""
-    caster = RayCaster(mesh.vertices, mesh.faces)
+    caster = as_mesh(mesh).caster
     views = []
     for camera in cameras:
         hits = caster.cast(camera)
@@ -55,9 +56,22 @@ def views_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[SurfaceVi
 
 
 def silhouettes_of(mesh: trimesh.Trimesh, cameras: Sequence[Camera]) -> list[Silhouette]:
-    caster = RayCaster(mesh.vertices, mesh.faces)
+    caster = as_mesh(mesh).caster
     return [Silhouette(camera, signed_distance(caster.cast(camera).mask.astype(np.float32))) for camera in cameras]
 
 
+def as_mesh(shape: trimesh.Trimesh) -> Mesh:
+    """Return trimesh's mesh as one of the library."""
+    return Mesh(np.asarray(shape.vertices), np.asarray(shape.faces))
+
+
 def ball(radius: float = 0.7) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    sphere: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    return sphere
+
+
+def joined(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return one mesh of the parts."""
+    whole = trimesh.util.concatenate(list(meshes))
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,13 +10,15 @@ import trimesh
 
 from mgsr.config import Extractor, MeshConfig
 from mgsr.errors import MeshError
-from mgsr.geometry.triangles import face_crosses, topology
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.triangles import topology
 from mgsr.mesh.extract import extract_mesh
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.steps import STEPS
+from mgsr.mesh.steps.step import MeshStep, StepContext, StepResult
 from mgsr.mesh.views import SurfaceView
-from mgsr.shading.refine import Light
-from tests.mesh.shapes import ball, cameras_around, position_color, silhouettes_of, views_of
-from tests.shading.test_refine import Shade, flash, matte, photographs, rippled
+from mgsr.shading.light_estimate import LightEstimate, LightKind
+from tests.mesh.shapes import ball, cameras_around, joined, position_color, silhouettes_of, views_of
+from tests.shading.test_shape_from_shading import Shade, flash, matte, photographs, rippled
 
 RADIUS = 0.7
 CONFIG = MeshConfig(poisson_depth=6)
@@ -29,7 +31,8 @@ def views() -> list[SurfaceView]:
 
 
 def radial_error(mesh: Mesh) -> np.ndarray:
-    return np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+    errors: np.ndarray = np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)
+    return errors
 
 
 @BOTH
@@ -37,7 +40,7 @@ def test_a_ball_comes_out(views: list[SurfaceView], extractor: Extractor) -> Non
     mesh = extract_mesh(views, replace(CONFIG, extractor=extractor))
     # A pixel covers 0.018 there. The TSDF reads the nearest pixel, so slanted surfaces become stairs.
     assert radial_error(mesh).mean() < {Extractor.POISSON: 0.002, Extractor.TSDF: 0.008}[extractor]
-    assert topology(mesh.vertices, mesh.faces).components == 1
+    assert topology(mesh).components == 1
     outwards = (mesh.normals * mesh.vertices).sum(1) / np.linalg.norm(mesh.vertices, axis=1)
     assert outwards.min() > 0.5
     # The TSDF of so few views has holes.
@@ -60,7 +63,7 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
     def tilt(angle: float | None) -> float:
         """Return the mean angle to the ball's own normal, over the surface."""
         mesh = extract_mesh(noisy, replace(CONFIG, extractor=extractor, bilateral_angle=angle))
-        crosses, middles = face_crosses(mesh.vertices, mesh.faces), mesh.vertices[mesh.faces].mean(axis=1)
+        crosses, middles = mesh.face_crosses, mesh.vertices[mesh.faces].mean(axis=1)
         areas = np.linalg.norm(crosses, axis=1)
         cosines = (crosses * middles).sum(1) / (areas * np.linalg.norm(middles, axis=1))
         return float(np.average(np.arccos(np.clip(cosines, -1, 1)), weights=areas))
@@ -69,8 +72,8 @@ def test_noise_of_the_depths_goes_from_the_facets(views: list[SurfaceView], extr
     assert tilt(0) == pytest.approx(tilt(None), rel=1e-12)  # fusion may give the facets in another order
 
 
-@pytest.mark.parametrize(("shade", "light"), [(matte, Light.UNKNOWN), (flash, Light.FLASH)])
-def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: Light) -> None:
+@pytest.mark.parametrize(("shade", "light"), [(matte, LightKind.UNKNOWN), (flash, LightKind.FLASH)])
+def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: LightKind) -> None:
     seen = photographs(ball(RADIUS), shade, side=64)
     rendered = views_of(rippled(), [view.camera for view in seen])
     config = replace(CONFIG, poisson_depth=7, min_alpha=0.3, bilateral_angle=None)
@@ -80,7 +83,7 @@ def test_waves_go_unless_a_flash_has_told_them_from_shape(shade: Shade, light: L
     )
     assert kept.light is smoothed.light is light
     left = radial_error(smoothed).mean() / radial_error(kept).mean()
-    assert left == 1 if light is Light.FLASH else left < 0.9
+    assert left == 1 if light is LightKind.FLASH else left < 0.9
 
 
 def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:
@@ -95,7 +98,7 @@ def test_floaters_in_one_view_vanish(views: list[SurfaceView]) -> None:
 
 
 def test_a_floater_in_all_views_is_small_and_goes(views: list[SurfaceView]) -> None:
-    both = trimesh.util.concatenate([ball(RADIUS), ball(0.04).apply_translation([0, 0, 0.95])])
+    both = joined(ball(RADIUS), ball(0.04).apply_translation([0, 0, 0.95]))
     mesh = extract_mesh(views_of(both, cameras_around(16)), replace(CONFIG, min_piece=0.02))
     assert np.linalg.norm(mesh.vertices, axis=1).max() < 0.75
 
@@ -114,11 +117,11 @@ def test_what_was_never_seen_stays_open_unless_closed() -> None:
     above = [camera for camera in cameras_around(40) if camera.center[2] > 1.2]
     views = views_of(ball(RADIUS), above)
     mesh = extract_mesh(views, CONFIG)
-    counts = topology(mesh.vertices, mesh.faces)
+    counts = topology(mesh)
     assert mesh.vertices[:, 2].min() > -0.65
     assert counts.holes == 1 and counts.boundary_edges > 10
     closed = extract_mesh(views, replace(CONFIG, close_holes=True))
-    assert topology(closed.vertices, closed.faces).boundary_edges == 0
+    assert topology(closed).boundary_edges == 0
 
 
 def test_thin_walls_keep_both_sides() -> None:
@@ -171,3 +174,32 @@ def test_numbers_that_are_none_are_dropped(views: list[SurfaceView]) -> None:
 def test_one_view_gives_what_it_sees(views: list[SurfaceView]) -> None:
     mesh = extract_mesh(views[:1], CONFIG)
     assert radial_error(mesh).mean() < 0.01
+
+
+@dataclass(frozen=True)
+class Shrink(MeshStep):
+    """Shrink the mesh about the origin."""
+
+    name = "shrink"
+    factor: float = 0.5  # of its size
+
+    def applies(self, context: StepContext, light: LightEstimate) -> bool:
+        return self.factor < 1
+
+    def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
+        return StepResult(mesh.moved(self.factor * mesh.vertices), light, {"factor": self.factor})
+
+
+def test_a_step_is_added_by_one_line(views: list[SurfaceView]) -> None:
+    """Check that a new step is run, and told with its outcome and time, without any other change."""
+    plain, smaller = (extract_mesh(views, CONFIG, steps=steps) for steps in (STEPS, (*STEPS, Shrink())))
+    np.testing.assert_array_equal(smaller.vertices, 0.5 * plain.vertices)
+    assert list(smaller.steps) == [*plain.steps, "shrink"]
+    report = smaller.steps["shrink"]
+    assert report.outcome == {"factor": 0.5} and report.faces == len(plain.faces) and report.seconds >= 0
+    assert "shrink" not in extract_mesh(views, CONFIG, steps=(*STEPS, Shrink(factor=1.0))).steps
+
+
+def test_steps_have_names_of_their_own() -> None:
+    names = [step.name for step in STEPS]
+    assert len(set(names)) == len(names)

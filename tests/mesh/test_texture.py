@@ -7,23 +7,23 @@ import pytest
 import trimesh
 
 from mgsr.config import MeshConfig
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import Mesh, TexturedMesh
+from mgsr.mesh.surface import ReconstructedMesh, TexturedMesh
 from mgsr.mesh.texture import texture_mesh
-from tests.mesh.shapes import cameras_around, position_color, views_of
+from tests.mesh.shapes import cameras_around, joined, position_color, views_of
 
 SIDE = 256
 GREY = 0.5
 
 
 def ball() -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(3, 0.7)
+    sphere: trimesh.Trimesh = trimesh.creation.icosphere(3, 0.7)
+    return sphere
 
 
-def surface(mesh: trimesh.Trimesh) -> Mesh:
+def surface(mesh: trimesh.Trimesh) -> ReconstructedMesh:
     """Return a mesh with grey vertices, so that what a texture shows can only come from the views."""
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    return Mesh(vertices, faces, vertex_normals(vertices, faces), np.full(vertices.shape, GREY, np.float32))
+    return ReconstructedMesh(vertices, faces, np.full(vertices.shape, GREY, np.float32))
 
 
 def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndarray]:
@@ -38,14 +38,15 @@ def read(textured: TexturedMesh, count: int = 4000) -> tuple[np.ndarray, np.ndar
     last = len(textured.picture) - 1
 
     def texel(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return textured.picture[np.clip(rows, 0, last), np.clip(columns, 0, last)] / 255
+        color: np.ndarray = textured.picture[np.clip(rows, 0, last), np.clip(columns, 0, last)] / 255
+        return color
 
     above = texel(left, top) * (1 - fx) + texel(left + 1, top) * fx
     below = texel(left, top + 1) * (1 - fx) + texel(left + 1, top + 1) * fx
     return places, above * (1 - fy) + below * fy
 
 
-def test_a_ball_has_its_own_colours_everywhere():
+def test_a_ball_has_its_own_colours_everywhere() -> None:
     shape = ball()
     textured = texture_mesh(surface(shape), views_of(shape, cameras_around(16)), SIDE, None, MeshConfig())
     assert textured.picture.shape == (SIDE, SIDE, 3) and textured.picture.dtype == np.uint8
@@ -57,14 +58,14 @@ def test_a_ball_has_its_own_colours_everywhere():
     assert np.abs(colors - position_color(places)).max() < 0.05
 
 
-def test_nothing_is_painted_through_the_object():
+def test_nothing_is_painted_through_the_object() -> None:
     """Check that the wall behind a red ball does not become red.
 
     The ball hides half of a green wall from the only cameras.
     """
     ball_, wall = trimesh.creation.icosphere(3, 0.4), trimesh.creation.box((3, 3, 0.1))
     wall.apply_translation([0, 0, -1])
-    both = trimesh.util.concatenate([ball_, wall])
+    both = joined(ball_, wall)
     views = []
     for view in views_of(both, [camera for camera in cameras_around(40, 4.0, 128) if camera.center[2] > 3.2]):
         ball_seen = view.depth < 4.0
@@ -81,14 +82,14 @@ def test_nothing_is_painted_through_the_object():
     np.testing.assert_allclose(colors[places[:, 2] < -1.049], GREY, atol=0.01)
 
 
-def test_a_mesh_with_many_faces_is_reduced():
+def test_a_mesh_with_many_faces_is_reduced() -> None:
     shape = ball()
     textured = texture_mesh(surface(shape), views_of(shape, cameras_around(8)), 64, 600, MeshConfig())
     assert 500 <= len(textured.faces) <= 600
     assert np.abs(np.linalg.norm(textured.vertices, axis=1) - 0.7).max() < 0.03
 
 
-def test_no_texel_is_left_dark_beside_a_chart():
+def test_no_texel_is_left_dark_beside_a_chart() -> None:
     """Check that the texture is bright everywhere.
 
     A background of another colour would be mixed in at the charts' edges in smaller copies.
@@ -103,7 +104,7 @@ def test_no_texel_is_left_dark_beside_a_chart():
 
 
 @pytest.mark.parametrize("offset", [0.0, 5000.0])
-def test_places_stay_where_they_are(offset):
+def test_places_stay_where_they_are(offset: float) -> None:
     shape = ball()
     shape.apply_translation([offset, 0, 0])
     cameras = cameras_around(6)

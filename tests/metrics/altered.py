@@ -38,7 +38,8 @@ def frames(scene: Path) -> list[Path]:
 
 def altered_image(image: np.ndarray, sigma: float) -> np.ndarray:
     """Blur and darken an RGBA photograph, uint8."""
-    return np.rint(0.9 * gaussian_filter(image.astype(np.float64), (sigma, sigma, 0))).astype(np.uint8)
+    blurred: np.ndarray = np.rint(0.9 * gaussian_filter(image.astype(np.float64), (sigma, sigma, 0))).astype(np.uint8)
+    return blurred
 
 
 def load(path: Path) -> np.ndarray:

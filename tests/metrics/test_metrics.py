@@ -11,16 +11,18 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from mgsr.data.camera import Camera
 from mgsr.errors import MeshError, SceneError
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
 from mgsr.metrics.image import composited, image_metrics, psnr, psnr_after_gain, ssim
-from mgsr.metrics.normals import normal_metrics
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import TrueSurface, load_truth, sample_surface
+from tests.mesh.shapes import joined
 from tests.metrics.scenes import blender_cameras
 
 
 def ball(radius: float = 1.0) -> trimesh.Trimesh:
-    return trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    sphere: trimesh.Trimesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    return sphere
 
 
 def camera(distance: float = 3.0, side: int = 96) -> Camera:
@@ -31,8 +33,8 @@ def camera(distance: float = 3.0, side: int = 96) -> Camera:
 
 
 def truth_of(mesh: trimesh.Trimesh) -> TrueSurface:
-    labelled = sample_surface(mesh.vertices, mesh.faces, 20_000, seed=3)
-    return TrueSurface(mesh.vertices, mesh.faces, labelled, np.full(20_000, 9), 1.0)
+    labelled = sample_surface(Mesh(mesh.vertices, mesh.faces), 20_000, seed=3)
+    return TrueSurface(Mesh(mesh.vertices, mesh.faces), labelled, np.full(20_000, 9), 1.0)
 
 
 def test_ssim_and_psnr_are_scikit_images() -> None:
@@ -66,7 +68,7 @@ def test_on_white_composites_straight_alpha() -> None:
 
 def test_a_larger_ball_is_its_distance_away() -> None:
     larger = ball(1.03)
-    values = surface_metrics(larger.vertices, larger.faces, truth_of(ball()))
+    values = surface_metrics(Mesh(larger.vertices, larger.faces), truth_of(ball()))
     # Distances go to the nearest of a million samples, 1.8e-3 apart, which adds less than 0.1% at this distance.
     assert values["accuracy"] == pytest.approx(0.03, rel=0.01)
     assert values["completeness"] == pytest.approx(0.03, rel=0.01)
@@ -75,32 +77,32 @@ def test_a_larger_ball_is_its_distance_away() -> None:
 
 
 def test_what_nobody_saw_does_not_count() -> None:
-    truth = truth_of(trimesh.util.concatenate([ball(), ball().apply_translation([0, 0, 4])]))
+    truth = truth_of(joined(ball(), ball().apply_translation([0, 0, 4])))
     truth.view_counts[truth.labelled.points[:, 2] > 2] = 1
-    wrong_there = trimesh.util.concatenate([ball(), ball(1.3).apply_translation([0, 0, 4])])
+    wrong_there = joined(ball(), ball(1.3).apply_translation([0, 0, 4]))
     first = ball()
     # A million samples on two balls lie 5e-3 apart, so about half of that is found even where all is right.
-    assert surface_metrics(wrong_there.vertices, wrong_there.faces, truth)["accuracy"] < 4e-3
-    assert surface_metrics(first.vertices, first.faces, truth)["completeness"] < 4e-3
+    assert surface_metrics(Mesh(wrong_there.vertices, wrong_there.faces), truth)["accuracy"] < 4e-3
+    assert surface_metrics(Mesh(first.vertices, first.faces), truth)["completeness"] < 4e-3
 
 
 def test_a_truth_that_nobody_saw_has_no_completeness() -> None:
     truth = truth_of(ball())
     truth.view_counts[:] = 1
-    values = surface_metrics(truth.vertices, truth.faces, truth)
+    values = surface_metrics(truth.mesh, truth)
     assert np.isnan(values["completeness"]) and np.isnan(values["normal_consistency"])
 
 
 def test_turned_faces_show_in_the_signed_value() -> None:
     mesh = ball()
-    values = surface_metrics(mesh.vertices, mesh.faces[:, ::-1], truth_of(mesh))
+    values = surface_metrics(Mesh(mesh.vertices, mesh.faces[:, ::-1]), truth_of(mesh))
     assert values["normal_consistency"] > 0.99
     assert values["normal_consistency_signed"] < -0.99
 
 
 def test_an_empty_mesh_is_refused() -> None:
     with pytest.raises(MeshError, match="expected a mesh with faces"):
-        surface_metrics(np.zeros((0, 3)), np.zeros((0, 3), int), truth_of(ball()))
+        surface_metrics(Mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), truth_of(ball()))
 
 
 def test_the_ray_caster_sees_a_ball_where_it_is() -> None:
@@ -129,14 +131,14 @@ def test_visibility_of_points() -> None:
 def test_normal_error_of_a_turned_plane() -> None:
     plane = trimesh.creation.box([4, 4, 0.01])
     turned = plane.copy().apply_transform(trimesh.transformations.rotation_matrix(np.radians(7), [0, 1, 0]))
-    values = normal_metrics(turned.vertices, turned.faces, truth_of(plane), [camera()])
+    values = normal_metrics(Mesh(turned.vertices, turned.faces), truth_of(plane), [camera()])
     assert values["normal_error"] == pytest.approx(7, abs=0.01)
     assert values["mask_iou"] == 1
 
 
 def test_views_without_overlap_have_no_normal_error() -> None:
     away = ball(0.2).apply_translation([0.9, 0, 0])
-    values = normal_metrics(away.vertices, away.faces, truth_of(ball(0.2)), [camera()])
+    values = normal_metrics(Mesh(away.vertices, away.faces), truth_of(ball(0.2)), [camera()])
     assert np.isnan(values["normal_error"])
     assert values["mask_iou"] == 0
 

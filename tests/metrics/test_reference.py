@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mgsr.geometry.mesh import Mesh
 from mgsr.metrics.image import image_metrics
-from mgsr.metrics.normals import normal_metrics
 from mgsr.metrics.split import mean_split, split_score
-from mgsr.metrics.surface import surface_metrics
+from mgsr.metrics.surface import normal_metrics, surface_metrics
 from mgsr.metrics.truth import load_truth
 from tests.metrics.altered import SCENE, altered_image, altered_mesh, frames, load
 from tests.metrics.scenes import blender_cameras
@@ -37,7 +37,7 @@ def test_surface(scene: Path) -> None:
     names |= {"f_005": "F@0.005", "f_010": "F@0.01", "f_020": "F@0.02"}
     names |= {name: name for name in ("normal_consistency", "normal_consistency_signed")}
     # The required agreement is 2%; the same samples are drawn, so what is left is the stored figures' rounding.
-    check(surface_metrics(mesh.vertices, mesh.faces, truth), names, 2e-3)
+    check(surface_metrics(Mesh(mesh.vertices, mesh.faces), truth), names, 2e-3)
 
 
 def test_normals(scene: Path) -> None:
@@ -47,7 +47,7 @@ def test_normals(scene: Path) -> None:
     names = {"normal_error": "normal_mae_deg", "normal_error_median": "normal_median_deg", "mask_iou": "mask_iou"}
     names["depth_error"] = "depth_mae"
     # The reference compares with maps stored in half precision, by another ray tracer.
-    check(normal_metrics(mesh.vertices, mesh.faces, truth, blender_cameras(scene, "test")), names, 5e-3)
+    check(normal_metrics(Mesh(mesh.vertices, mesh.faces), truth, blender_cameras(scene, "test")), names, 5e-3)
 
 
 def test_images(scene: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -37,3 +39,9 @@ def random_splats(count: int, scale_dims: int, seed: int = 0, size: float = 0.12
         "opacities": uniform(count, low=0.05, high=0.999),
         "colors": uniform(count, 3),
     }
+
+
+def splat_arguments(tensors: Iterable[Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Return means, quats, scales, opacities and colors, as the rasterizers' first arguments."""
+    means, quats, scales, opacities, colors = tensors
+    return means, quats, scales, opacities, colors

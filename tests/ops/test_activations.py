@@ -29,6 +29,7 @@ def test_values_and_gradients(machine: Machine, logits: int) -> None:
     for one, other, leaf, twin in zip(used, expected, leaves, twins, strict=True):
         torch.testing.assert_close(one.detach().cpu().double(), other.detach(), rtol=2e-6, atol=1e-12)
         # 1 - y in float32, near 1
+        assert leaf.grad is not None and twin.grad is not None
         assert (leaf.grad.cpu().double() - twin.grad).abs().max() <= 1e-6 * twin.grad.abs().max()
 
 
@@ -40,6 +41,7 @@ def test_huge_scales_are_constant(machine: Machine) -> None:
         (scales,) = activate(leaf)
         (1e-30 * scales).sum().backward()
     assert scales.tolist() == pytest.approx([math.exp(79), math.exp(80), math.exp(80)], rel=1e-5)
+    assert leaf.grad is not None
     assert leaf.grad.tolist() == pytest.approx([1e-30 * math.exp(79), 0.0, 0.0], rel=1e-5)
 
 
@@ -49,6 +51,7 @@ def test_what_nothing_depends_on_gets_no_gradient(machine: Machine) -> None:
     with machine.running():
         _, opacities = activate(log_scales, logits)
         opacities.sum().backward()
+    assert logits.grad is not None
     assert logits.grad.tolist() == [0.25] * 7
     assert log_scales.grad is None or not log_scales.grad.any()
 
@@ -60,6 +63,7 @@ def test_extreme_logits(machine: Machine) -> None:
         result = shares(leaf)
         result.sum().backward()
     assert result.tolist() == pytest.approx([0.0, 0.5, 1.0], abs=1e-30)
+    assert leaf.grad is not None
     assert torch.isfinite(leaf.grad).all()
 
 

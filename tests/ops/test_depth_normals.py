@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _image
 from mgsr.ops.depth_normals import depth_to_normals
 from tests.ops.variants import ISAS, variant
+from tests.optional import present
 from tests.oracles import depth_normals as oracle
 
 
@@ -31,11 +34,13 @@ def rough_depth(height: int, width: int) -> torch.Tensor:
     return depth
 
 
-def gradients(function, depth, v_normals):
+def gradients(
+    function: Callable[[torch.Tensor], torch.Tensor], depth: torch.Tensor, v_normals: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     depth = depth.clone().requires_grad_()
     normals = function(depth)
     normals.backward(v_normals)
-    return normals.detach(), depth.grad
+    return normals.detach(), present(depth.grad)
 
 
 @pytest.mark.parametrize("isa", ISAS)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +15,7 @@ from mgsr.native import _environment_map
 from mgsr.ops.environment_map import look_up_environment_map
 from tests.ops.test_depth_normals import turned_camera
 from tests.ops.variants import ISAS, variant
+from tests.optional import present
 from tests.oracles import environment_map as oracle
 
 Scene = tuple[torch.Tensor, torch.Tensor, torch.Tensor]  # maps, normals, gradients of the light
@@ -31,21 +35,26 @@ def some_pixels(height: int, width: int) -> torch.Tensor:
     return torch.from_numpy(np.random.default_rng(1).permutation(chosen))
 
 
-def gradients(function, maps, normals, v_light):
+def gradients(
+    function: Callable[[torch.Tensor, torch.Tensor], torch.Tensor],
+    maps: torch.Tensor,
+    normals: torch.Tensor,
+    v_light: torch.Tensor,
+) -> Scene:
     maps, normals = maps.clone().requires_grad_(), normals.clone().requires_grad_()
     light = function(maps, normals)
     light.backward(v_light)
-    return light.detach(), maps.grad, normals.grad
+    return light.detach(), present(maps.grad), present(normals.grad)
 
 
-def expected_of(scene: Scene, camera: Camera, pixels: torch.Tensor | None = None):
+def expected_of(scene: Scene, camera: Camera, pixels: torch.Tensor | None = None) -> Scene:
     """Return the light and gradients of the oracle, in float64."""
     K, pose = torch.from_numpy(camera.K), torch.from_numpy(camera.cam_from_world)
     doubles = [t.double() for t in scene]
     return gradients(lambda m, n: oracle.look_up_environment_map(m, n, K, pose, pixels), *doubles)
 
 
-def assert_close(came, expected) -> None:
+def assert_close(came: Sequence[torch.Tensor], expected: Sequence[torch.Tensor]) -> None:
     """Check light and gradients against the expected ones, with tolerances from float32's rounding.
 
     A float32 direction is off by some 3e-7, which is that times the side in texels, and so much of a step between
@@ -138,7 +147,7 @@ def test_same_bytes_for_any_thread_count() -> None:
         results = []
         for threads in (1, 2, 5):
             with variant(_environment_map, threads=threads):
-                results.append(gradients(lambda m, n, p=pixels: look_up_environment_map(m, n, camera, p), *parts))
+                results.append(gradients(partial(look_up_environment_map, camera=camera, pixels=pixels), *parts))
         for other in results[1:]:
             assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
@@ -155,6 +164,7 @@ def test_one_gradient_alone(wants: str) -> None:
     both = gradients(lambda m, n: look_up_environment_map(m, n, turned_camera(20, 30)), maps, normals, v_light)
     leaf = (maps if wants == "maps" else normals).requires_grad_()
     look_up_environment_map(maps, normals, turned_camera(20, 30)).backward(v_light)
+    assert leaf.grad is not None
     assert torch.equal(leaf.grad, both[1 if wants == "maps" else 2])
 
 

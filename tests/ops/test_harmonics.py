@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -9,6 +11,7 @@ from mgsr.errors import TensorError
 from mgsr.native import _harmonics
 from mgsr.ops.harmonics import harmonics_to_rgb
 from tests.ops.variants import ISAS, variant
+from tests.optional import present
 from tests.oracles import harmonics as oracle
 
 CENTER = torch.tensor([0.1, 0.2, -3.0])
@@ -21,11 +24,18 @@ def scene(n: int, stored: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor
     return coeffs, torch.randn(n, 3, generator=generator), torch.randn(n, 3, generator=generator)
 
 
-def gradients(function, coeffs, means, center, degree, v_rgb):
+def gradients(
+    function: Callable[..., torch.Tensor],
+    coeffs: torch.Tensor,
+    means: torch.Tensor,
+    center: torch.Tensor,
+    degree: int,
+    v_rgb: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     coeffs, means = coeffs.clone().requires_grad_(), means.clone().requires_grad_()
     rgb = function(coeffs, means, center, degree)
     rgb.backward(v_rgb)
-    return rgb.detach(), coeffs.grad, means.grad
+    return rgb.detach(), present(coeffs.grad), present(means.grad)
 
 
 @pytest.mark.parametrize("isa", ISAS)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -11,10 +14,11 @@ from mgsr.errors import TensorError
 from mgsr.native import _image
 from mgsr.ops.image_loss import image_loss
 from tests.ops.variants import ISAS, variant
+from tests.optional import present
 from tests.oracles import image_loss as oracle
 
 # Variances are differences of float32 means of squares: 1e-7 absolute beside C2 = 9e-4.
-LOSS = {"rtol": 1e-5, "atol": 1e-6}
+LOSS: dict[str, Any] = {"rtol": 1e-5, "atol": 1e-6}
 
 
 def pictures(height: int, width: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -29,11 +33,13 @@ def random_mask(height: int, width: int) -> torch.Tensor:
     return mask
 
 
-def gradients(function, image, target, *args, **kwargs):
+def gradients(
+    function: Callable[..., torch.Tensor], image: torch.Tensor, target: torch.Tensor, *args: Any, **kwargs: Any
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     image, target = image.clone().requires_grad_(), target.clone().requires_grad_()
     loss = function(image, target, *args, **kwargs)
     loss.backward()
-    return loss.detach(), image.grad, target.grad
+    return loss.detach(), present(image.grad), present(target.grad)
 
 
 def assert_gradients_close(came: torch.Tensor, expected: torch.Tensor) -> None:
@@ -83,6 +89,7 @@ def test_one_gradient_alone_equals_that_of_both(wants: str) -> None:
     both = gradients(image_loss, image, target)
     leaf = (image if wants == "image" else target).requires_grad_()
     image_loss(image, target).backward()
+    assert leaf.grad is not None
     assert_gradients_close(leaf.grad, both[1 if wants == "image" else 2].double())
 
 

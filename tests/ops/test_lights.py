@@ -30,16 +30,18 @@ def test_reflected_light_is_added(machine: Machine, lights: tuple[str, ...], add
     v_color, *v_parts = random((5, 7, 3), (5, 7, 3), (5, 7), (5, 7, 3), seed=1)
     on_machine = [each.to(machine.device) for each in inputs]
     named = dict(zip(lights, on_machine[2:], strict=True))
-    before = tuple(each.to(machine.device) if added else None for each in v_parts)
+    v_reflected, v_weight, v_light = (each.to(machine.device) if added else None for each in v_parts)
+    before = (v_reflected, v_weight, v_light)
     with machine.running():
         launcher = launcher_for(on_machine[0])
         arrays = (on_machine[0], on_machine[1], named.get("own"), named.get("environment_map"))
         color, reflected = with_reflection(launcher, *arrays)
         gradients = with_reflection_vjp(launcher, v_color.to(machine.device), reflected, on_machine[1], before)
     transmitted, weight, *parts = [each.double().requires_grad_() for each in inputs]
-    expected = transmitted + weight[..., None] * sum(parts)
+    light = torch.stack(parts).sum(0)
+    expected = transmitted + weight[..., None] * light
     assert_close(color, expected.detach())
-    assert_close(reflected, sum(parts).detach())
+    assert_close(reflected, light.detach())
     looked_at = dict(zip(lights, parts, strict=True)).get("own")
     loss = (expected * v_color).sum()
     if added:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,12 @@ from mgsr.data.camera import Camera
 from mgsr.errors import TensorError
 from mgsr.native import _surfels
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
-from tests.ops.splat_scenes import camera, random_splats
+from tests.ops.splat_scenes import camera, random_splats, splat_arguments
 from tests.ops.variants import variant
 from tests.oracles import surfels as oracle
+
+Tensors = dict[str, torch.Tensor]
+Rendered = tuple[Tensors, Tensors, Any]  # images, gradients, what the renderer returned
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.9])
 IMAGES = ("color", "alpha", "depth", "median_depth", "normal", "distortion")
@@ -29,13 +34,21 @@ NEARLY_EDGE_ON = {"images": 3e-4, "gradients": 1e-3}
 OPTIONS = SurfelOptions(near=0.2, far=5.0, distortion=True)
 
 
-def run(renderer, splats, view, dtype, options=OPTIONS, images=IMAGES):
+def run(
+    renderer: Callable[..., Any],
+    splats: dict[str, torch.Tensor],
+    view: Camera,
+    dtype: torch.dtype,
+    options: SurfelOptions = OPTIONS,
+    images: tuple[str, ...] = IMAGES,
+) -> Rendered:
     """Render, differentiate a fixed random combination of the named images, and return images, gradients and stats."""
     leaves = {k: v.to(dtype).clone().requires_grad_() for k, v in splats.items()}
     background = BACKGROUND.to(dtype).clone().requires_grad_()
     out = renderer(*(leaves[k] for k in SPLATS), view, background, options)
     g = torch.Generator().manual_seed(5)
-    loss, rendered = torch.zeros((), dtype=dtype), {}
+    loss = torch.zeros((), dtype=dtype)
+    rendered: Tensors = {}
     for name in IMAGES:
         image = getattr(out, name)
         if image is None:
@@ -51,24 +64,45 @@ def run(renderer, splats, view, dtype, options=OPTIONS, images=IMAGES):
     return rendered, gradients, out
 
 
-def brute_force(means, quats, scales, opacities, colors, view, background, options):
+@dataclass
+class Shifted(oracle.SurfelImages):
+    """The oracle's images; the gradient of shift [N,2] is that of the projected centres."""
+
+    shift: torch.Tensor
+
+
+def brute_force(
+    means: torch.Tensor,
+    quats: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    colors: torch.Tensor,
+    view: Camera,
+    background: torch.Tensor,
+    options: SurfelOptions,
+) -> Shifted:
     K, pose = torch.tensor(view.K), torch.tensor(view.cam_from_world)
     shift = torch.zeros(len(means), 2, dtype=torch.float64, requires_grad=True)
     splats = (means, quats, scales, opacities, colors)
     out = oracle.render(
         *splats, K, pose, view.width, view.height, background, near=options.near, far=options.far, shift=shift
     )
-    out.shift = shift
-    return out
+    return Shifted(**vars(out), shift=shift)
 
 
-def assert_close(ours, theirs, tolerance):
+def assert_close(ours: dict[str, torch.Tensor], theirs: dict[str, torch.Tensor], tolerance: float) -> None:
     for name, expected in theirs.items():
-        error = (ours[name] - expected).abs().max() / max(expected.abs().max(), 1.0)
+        error = (ours[name] - expected).abs().max() / expected.abs().max().clamp(min=1.0)
         assert error < tolerance, f"{name}: largest error {error:.2e} of its largest value"
 
 
-def compare(splats, view, tolerance=TOLERANCE, options=OPTIONS, images=IMAGES):
+def compare(
+    splats: dict[str, torch.Tensor],
+    view: Camera,
+    tolerance: dict[str, float] = TOLERANCE,
+    options: SurfelOptions = OPTIONS,
+    images: tuple[str, ...] = IMAGES,
+) -> Rendered:
     expected = run(brute_force, splats, view, torch.float64, options, images)
     got = run(rasterize_surfels, {k: v.float() for k, v in splats.items()}, view, torch.float32, options, images)
     assert_close(got[0], expected[0], tolerance["images"])
@@ -120,17 +154,17 @@ def slanted_part(path: Path, side: int) -> tuple[dict[str, torch.Tensor], Camera
 
 
 @pytest.mark.parametrize("isa", _surfels.isas())
-def test_matches_brute_force(isa):
+def test_matches_brute_force(isa: str) -> None:
     with variant(_surfels, isa):
         compare(random_splats(60, 2, seed=20), camera())
 
 
 @pytest.mark.parametrize("name", IMAGES)
-def test_each_image_alone_sends_its_gradient(name):
+def test_each_image_alone_sends_its_gradient(name: str) -> None:
     compare(random_splats(60, 2, seed=1), camera(), images=(name,))
 
 
-def test_without_distortion():
+def test_without_distortion() -> None:
     splats = random_splats(60, 2, seed=2)
     images, gradients, out = run(
         rasterize_surfels, {k: v.float() for k, v in splats.items()}, camera(), torch.float32, images=IMAGES[:5]
@@ -148,7 +182,7 @@ def test_without_distortion():
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03, 0.5, 2.0])
-def test_small_splats_and_large(size):
+def test_small_splats_and_large(size: float) -> None:
     """Check splats under a pixel, whose weight the low-pass gives, and large disks.
 
     The disks cross the image's border, and their planes slant.
@@ -158,13 +192,13 @@ def test_small_splats_and_large(size):
 
 @pytest.mark.parametrize("isa", _surfels.isas())
 @pytest.mark.parametrize("sine", [1e-4, 5e-4, 1.1e-3, 2e-3, 0.01, 0.1])
-def test_edge_on(isa, sine):
+def test_edge_on(isa: str, sine: float) -> None:
     with variant(_surfels, isa):
         compare(edge_on_splats(40, sine), held_camera(), NEARLY_EDGE_ON)
 
 
 @pytest.mark.parametrize("isa", _surfels.isas())
-def test_the_slanted_splats_of_a_large_scene(shared_data, isa):
+def test_the_slanted_splats_of_a_large_scene(shared_data: Path, isa: str) -> None:
     """Check the slanted splats of 20,000, seen under a sine of 1e-3 to 0.05, to which the largest gradients belong.
 
     They are checked by the middle of the image, which is as much as the oracle has memory for.
@@ -175,25 +209,25 @@ def test_the_slanted_splats_of_a_large_scene(shared_data, isa):
         compare(splats, view, NEARLY_EDGE_ON, SurfelOptions(distortion=True))
 
 
-def test_disks_that_reach_behind_the_camera():
+def test_disks_that_reach_behind_the_camera() -> None:
     splats = random_splats(12, 2, seed=7, size=3.0)
     splats["means"][:, 2] -= 1.2
     compare(splats, camera(), STEEP)
 
 
-def test_near_the_border():
+def test_near_the_border() -> None:
     splats = random_splats(60, 2, seed=8, size=0.3)
     splats["means"][:, 0] += torch.where(torch.arange(60) % 2 == 0, 0.8, -0.8)
     compare(splats, camera())
 
 
 @pytest.mark.parametrize("width,height", [(1, 1), (7, 9), (8, 8), (9, 17)])
-def test_image_sizes_around_the_tile(width, height):
+def test_image_sizes_around_the_tile(width: int, height: int) -> None:
     compare(random_splats(30, 2, seed=3, size=0.5), camera(width, height, off_center=False))
 
 
 @pytest.mark.parametrize("isa", _surfels.isas())
-def test_splats_across_many_tiles(isa):
+def test_splats_across_many_tiles(isa: str) -> None:
     """Check wide and thin splats over 10 x 6 tiles, some of which reach far outside."""
     splats = random_splats(40, 2, seed=12)
     splats["scales"] *= torch.tensor([6.0, 1.0], dtype=torch.float64)
@@ -202,7 +236,7 @@ def test_splats_across_many_tiles(isa):
 
 
 @pytest.mark.parametrize("isa", _surfels.isas())
-def test_more_splats_than_a_chunk(isa):
+def test_more_splats_than_a_chunk(isa: str) -> None:
     """Check more splats than a chunk: both they and their depth order are cut into chunks.
 
     A third of the splats is culled in between.
@@ -213,7 +247,7 @@ def test_more_splats_than_a_chunk(isa):
         compare(splats, camera())
 
 
-def test_one_splat_facing_the_camera():
+def test_one_splat_facing_the_camera() -> None:
     view = Camera(np.array([[50.0, 0, 16], [0, 50, 16], [0, 0, 1]]), np.eye(4), 32, 32)
     splats = {k: v[:1].clone() for k, v in random_splats(1, 2).items()}
     splats["means"][:] = torch.tensor([0.02, 0.02, 2.0])
@@ -229,7 +263,7 @@ def test_one_splat_facing_the_camera():
     assert out.stats.visible.all()
 
 
-def test_stacked_opaque_layers_stop_and_stay_finite():
+def test_stacked_opaque_layers_stop_and_stay_finite() -> None:
     splats = random_splats(50, 2, seed=4, size=2.0)
     splats["opacities"][:] = 1.0
     expected = run(brute_force, splats, camera(), torch.float64)
@@ -238,7 +272,7 @@ def test_stacked_opaque_layers_stop_and_stay_finite():
     assert all(torch.isfinite(v).all() for v in got[1].values())
 
 
-def test_same_bytes_for_any_thread_count():
+def test_same_bytes_for_any_thread_count() -> None:
     splats = {k: v.float() for k, v in random_splats(3000, 2).items()}
     results = []
     for threads in (1, 2, 3):
@@ -252,7 +286,7 @@ def test_same_bytes_for_any_thread_count():
 
 @pytest.mark.parametrize("field", SPLATS)
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_a_non_finite_splat_is_left_out(field, bad):
+def test_a_non_finite_splat_is_left_out(field: str, bad: float) -> None:
     splats = {k: v.float() for k, v in random_splats(20, 2).items()}
     without = {k: torch.cat([v[:7], v[8:]]) for k, v in splats.items()}
     expected = run(rasterize_surfels, without, camera(), torch.float32)
@@ -265,7 +299,7 @@ def test_a_non_finite_splat_is_left_out(field, bad):
     assert not got[2].stats.visible[7]
 
 
-def test_nothing_to_see():
+def test_nothing_to_see() -> None:
     view = camera()
     empty = {k: v[:0].float() for k, v in random_splats(1, 2).items()}
     behind = {k: v.float() for k, v in random_splats(5, 2).items()}
@@ -278,9 +312,11 @@ def test_nothing_to_see():
         assert not out.stats.visible.any()
 
 
-def test_wrong_arguments_are_named():
+def test_wrong_arguments_are_named() -> None:
     s = {k: v.float() for k, v in random_splats(5, 2).items()}
     with pytest.raises(TensorError, match=r"scales: expected \[N=5, 2\], got \[5, 1\]"):
         rasterize_surfels(s["means"], s["quats"], s["scales"][:, :1], s["opacities"], s["colors"], camera(), BACKGROUND)
     with pytest.raises(TensorError, match="near < far"):
-        rasterize_surfels(*(s[k] for k in SPLATS), camera(), BACKGROUND, SurfelOptions(near=2.0, far=1.0))
+        rasterize_surfels(
+            *splat_arguments(s[k] for k in SPLATS), camera(), BACKGROUND, SurfelOptions(near=2.0, far=1.0)
+        )

@@ -164,7 +164,7 @@ def test_many_terms_of_one_image_add_up(machine: Machine) -> None:
     expected = [0.5 * loss_oracle.image_loss(seen, near.double(), 0.8), (exact[1][..., None] * exact[0]).mean()]
     expected += [index * tv_oracle.edge_aware_tv(exact[0], target.double(), None) for index in range(1, 6)]
     expected += [exact[0][..., 0].square().mean()]
-    sum((index + 1) * term for index, term in enumerate(expected)).backward()
+    torch.stack([(index + 1) * term for index, term in enumerate(expected)]).sum().backward()
     assert values.detach().cpu().double().numpy() == pytest.approx(torch.stack(expected).detach().numpy(), rel=2e-5)
     for leaf, twin in zip(leaves, exact, strict=True):
         assert leaf.grad is not None and twin.grad is not None
@@ -199,9 +199,10 @@ def test_a_photograph_on_a_colour(machine: Machine) -> None:
     mask = torch.randint(0, 256, (HEIGHT, WIDTH), dtype=torch.uint8, generator=generator)
     mask[:4] = 0
     off_edge, background = mask > 100, torch.tensor([0.2, 0.5, 0.9])
-    arrays = (each.to(machine.device) for each in (image, mask, background, off_edge))
+    on_machine = [each.to(machine.device) for each in (image, mask, background, off_edge)]
+    picture, opacity, behind, off = on_machine
     with machine.running():
-        color, alpha, weights = composite(*arrays, region=(4, HEIGHT, 0, WIDTH))
+        color, alpha, weights = composite(picture, opacity, behind, off, region=(4, HEIGHT, 0, WIDTH))
     share = mask.double() / 255
     expected = share[..., None] * image.double() / 255 + (1 - share[..., None]) * background.double()
     assert (color.cpu().double() - expected).abs().max() < 1e-6

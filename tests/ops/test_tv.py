@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
@@ -12,7 +14,9 @@ from tests.ops.variants import ISAS, variant
 from tests.oracles import tv as oracle
 
 
-def gradients(function, values, guide, mask=None):
+def gradients(
+    function: Callable[..., torch.Tensor], values: torch.Tensor, guide: torch.Tensor, mask: torch.Tensor | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
     values = values.clone().requires_grad_()
     result = function(values, guide, mask)
     if result.requires_grad:

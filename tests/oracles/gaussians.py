@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from mgsr.data.camera import Camera
 
 MIN_ALPHA, MAX_ALPHA, MIN_TRANSMITTANCE = 1 / 255, 0.999, 1e-4
 
@@ -26,21 +29,22 @@ def rotation(quats: Tensor) -> Tensor:
     cross = torch.zeros(len(q), 3, 3, dtype=q.dtype)
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     cross = cross - cross.transpose(1, 2)
-    return torch.eye(3, dtype=q.dtype) + 2 * w * cross + 2 * cross @ cross
+    rotations: Tensor = torch.eye(3, dtype=q.dtype) + 2 * w * cross + 2 * cross @ cross
+    return rotations
 
 
 def render(
-    means,
-    quats,
-    scales,
-    opacities,
-    colors,
-    camera,
-    background,
-    reflected=None,
-    low_pass=0.3,
-    near=0.01,
-    compensate=False,
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    camera: Camera,
+    background: Tensor,
+    reflected: Sequence[Tensor] | None = None,
+    low_pass: float = 0.3,
+    near: float = 0.01,
+    compensate: bool = False,
 ) -> Images:
     """Render Gaussians in float64, with tensors as in mgsr.ops.gaussians; differentiable by autograd."""
     K, pose = torch.as_tensor(camera.K), torch.as_tensor(camera.cam_from_world)

@@ -36,8 +36,10 @@ def _definition(points: np.ndarray, level: int, m: int) -> np.ndarray:
     scale = np.sqrt((2 * level + 1) / (4 * np.pi) * factorial(level - order) / factorial(level + order))
     legendre = assoc_legendre_p(level, order, points[:, 2])[0]
     if m == 0:
-        return scale * legendre
-    return np.sqrt(2) * scale * legendre * (np.cos(order * azimuth) if m > 0 else np.sin(order * azimuth))
+        values: np.ndarray = scale * legendre
+    else:
+        values = np.sqrt(2) * scale * legendre * (np.cos(order * azimuth) if m > 0 else np.sin(order * azimuth))
+    return values
 
 
 def harmonics_to_rgb(coeffs: torch.Tensor, means: torch.Tensor, center: torch.Tensor, degree: int) -> torch.Tensor:

@@ -142,7 +142,7 @@ def bilinear(image: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     height, width = image.shape[:2]
     places = pixels - 0.5
-    inside = ((places >= 0) & (places < (width - 1, height - 1))).all(axis=-1)
+    inside = np.asarray(((places >= 0) & (places < (width - 1, height - 1))).all(axis=-1))
     places = np.where(inside[..., None], places, 0)
     corners = np.floor(places).astype(int)
     (column, row), (across, down) = np.moveaxis(corners, -1, 0), np.moveaxis(places - corners, -1, 0)[..., None]

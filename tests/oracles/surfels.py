@@ -54,19 +54,19 @@ def pixel_rays(K: torch.Tensor, width: int, height: int) -> tuple[torch.Tensor, 
 
 
 def render(
-    means,
-    quats,
-    scales,
-    opacities,
-    colors,
-    K,
-    cam_from_world,
-    width,
-    height,
-    background,
-    near=0.01,
-    far=100.0,
-    shift=None,
+    means: torch.Tensor,
+    quats: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    colors: torch.Tensor,
+    K: torch.Tensor,
+    cam_from_world: torch.Tensor,
+    width: int,
+    height: int,
+    background: torch.Tensor,
+    near: float = 0.01,
+    far: float = 100.0,
+    shift: torch.Tensor | None = None,
 ) -> SurfelImages:
     """Render all outputs.
 
@@ -115,7 +115,7 @@ def render(
     m = (z - near) / (far - near)
     distortion = (share * (m * m)).sum(1) * share.sum(1) - (share * m).sum(1) ** 2
 
-    def image(values):
+    def image(values: torch.Tensor) -> torch.Tensor:
         return values.reshape(height, width, *values.shape[1:])
 
     return SurfelImages(

@@ -12,6 +12,7 @@ from mgsr.export.gltf import UpAxis
 from mgsr.export.mesh_files import write_glb, write_ply
 from mgsr.export.renders import RenderedView, write_view
 from mgsr.export.splats import write_splats
+from tests.export.test_mesh_files import mesh_and_colors
 
 METRICS = {
     "psnr_test": 31.42,
@@ -36,8 +37,8 @@ def make_results(folder: Path, middle: np.ndarray = MIDDLE, origin: np.ndarray |
     """Return every result file by its name; the splats are about an origin [3] that their file names, if given."""
     box = trimesh.creation.box((2.0, 1.0, 1.0))
     arrays = (box.vertices + middle, box.faces, box.vertex_normals, np.tile(RED, (len(box.vertices), 1)))
-    write_ply(folder / "mesh.ply", *arrays)
-    write_glb(folder / "mesh.glb", *arrays, up=UpAxis.Z)
+    write_ply(folder / "mesh.ply", *mesh_and_colors(*arrays))
+    write_glb(folder / "mesh.glb", *mesh_and_colors(*arrays), up=UpAxis.Z)
     about = middle if origin is None else middle - origin
     write_splats(folder / "splats_3d.ply", _splats(about), origin=origin)
     write_view(folder / "renders" / "test", "r_0", _view())

@@ -85,7 +85,8 @@ def stage(page: Page) -> np.ndarray:
 
 def red(pixels: np.ndarray) -> np.ndarray:
     """Return where the picture has the box's colour, bool [H,W]."""
-    return np.abs(pixels - RED).max(axis=2) < 0.08
+    red_pixels: np.ndarray = np.abs(pixels - RED).max(axis=2) < 0.08
+    return red_pixels
 
 
 def choose(page: Page, name: str) -> None:

@@ -35,7 +35,8 @@ def start(page: Page) -> dict[str, object]:
     page.wait_for_url(re.compile("#/jobs/"))
     expect(page.locator("main").get_by_text("queue").first).to_be_visible()
     job = page.url.rpartition("/")[2]
-    return page.evaluate("job => fetch('/jobs/' + job).then(answer => answer.json())", job)
+    started: dict[str, object] = page.evaluate("job => fetch('/jobs/' + job).then(answer => answer.json())", job)
+    return started
 
 
 def sent(service: Stack, job: str) -> bytes:

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from mgsr.pipeline import allocator
-from mgsr.pipeline.allocator import OF_USER, prefer_expandable_segments
+from mgsr.pipeline import device
+from mgsr.pipeline.device import OF_USER, prefer_expandable_segments
 
 
 @dataclass
@@ -36,7 +36,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(platform, "release", lambda: "6.8.0-45-generic")
     settings: list[str] = []
-    monkeypatch.setattr(allocator, "_set_allocator", settings.append)
+    monkeypatch.setattr(device, "_set_allocator", settings.append)
     return settings
 
 
@@ -73,7 +73,7 @@ def test_not_under_windows(made: list[str], monkeypatch: pytest.MonkeyPatch) -> 
 
 PROGRAM = """
 import platform, torch
-from mgsr.pipeline.allocator import prefer_expandable_segments
+from mgsr.pipeline.device import prefer_expandable_segments
 from tests.pipeline.test_allocator import MAPS
 platform.release = lambda: "6.8.0-45-generic"
 prefer_expandable_segments(MAPS)

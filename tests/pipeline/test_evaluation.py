@@ -14,8 +14,7 @@ from mgsr.config import DataConfig
 from mgsr.data.camera import Camera
 from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
-from mgsr.geometry.triangles import vertex_normals
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, image_scores, off_white, surface_scores
 from mgsr.pipeline.rendering import ViewImages
 from tests.metrics.altered import SCENE, altered_image, load
@@ -33,9 +32,9 @@ def scene(shared_data: Path) -> Scene:
     return load_scene(shared_data / "scenes" / SCENE, DataConfig())
 
 
-def as_mesh(mesh: trimesh.Trimesh) -> Mesh:
+def as_mesh(mesh: trimesh.Trimesh) -> ReconstructedMesh:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    return Mesh(vertices, faces, vertex_normals(vertices, faces), np.zeros((len(vertices), 3), np.uint8))
+    return ReconstructedMesh(vertices, faces, np.zeros((len(vertices), 3), np.uint8))
 
 
 def visual_hull(root: Path) -> trimesh.Trimesh:
@@ -47,7 +46,8 @@ def visual_hull(root: Path) -> trimesh.Trimesh:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.visual_hull(str(root))
+    hull: trimesh.Trimesh = module.visual_hull(str(root))
+    return hull
 
 
 @pytest.mark.parametrize("kind", ["floor", "hull"])
@@ -117,7 +117,7 @@ def round_scene(root: Path) -> Scene:
     return Scene("ball", root, "made", views, views[:1], None, Similarity(1.0, np.zeros(3)))
 
 
-def test_off_white_gives_back_the_straight_colours():
+def test_off_white_gives_back_the_straight_colours() -> None:
     generator = np.random.default_rng(0)
     straight = generator.integers(0, 256, (32, 32, 3)) / 255
     alpha = generator.integers(128, 256, (32, 32)).astype(np.uint8)
@@ -127,6 +127,6 @@ def test_off_white_gives_back_the_straight_colours():
     assert np.abs(off_white(on_white, alpha) - straight).max() <= 1.0 / 255
 
 
-def test_off_white_stays_finite_where_nothing_is_covered():
+def test_off_white_stays_finite_where_nothing_is_covered() -> None:
     nothing = off_white(np.full((4, 4, 3), 255, np.uint8), np.zeros((4, 4), np.uint8))
     assert np.isfinite(nothing).all()

@@ -22,11 +22,12 @@ from mgsr.data.readers import load_scene
 from mgsr.data.scene import Scene, Similarity, View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.gaussians.trained_model import TrainedModel
-from mgsr.mesh.surface import Mesh
+from mgsr.mesh.surface import ReconstructedMesh
 from mgsr.pipeline.evaluation import find_truth, surface_scores
 from mgsr.pipeline.report_pictures import draw_surface
 from mgsr.pipeline.result_files import as_lit, read_models, write_lighting, write_models
 from mgsr.pipeline.run import _draw
+from mgsr.shading.lighting import Lighting
 from tests.cli.spheres import SPHERES, held_out_camera, write_spheres
 from tests.cli.test_run import SHORT
 from tests.export.test_flash import lighting
@@ -94,6 +95,7 @@ def test_splats_lie_on_the_spheres(done: Path) -> None:
 def test_python_has_it_in_the_captures_frame(capture: Path, done: Path) -> None:
     result = mgsr.load_result(done)
     assert " ".join(f"{value:.0f}" for value in result.origin) == ORIGIN
+    assert result.surfels is not None
     places = result.surfels.means.numpy() + result.origin - AWAY
     gaps = np.min([np.abs(np.linalg.norm(places - center, axis=1) - radius) for center, radius, _ in SPHERES], axis=0)
     assert np.median(gaps) < 0.03 and np.abs(result.mesh.vertices - AWAY).max() < 1.2
@@ -112,7 +114,7 @@ def test_later_commands_see_what_the_run_saw(capture: Path, done: Path, tmp_path
     like_the_run = ["--preset", "draft", "--set", "poisson_depth=6"]
     result = CliRunner().invoke(app, ["mesh", str(capture), "-o", str(tmp_path / "out"), *like_the_run])
     assert result.exit_code == 0, result.output
-    before, again = (trimesh.load(folder / "mesh.ply", force="mesh") for folder in (done, tmp_path / "out"))
+    before, again = (trimesh.load_mesh(folder / "mesh.ply") for folder in (done, tmp_path / "out"))
     np.testing.assert_allclose(again.bounds, before.bounds, rtol=0, atol=0.01)
     # About its middle: the volume is a sum of products of three lengths.
     volumes = [mesh.apply_translation(-AWAY).volume for mesh in (before, again)]
@@ -133,12 +135,17 @@ def test_models_come_back_to_float32_precision(tmp_path: Path, scale: float) -> 
 
 
 def test_a_flash_keeps_its_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = []
-    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lambda scene, flash: found.append(flash) or scene)
+    found: list[Lighting] = []
+
+    def lit(scene: Scene, flash: Lighting) -> Scene:
+        found.append(flash)
+        return scene
+
+    monkeypatch.setattr("mgsr.pipeline.result_files.lit_scene", lit)
     scene = Scene("far", tmp_path, "plain", [], [], None, Similarity(0.954, AWAY))
     write_lighting(tmp_path, lighting(), scene)
     as_lit(tmp_path, scene)
-    np.testing.assert_allclose(found[0].vertices, lighting().vertices, rtol=0, atol=3e-7)
+    np.testing.assert_allclose(found[0].mesh.vertices, lighting().mesh.vertices, rtol=0, atol=3e-7)
 
 
 def test_the_reports_pictures_are_those_of_the_same_scene_at_the_origin() -> None:
@@ -147,7 +154,8 @@ def test_the_reports_pictures_are_those_of_the_same_scene_at_the_origin() -> Non
     pictures = []
     for away in (np.zeros(3), np.array([512345.0, 4501234.0, 431.0])):
         scene = Scene("ball", Path(), "plain", views, [], None, Similarity(1.0, away))
-        mesh = Mesh(ball.vertices + away, ball.faces, ball.vertex_normals, np.full(ball.vertices.shape, 0.5))
+        mesh = ReconstructedMesh(ball.vertices + away, ball.faces, np.full(ball.vertices.shape, 0.5))
+        mesh = mesh.with_normals(ball.vertex_normals)
         pictures.append([side.pixels for side in _draw(mesh, None, scene).sides.shaded])
     assert len(pictures[0]) == 4
     for near, far in zip(*pictures, strict=True):
@@ -167,7 +175,7 @@ def test_scores_against_a_truth_are_those_of_the_same_scene_at_the_origin(
         spheres = trimesh.load_mesh(folder / "mesh_gt.ply", process=False)
         write_truth(folder / "mesh_gt.ply", spheres.vertices + away, spheres.faces)
         colors = np.full(spheres.vertices.shape, 0.5)
-        larger = Mesh(1.02 * spheres.vertices + away, spheres.faces, spheres.vertex_normals, colors)
+        larger = ReconstructedMesh(1.02 * spheres.vertices + away, spheres.faces, colors)
         scene = load_scene(folder, DataConfig())
         truth = find_truth(scene)
         assert truth is not None
@@ -187,7 +195,8 @@ def test_the_pictures_do_not_depend_on_the_frame_in_which_a_scene_is_trained(mon
     scale, offset, place = 0.4, np.array([3.0, -1.0, 0.5]), np.array([1.0, 2.0, 2.0])
     box = trimesh.creation.box((1.0, 0.5, 0.3))
     corners = np.asarray(box.vertices)
-    mesh = Mesh(scale * corners + offset, box.faces, box.vertex_normals, np.full(corners.shape, 0.5))
+    mesh = ReconstructedMesh(scale * corners + offset, box.faces, np.full(corners.shape, 0.5))
+    mesh = mesh.with_normals(box.vertex_normals)
     camera = looking_at_origin(place)
     rotation, pose = camera.cam_from_world[:3, :3], np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ (scale * place + offset)

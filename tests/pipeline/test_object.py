@@ -48,7 +48,7 @@ def done(capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_object_alone_is_delivered(done: Path) -> None:
     import trimesh
 
-    low, high = trimesh.load(done / "mesh.ply", process=False).bounds
+    low, high = trimesh.load_mesh(done / "mesh.ply", process=False).bounds
     assert (np.abs(np.stack([low, high])[:, :2]) < 0.55).all() and low[2] > TABLE - 0.06 and high[2] < 0.75
     report = json.loads((done / "report.json").read_text())
     assert report["input"]["masked"] and any("the object was found" in note for note in report["input"]["notes"])

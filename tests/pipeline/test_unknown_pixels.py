@@ -12,7 +12,6 @@ import torch
 from scipy.ndimage import binary_dilation
 
 from mgsr.config import Config, DataConfig, make_config
-from mgsr.data.backdrop import backdrop
 from mgsr.data.exposure import brightness_jumps
 from mgsr.data.hull import carve
 from mgsr.data.loading import reduced_view
@@ -30,6 +29,7 @@ from mgsr.pipeline.run_metadata import scene_facts
 from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.run import Training
 from tests.data.fisheye import write_fisheye
+from tests.optional import present
 
 SHORT = [
     "warmup.surfel_iterations=20",
@@ -47,7 +47,7 @@ SHORT = [
     "model_selection.iterations=4",
     "model_selection.views=2",
     "transmitted_tv_weight=0.1",
-    "gaussians.depth_tv_weight=0.05",
+    "gaussian_depth_tv_weight=0.05",
     "curve_every=10",
     "mesh.view_scale=1",
     "mesh.poisson_depth=6",
@@ -92,7 +92,7 @@ def everything(scene: Scene, folder: Path) -> Iterator[tuple[str, object]]:
     assert mesh.textured is not None
     yield "texture", mesh.textured.picture
     rendered = list(render_views(models, scene.test, config))
-    behind = backdrop(scene, config.train.background).color
+    behind = scene.backdrop(config.train.background).color
     scores = image_scores(rendered, scene, behind)
     yield "scores", repr(scores)
     drawn = draw_surface(mesh, None, scene)
@@ -144,9 +144,13 @@ def test_the_hull_is_whole_where_images_cut_the_object_off(tmp_path: Path) -> No
     """
     scene = load_scene(write_fisheye(tmp_path / "scene"), DataConfig())
     assert scene.user_from_scene.scale == pytest.approx(0.8, rel=0.15)
-    cut = [((view.alpha > 127) & view.valid_mask & binary_dilation(~view.valid_mask)).sum() for view in scene.train]
+    pairs = [(present(view.alpha), present(view.valid_mask)) for view in scene.train]
+    cut = [((alpha > 127) & valid & binary_dilation(~valid)).sum() for alpha, valid in pairs]
     assert (np.array(cut) > 10).sum() >= 3
-    bare = [replace(view, alpha=np.where(view.valid_mask, view.alpha, np.uint8(0))) for view in scene.train]
+    bare = [
+        replace(view, alpha=np.where(present(view.valid_mask), present(view.alpha), np.uint8(0)))
+        for view in scene.train
+    ]
     hull = carve(scene_silhouettes(replace(scene, train=bare)), np.zeros(3), 1.05, 64)
     directions = np.random.default_rng(0).normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import torch
@@ -108,7 +109,7 @@ class PtxLauncher:
         return _Range(address, self._sizes[address])
 
 
-def _call(function, *arguments) -> str | None:
+def _call(function: Any, *arguments: Any) -> str | None:
     function.restype = ctypes.c_char_p
     result = function(*arguments)
     return None if result is None else result.decode()
@@ -125,7 +126,7 @@ def pointers_in(params: ctypes.Structure) -> Iterator[int]:
         yield from _pointers(getattr(params, name), kind)
 
 
-def _pointers(value, kind) -> Iterator[int]:
+def _pointers(value: Any, kind: Any) -> Iterator[int]:
     if issubclass(kind, Pointer):
         if value:
             yield value

@@ -7,6 +7,7 @@ import hashlib
 import os
 import subprocess
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,7 +20,15 @@ from tests.ptx_machine.translator import translate
 HERE = Path(__file__).resolve().parent
 BUILD = HERE.parents[1] / "build" / "ptx_machine"
 # No contraction: what is fused is what NVRTC fused.
-FLAGS = ("-std=c++17", "-O1", "-shared", "-fPIC", "-fno-gnu-unique", "-ffp-contract=off", "-frounding-math")
+FLAGS: tuple[str, ...] = (
+    "-std=c++17",
+    "-O1",
+    "-shared",
+    "-fPIC",
+    "-fno-gnu-unique",
+    "-ffp-contract=off",
+    "-frounding-math",
+)
 FLAGS += ("-Wall", "-Wextra", "-Wfloat-conversion", "-Werror", "-Wno-unused-label")
 TRANSLATOR = ("ptx", "operands", "arithmetic", "selections", "accesses", "meetings", "flow", "translator")
 
@@ -86,7 +95,7 @@ def _compile(code: str, library: Path) -> None:
     source.unlink()
 
 
-def _write_whole(path: Path, write) -> None:
+def _write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file that appears under its name complete or not at all: other processes may make the same one."""
     BUILD.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=BUILD) as folder:

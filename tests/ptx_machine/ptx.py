@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 from mgsr.errors import MgsrError
 
@@ -257,7 +258,7 @@ class _Body:
     def _with_own_names(self, text: str) -> str:
         for names in self._renamed:
             if names:
-                text = re.sub(r"%?[A-Za-z_$][\w$]*", lambda match, own=names: own.get(match[0], match[0]), text)
+                text = re.sub(r"%?[A-Za-z_$][\w$]*", partial(_own_name, names), text)
         return text
 
 
@@ -274,3 +275,7 @@ def split_operands(text: str) -> list[str]:
     """Split at commas; vectors {a, b} and addresses [a] stay whole."""
     parts = re.findall(r"(?:\{[^}]*\}|\[[^\]]*\]|[^,{\[])+", text)
     return [part.strip() for part in parts if part.strip()]
+
+
+def _own_name(names: dict[str, str], match: re.Match[str]) -> str:
+    return names.get(match[0], match[0])

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
+ROUND: dict[str, Callable[[Fraction], int]] = {"rn": round, "rz": math.trunc, "rm": math.floor, "rp": math.ceil}
 FORMATS = {"f32": (24, -149, np.float32), "f64": (53, -1074, np.float64)}
 
 
@@ -25,8 +26,7 @@ def rounded(exact: Fraction, kind: str, direction: str = "rn") -> float:
         exponent -= 1
     unit = Fraction(2) ** max(exponent - digits + 1, least)
     steps = exact / unit
-    whole = {"rn": round, "rz": math.trunc, "rm": math.floor, "rp": math.ceil}[direction](steps)
-    return float(whole * unit)
+    return float(ROUND[direction](steps) * unit)
 
 
 def exactly(operation: Callable[..., Fraction], kind: str, direction: str = "rn") -> Callable[..., np.ndarray]:

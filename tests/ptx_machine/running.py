@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 from mgsr.native.cuda.compiler import SOURCES
 from mgsr.native.cuda.params import pointer
@@ -12,7 +13,7 @@ from tests.ptx_machine.library import HERE, load_library
 
 
 def run(
-    source: str, kernel: str, blocks: int, threads: int, params: type, *arguments, order: Order = Order.ASCENDING
+    source: str, kernel: str, blocks: int, threads: int, params: type, *arguments: Any, order: Order = Order.ASCENDING
 ) -> None:
     """Launch a kernel of tests/ptx_machine/<source>; of the arguments, tensors become pointers."""
     launcher = PtxLauncher(order)

@@ -6,7 +6,7 @@ from tests.ptx_machine.arithmetic import FLOAT_TYPES, ROUNDINGS, Handler, assign
 from tests.ptx_machine.operands import CPP, REGISTER_BYTES, Scope, vector
 from tests.ptx_machine.ptx import Instruction
 
-COMPARISONS = ("eq", "ne", "lt", "le", "gt", "ge", "lo", "ls", "hi", "hs")
+COMPARISONS: tuple[str, ...] = ("eq", "ne", "lt", "le", "gt", "ge", "lo", "ls", "hi", "hs")
 COMPARISONS += ("equ", "neu", "ltu", "leu", "gtu", "geu", "num", "nan")
 COMBINED = {"and": "{} && {}", "or": "{} || {}", "xor": "{} != {}"}
 TO_WHOLE = ("rni", "rzi", "rmi", "rpi")

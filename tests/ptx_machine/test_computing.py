@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import torch
+from numpy.typing import ArrayLike
 
 from mgsr.native.cuda.params import Pointer
 from tests.cuda_shim.launcher import Order
@@ -85,11 +87,11 @@ def bits(which: np.ndarray) -> int:
 
 @pytest.mark.parametrize("order", list(Order))
 def test_votes_and_reductions(order: Order) -> None:
-    def of_warps(function) -> np.ndarray:
+    def of_warps(function: Callable[[np.ndarray], ArrayLike]) -> np.ndarray:
         """Return a function of a warp's threads, for each thread."""
         return np.concatenate([np.broadcast_to(function(np.arange(w, w + 32)), 32) for w in (0, 32)]).astype(np.int32)
 
-    def words(values) -> np.ndarray:
+    def words(values: ArrayLike) -> np.ndarray:
         return np.asarray(values, np.uint32).view(np.int32)
 
     assert_rows(
@@ -141,7 +143,7 @@ def test_local_arrays() -> None:
 
 
 def test_branches() -> None:
-    steps = [
+    steps: list[Callable[[np.float32], np.float32]] = [
         lambda x: x + 1,
         lambda x: x * 3,
         lambda x: -x,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -71,7 +72,7 @@ def test_a_family_passes_with_less_exact_instructions(name: str) -> None:
 
 @pytest.mark.parametrize("arch", [pytest.param(a, marks=[] if a == ARCH else pytest.mark.slow) for a in ARCHS])
 @pytest.mark.parametrize("source", FAMILIES, ids=lambda path: path.stem)
-def test_every_instruction_is_known(source, arch: str) -> None:
+def test_every_instruction_is_known(source: Path, arch: str) -> None:
     """Check that every instruction is known, also where no test executes it.
 
     Cards whose PTX the tests don't execute are among them.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from tests.ptx_machine.nvrtc import missing_tools
 from tests.ptx_machine.one_instruction import DTYPES, Case, execute
 from tests.ptx_machine.rounding import exactly
+
+Witness = Callable[..., np.ndarray]
 
 INTS = (0, 1, 2, 7, 31, 32, 255, 256, 65535, 65536, 2**31 - 1, -1, -2, -7, -32, -255, -65536, -(2**31), -(2**31) + 1)
 WORDS = tuple(n % 2**32 for n in INTS)
@@ -48,10 +51,10 @@ BOUNDS = {"s32": (-(2**31), 2**31 - 1), "u32": (0, 2**32 - 1), "s64": (-(2**63),
 BOUNDS |= {"s16": (-(2**15), 2**15 - 1), "u8": (0, 255)}
 
 
-def whole(function, kind):
+def whole(function: Callable[..., int], kind: str) -> Witness:
     """Return a function of Python's integers on arrays, wrapped around to the type."""
 
-    def apply(*arrays):
+    def apply(*arrays: np.ndarray) -> np.ndarray:
         bits = 8 * DTYPES[kind].itemsize
         results = [function(*row) % 2**bits for row in zip(*(a.tolist() for a in arrays), strict=True)]
         return np.array(results, f"uint{bits}").view(DTYPES[kind])
@@ -59,11 +62,18 @@ def whole(function, kind):
     return apply
 
 
-def single(name, kind, function, values, result=None):
+def single(name: str, kind: str, function: Witness, values: Sequence[float], result: str | None = None) -> Case:
     return Case(f"{name}.{kind} d, a", result or kind, (kind,), function, (values,))
 
 
-def integer(name, kind, function, values=None, result=None, count=2):
+def integer(
+    name: str,
+    kind: str,
+    function: Callable[..., int],
+    values: Sequence[int] | None = None,
+    result: str | None = None,
+    count: int = 2,
+) -> Case:
     values = values or {"2": SHORTS, "4": INTS, "8": LONGS}[str(DTYPES[kind].itemsize)]
     if DTYPES[kind].kind == "u":
         values = tuple(v % 2 ** (8 * DTYPES[kind].itemsize) for v in values)
@@ -72,16 +82,16 @@ def integer(name, kind, function, values=None, result=None, count=2):
     return Case(f"{name}.{kind} d, {operands}", result, (kind,) * count, whole(function, result), (values,) * count)
 
 
-def divided(a, b):
+def divided(a: int, b: int) -> int:
     return -1 if b == 0 else abs(a) // abs(b) * (1 if (a < 0) == (b < 0) else -1)
 
 
-def remainder(a, b):
+def remainder(a: int, b: int) -> int:
     return a if b == 0 else a - b * divided(a, b)
 
 
-def shifted(bits, signed, left):
-    def apply(a, by):
+def shifted(bits: int, signed: bool, left: bool) -> Callable[[int, int], int]:
+    def apply(a: int, by: int) -> int:
         if left:
             return a << by if by < bits else 0
         return a >> min(by, bits if signed else 1000)
@@ -89,7 +99,7 @@ def shifted(bits, signed, left):
     return apply
 
 
-def shift(name, kind, left):
+def shift(name: str, kind: str, left: bool) -> Case:
     bits, signed = 8 * DTYPES[kind].itemsize, kind[0] == "s"
     values = {16: SHORTS, 32: INTS, 64: LONGS}[bits]
     values = values if signed else tuple(v % 2**bits for v in values)
@@ -97,39 +107,42 @@ def shift(name, kind, left):
     return Case(f"{name}.{kind} d, a, b", kind, (kind, "u32"), witness, (values, AMOUNTS))
 
 
-def reversed_bits(n):
+def reversed_bits(n: int) -> int:
     return int(f"{n:032b}"[::-1], 2)
 
 
-def highest(n):
+def highest(n: int) -> int:
     """Return the place of the highest bit that differs from the sign, or all ones."""
     n = ~n if n < 0 else n
     return n.bit_length() - 1
 
 
-def permuted(a, b, selector):
+def permuted(a: int, b: int, selector: int) -> int:
     stored = (b << 32 | a).to_bytes(8, "little")
     nibbles = [selector >> 4 * i & 15 for i in range(4)]
     return int.from_bytes((stored[n & 7] if n < 8 else (255 if stored[n & 7] > 127 else 0) for n in nibbles), "little")
 
 
-def extracted(a, position, length):
-    return (a % 2**32) >> position & (2**length - 1)
+def extracted(a: int, position: int, length: int) -> int:
+    field: int = (a % 2**32) >> position & (2**length - 1)
+    return field
 
 
-def extracted_signed(a, position, length):
+def extracted_signed(a: int, position: int, length: int) -> int:
     if length == 0:
         return 0
     field = ((a << 300) >> (300 + position)) if position + length <= 32 else a >> min(position, 31)
     if position + length > 32 or length > 32:
         return field
     field &= 2**length - 1
-    return field - 2**length if field >> (length - 1) else field
+    signed: int = field - 2**length if field >> (length - 1) else field
+    return signed
 
 
-def inserted(a, b, position, length):
+def inserted(a: int, b: int, position: int, length: int) -> int:
     mask = (2**length - 1) << position & (2**32 - 1)
-    return b & ~mask | a << position & mask
+    whole_word: int = b & ~mask | a << position & mask
+    return whole_word
 
 
 INTEGERS = [
@@ -248,35 +261,37 @@ INTEGERS = [
 ]
 
 
-def flushed(x):
+def flushed(x: np.ndarray) -> np.ndarray:
     return np.where(np.abs(x) < np.finfo(np.float32).tiny, np.copysign(np.float32(0), x), x).astype(np.float32)
 
 
-def with_ftz(function):
+def with_ftz(function: Witness) -> Witness:
     return lambda *arrays: flushed(function(*map(flushed, arrays)))
 
 
-def saturated(x):
+def saturated(x: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(x), np.float32(0), np.clip(x, 0, 1)).astype(x.dtype)
 
 
-def least(a, b):
+def least(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return minNum: NaN gives way, and -0 is less than +0."""
     lower = np.where((a == b) & np.signbit(b), b, np.where(b < a, b, a))
     return np.where(np.isnan(a), b, np.where(np.isnan(b), a, lower)).astype(a.dtype)
 
 
-def greatest(a, b):
+def greatest(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return -least(-a, -b)
 
 
-def floats(name, kind, function, values=FLOATS, count=2, tolerance=0):
+def floats(
+    name: str, kind: str, function: Witness, values: Sequence[float] = FLOATS, count: int = 2, tolerance: int = 0
+) -> Case:
     return Case(
         f"{name}.{kind} d, {', '.join('abc'[:count])}", kind, (kind,) * count, function, (values,) * count, tolerance
     )
 
 
-def product_and_sum(a, b, c):
+def product_and_sum(a: Fraction, b: Fraction, c: Fraction) -> Fraction:
     return a * b + c
 
 
@@ -329,11 +344,11 @@ ARITHMETIC = [
 ]
 
 
-def to_whole(round_, kind, wide=False):
+def to_whole(round_: Callable[[float], int], kind: str, wide: bool = False) -> Witness:
     """Return a float as an integer, with PTX's values for what doesn't fit."""
     low, high = BOUNDS[kind]
 
-    def convert(value):
+    def convert(value: float) -> int:
         if math.isnan(value):
             bits = 8 * DTYPES[kind].itemsize
             return 2 ** (bits - 1) if wide or bits == 64 else 0
@@ -342,11 +357,11 @@ def to_whole(round_, kind, wide=False):
     return whole(convert, kind)
 
 
-def fraction_of(x):
+def fraction_of(x: float) -> Fraction:
     return Fraction(x)
 
 
-WHOLE = {"rni": round, "rzi": math.trunc, "rmi": math.floor, "rpi": math.ceil}
+WHOLE: dict[str, Callable[[float], int]] = {"rni": round, "rzi": math.trunc, "rmi": math.floor, "rpi": math.ceil}
 CONVERSIONS = [
     *(
         Case(f"cvt.{name}.{kind}.{source} d, a", kind, (source,), to_whole(rule, kind, source == "f64"), (ROUNDED,))
@@ -378,8 +393,9 @@ CONVERSIONS = [
 ]
 
 
-def unordered(a, b):
-    return np.isnan(a) | np.isnan(b)
+def unordered(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    no_order: np.ndarray = np.isnan(a) | np.isnan(b)
+    return no_order
 
 
 ORDERS = {"eq": np.equal, "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal}
@@ -461,7 +477,8 @@ def tools() -> None:
 def units(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return how many floats lie between two, of the same sign."""
     integer_type = f"int{8 * a.dtype.itemsize}"
-    return np.abs(a.view(integer_type) - b.view(integer_type))
+    apart: np.ndarray = np.abs(a.view(integer_type) - b.view(integer_type))
+    return apart
 
 
 @pytest.mark.parametrize("number", range(len(CASES)), ids=[case.instruction.replace(" d, a", "") for case in CASES])

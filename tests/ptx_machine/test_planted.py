@@ -17,6 +17,7 @@ from tests.cuda import test_gaussians, test_harmonics, test_surfels
 from tests.cuda.machines import PTX, Machine
 from tests.ops.splat_scenes import camera, random_splats
 from tests.ops.test_gaussians import dual_splats
+from tests.ops.test_harmonics import scene
 
 Workload = Callable[[Machine], object]
 VIEW = camera(18, 17, off_center=False)  # 2 x 2 tiles, most of them cut off by the image's border
@@ -40,7 +41,7 @@ def surfels(machine: Machine) -> object:
 
 
 def harmonics(machine: Machine) -> object:
-    coeffs, means, v_rgb = test_harmonics.scene(64, 16)
+    coeffs, means, v_rgb = scene(64, 16)
     return test_harmonics.on(machine, coeffs, means, 3, v_rgb)
 
 

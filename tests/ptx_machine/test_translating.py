@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import torch
 
 from mgsr.native.cuda import compiler
 from mgsr.native.cuda.params import Int, Pointer, pointer
+from tests.optional import present
 from tests.ptx_machine.launcher import PtxLauncher, pointers_in
 from tests.ptx_machine.nvrtc import ARCH, missing_tools, options
 from tests.ptx_machine.one_instruction import Case, execute, module_text
@@ -114,7 +116,7 @@ def test_noise_moves_approximate_results(tools: None) -> None:
     assert (noisy > exact).any() and (noisy < exact).any()
 
 
-def test_compiled_as_for_a_card(tools: None, monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
+def test_compiled_as_for_a_card(tools: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Check that kernels are compiled as for a card, with line numbers besides."""
     import cuda.core
 
@@ -148,7 +150,7 @@ def test_the_latest_tensor_at_an_address_gives_the_size() -> None:
     with launcher.noting_tensors():
         pointer(numbers)
         assert launcher._range(numbers.data_ptr()).bytes == 40
-        assert launcher._range(pointer(numbers[:3])).bytes == 12
+        assert launcher._range(present(pointer(numbers[:3]))).bytes == 12
     assert torch.Tensor.data_ptr is torch._C.TensorBase.data_ptr
     with pytest.raises(AssertionError, match="no tensor that was noted"):
         launcher._range(8)

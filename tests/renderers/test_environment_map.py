@@ -28,7 +28,8 @@ def camera() -> Camera:
 def normals(generator: np.random.Generator) -> np.ndarray:
     """Draw normals towards the camera, of odd lengths."""
     raw = generator.normal(size=(16, 24, 3)) * 0.6 - [0, 0, 1.5]
-    return raw @ camera().cam_from_world[:3, :3] * generator.uniform(0.2, 1.0, size=(16, 24, 1))
+    in_world: np.ndarray = raw @ camera().cam_from_world[:3, :3] * generator.uniform(0.2, 1.0, size=(16, 24, 1))
+    return in_world
 
 
 def environment_map_directions(normal: np.ndarray) -> np.ndarray:
@@ -40,7 +41,8 @@ def environment_map_directions(normal: np.ndarray) -> np.ndarray:
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
     turned = np.eye(3) - 2 * unit[..., :, None] * unit[..., None, :]
-    return (turned @ rays[..., None])[..., 0]
+    mirrored: np.ndarray = (turned @ rays[..., None])[..., 0]
+    return mirrored
 
 
 def unfolded(side: int) -> np.ndarray:
@@ -50,12 +52,14 @@ def unfolded(side: int) -> np.ndarray:
     x = np.where(z < 0, (1 - np.abs(rows)) * np.sign(columns), columns)
     y = np.where(z < 0, (1 - np.abs(columns)) * np.sign(rows), rows)
     directions = np.stack([x, y, z], axis=-1)
-    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    unit: np.ndarray = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    return unit
 
 
 def glow(directions: np.ndarray) -> np.ndarray:
     """Return a smooth light of each direction [...,3], another one in each channel."""
-    return 0.5 + 0.2 * directions + 0.2 * directions[..., [1, 2, 0]] * directions[..., [2, 0, 1]]
+    light: np.ndarray = 0.5 + 0.2 * directions + 0.2 * directions[..., [1, 2, 0]] * directions[..., [2, 0, 1]]
+    return light
 
 
 def light(scene: np.ndarray, held: np.ndarray) -> EnvironmentMap:
@@ -132,6 +136,7 @@ def test_nothing_there_gives_finite_light_and_gradients() -> None:
     lit = EnvironmentMap.uniform(8, 0.01)
     lit.logits.requires_grad_()
     reflected_environment(lit, camera(), normal).sum().backward()
+    assert lit.logits.grad is not None
     assert normal.grad is not None and torch.isfinite(normal.grad).all() and torch.isfinite(lit.logits.grad).all()
 
 
@@ -151,15 +156,15 @@ def test_maps_come_back_from_their_own_values() -> None:
 
 def test_a_reflector_mirrors_at_its_own_normals_and_once_more_where_it_meets_itself() -> None:
     lit = light(glow(unfolded(SIDE)), np.zeros((SIDE, SIDE, 3)))
-    lit.reflector = Reflector(*corner())
+    lit.reflector = Reflector(corner())
     lit.logits[-1] = torch.tensor([0.2, 0.5, 0.8]).logit()
     lit.logits.requires_grad_()
     view = corner_camera()
     shown = reflected_environment(lit, view)
     seen = lit.reflector.seen_by(view, torch.device("cpu"))
-    twice = np.zeros(view.height * view.width, bool)
-    twice[seen.bounced.numpy()] = True
-    twice = twice.reshape(view.height, view.width)
+    bounced = np.zeros(view.height * view.width, bool)
+    bounced[seen.bounced.numpy()] = True
+    twice = bounced.reshape(view.height, view.width)
     assert 0.1 < twice.mean() < 0.9
     # Two mirrors at a right angle throw the sight back but for its part along their edge, y.
     back = sights(view) * [-1, 1, -1]

@@ -7,7 +7,7 @@ import torch
 
 from mgsr.gaussians.gaussians import GaussianModel
 from mgsr.renderers.gaussians import render_gaussians
-from tests.ops.splat_scenes import camera
+from tests.ops.splat_scenes import camera, splat_arguments
 from tests.oracles import gaussians as oracle
 
 
@@ -24,8 +24,8 @@ def test_splats_are_drawn_with_their_own_low_pass(low_pass: float) -> None:
     ).detached()
     view = camera()
     center = torch.tensor(view.center, dtype=torch.float32)
-    tensors = (model.means, model.quats, model.scales(), model.opacities(), model.colors(center), torch.zeros(3))
-    *splats, black = (tensor.double() for tensor in tensors)
-    expected = oracle.render(*splats, view, black, low_pass=low_pass)
+    tensors = (model.means, model.quats, model.scales(), model.opacities(), model.colors(center))
+    splats = splat_arguments(tensor.double() for tensor in tensors)
+    expected = oracle.render(*splats, view, torch.zeros(3).double(), low_pass=low_pass)
     assert expected.alpha.max() > 0.3
     assert (render_gaussians(model, view).alpha - expected.alpha).abs().max() < 1e-5

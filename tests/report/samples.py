@@ -8,7 +8,7 @@ import numpy as np
 
 from mgsr.report.data import CurvePoint, MeshFacts, ReportData, StageRun
 from mgsr.report.pictures import ReportPictures, SurfacePictures, TestViewPictures
-from mgsr.report.shading import TriangleMesh
+from mgsr.report.shading import PaintedMesh
 
 
 def sample_report(scene: str = "bunny_flash", command: str = "mgsr-worker run bunny_flash -o out") -> ReportData:
@@ -47,7 +47,7 @@ def sample_pictures(name: str = "r_0", views: int = 2, size: int = 24) -> Report
     return ReportPictures(shown, (), SurfacePictures())
 
 
-def ball(radius: float = 1.0, rings: int = 24) -> TriangleMesh:
+def ball(radius: float = 1.0, rings: int = 24) -> PaintedMesh:
     """Build a sphere round the origin from a grid of angles, with exact normals."""
     polar, around = np.meshgrid(np.linspace(0, np.pi, rings), np.linspace(0, 2 * np.pi, 2 * rings), indexing="ij")
     ring = np.sin(polar)
@@ -55,7 +55,7 @@ def ball(radius: float = 1.0, rings: int = 24) -> TriangleMesh:
     index = np.arange(rings * 2 * rings).reshape(rings, 2 * rings)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return TriangleMesh(radius * normals, faces, normals)
+    return PaintedMesh(radius * normals, faces).with_normals(normals)
 
 
 def _curve() -> list[CurvePoint]:

@@ -22,15 +22,15 @@ def test_every_stage_says_why_it_ended() -> None:
 def test_the_light_is_told() -> None:
     sample = sample_report()
     told = tell_decisions(replace(sample, other={**sample.other, "light": "flash"}))
-    assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["a flash on the camera"]
+    assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["a flash on the camera"]
     without = {"light": "unknown", "settings": {"mesh": {"max_light_residual": None}}}
     told = tell_decisions(replace(sample, other={**sample.other, **without}))
-    assert [each.choice for each in told if each.what == "Light that the mesh heeds"] == ["not looked at"]
+    assert [each.choice for each in told if each.what == "Light model of the mesh"] == ["not looked at"]
 
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_start_that_was_kept_is_told(kept: bool) -> None:
-    told = tell_decisions(replace(sample_report(), other={"light": "surroundings", "start_kept": kept}))
+    told = tell_decisions(replace(sample_report(), other={"light": "environment", "start_kept": kept}))
     assert [each.choice for each in told if each.what == "Surface that was refined"] == (
         ["the one that training began on"] if kept else []
     )
@@ -48,16 +48,16 @@ def test_a_flash_is_told_with_its_place() -> None:
 @pytest.mark.parametrize(
     ("light", "masked", "moved", "choice", "why"),
     [
-        ("surroundings", True, True, "used", "stands still"),
+        ("environment", True, True, "used", "stands still"),
         ("flash", True, True, "used", "flash"),
         ("unknown", False, False, "not used", "masks"),
         ("unknown", True, False, "not used", "photometric_reach"),
     ],
 )
-def test_parallax_is_told_with_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:
-    other = {"light": light, "input": {"masked": masked}, "parallax": moved}
+def test_photometric_refinement_has_its_reason(light: str, masked: bool, moved: bool, choice: str, why: str) -> None:
+    other = {"light": light, "input": {"masked": masked}, "mesh_steps": {"photometric_refinement": {}} if moved else {}}
     told = {each.what: each for each in tell_decisions(replace(sample_report(), other=other))}
-    decision = told["Parallax that moved the surface"]
+    decision = told["Photometric refinement of the surface"]
     assert decision.choice == choice and why in decision.why
 
 

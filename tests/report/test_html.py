@@ -118,7 +118,8 @@ def test_a_view_of_one_branch_shows_what_there_is() -> None:
 
 def test_a_view_under_a_flash_shows_even_light_in_two_rows() -> None:
     picture = np.zeros((8, 12, 3), np.uint8)
-    view = TestViewPictures("view", *[picture] * 7, unlit=picture)
+    of_all = (picture, picture, picture, picture, picture, picture, picture)
+    view = TestViewPictures("view", *of_all, unlit=picture)
     page = report_page(sample_report(), ReportPictures([view]))
     assert "even light, no flash" in page and 'class="row four hero"' in page
     assert "even light" not in report_page(sample_report(), ReportPictures([replace(view, unlit=None)]))

@@ -7,7 +7,7 @@ import pytest
 
 from mgsr.data.camera import Camera
 from mgsr.report.pictures import depth_picture, normal_picture, ramp
-from mgsr.report.shading import MeshPainter, TriangleMesh, side_camera, surface_pictures, up_direction
+from mgsr.report.shading import MeshPainter, PaintedMesh, side_camera, surface_pictures, up_direction
 from tests.report.samples import ball
 
 UP, FRONT = np.array((0.0, 0.0, 1.0)), np.array((0.0, -3.0, 0.5))
@@ -37,10 +37,8 @@ def test_what_is_hidden_is_dark_without_grain(monkeypatch: pytest.MonkeyPatch) -
     vertices = np.concatenate([ball().vertices, corners])
     plate = len(ball().vertices) + np.array([[0, 1, 2], [0, 2, 3]])
     up = np.broadcast_to(UP, corners.shape)
-    assert ball().normals is not None
-    painter = MeshPainter(
-        TriangleMesh(vertices, np.concatenate([ball().faces, plate]), np.concatenate([ball().normals, up]))
-    )
+    mesh = PaintedMesh(vertices, np.concatenate([ball().faces, plate]))
+    painter = MeshPainter(mesh.with_normals(np.concatenate([ball().normals, up])))
     camera = side_camera(painter, UP, FRONT, 0.0, 256)
     quick = painter.shaded(camera).astype(float)
     monkeypatch.setattr("mgsr.report.shading.OCCLUSION_SPREAD", 0)
@@ -75,7 +73,7 @@ def test_distance_colours_follow_the_distance() -> None:
 
 def test_four_sides_of_each_kind_and_the_same_twice() -> None:
     mesh = ball()
-    colored = TriangleMesh(mesh.vertices, mesh.faces, mesh.normals, np.full_like(mesh.vertices, 0.4))
+    colored = PaintedMesh(mesh.vertices, mesh.faces, np.full_like(mesh.vertices, 0.4)).with_normals(mesh.normals)
     first, second = (surface_pictures(colored, UP, FRONT, mesh, size=24) for _ in range(2))
     for kind in ("shaded", "colored", "distance"):
         assert len(getattr(first, kind)) == 4

@@ -56,7 +56,7 @@ ALL_SAME = [level(azimuth, 40) for azimuth in (-4, -2, 0, 2, 4)]
         (Rotation.from_euler("y", 90, degrees=True), (1, 0, 0)),
     ],
 )
-def test_axes_are_taken_as_they_are(views: list[np.ndarray], turn: Rotation | None, axis: tuple) -> None:
+def test_axes_are_taken_as_they_are(views: list[np.ndarray], turn: Rotation | None, axis: tuple[int, int, int]) -> None:
     np.testing.assert_allclose(up_direction(cameras(views, turn)), axis, atol=1e-12)
 
 

@@ -5,6 +5,8 @@ tests/pipeline/test_object.py has a quick check of the masks in a whole run.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -39,6 +41,7 @@ def test_masks_are_those_of_the_object(found: tuple[FoundObject, list[np.ndarray
 @pytest.mark.slow
 def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject, list[np.ndarray]]) -> None:
     result, _ = found
+    assert result.plane is not None
     assert result.plane.normal @ [0, 0, 1] > 0.999
     assert abs(result.plane.heights(np.array([[0.0, 0.0, TABLE]]))[0]) < 0.02
     low, high = result.box
@@ -58,7 +61,7 @@ def test_the_table_is_found_and_not_part_of_the_object(found: tuple[FoundObject,
         ),
     ],
 )
-def test_a_capture_without_a_single_object_is_left_whole(options: dict, reason: str) -> None:
+def test_a_capture_without_a_single_object_is_left_whole(options: dict[str, Any], reason: str) -> None:
     scene, _ = table_scene(**options)
     result = find_object(scene, starting_points(scene, 8000, 0), 0)
     assert isinstance(result, NoObject)

@@ -38,7 +38,7 @@ TINY_OPTIONS: dict[str, Any] = {"preset": "draft", "method": "2dgs", "settings":
 LONG_OPTIONS: dict[str, Any] = {
     "preset": "draft",
     "method": "2dgs",
-    "settings": TINY | {"train.warmup.surfel_iterations": 100_000, "train.warmup.stop_rule": "none"},
+    "settings": TINY | {"train.warmup.surfel_iterations": 100_000, "train.paper.stop_rule": "none"},
 }
 # Seconds in which a job that trains is gone after a cancel: what it is given for its checkpoint, and some to spare.
 STOPPED = Settings.model_fields["stop_grace"].default + 10.0

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
 from tests.service.stack import TINY_OPTIONS, Stack
 
-Event = tuple[str, str, dict]
+Event = tuple[str, str, dict[str, Any]]
 
 
 def listen(stack: Stack, job: str, after: str | None = None) -> Iterator[Event]:

@@ -99,7 +99,7 @@ def test_three_hundred_who_poll_and_fifty_who_follow(tmp_path: Path, tiny_archiv
     between the first and the second, with the clients' own work, is printed too. Needs two idle cores: one trains, the
     other serves and asks.
     """
-    settings = TINY | {"train.warmup.surfel_iterations": 1_000_000, "train.warmup.stop_rule": "none"}
+    settings = TINY | {"train.warmup.surfel_iterations": 1_000_000, "train.paper.stop_rule": "none"}
     alone = crowded = burdened = Pace(0.0, 0, {})
     took: list[float] = []
     events: list[int] = []

@@ -99,7 +99,7 @@ def _wait_for(port: int) -> None:
 def test_results_come_from_the_bucket_itself(
     bucket: tuple[dict[str, str], Gate], tmp_path: Path, tiny_archive: bytes
 ) -> None:
-    with Stack(tmp_path, **bucket[0]) as stack:
+    with Stack(tmp_path, 1, **bucket[0]) as stack:
         same = {"Idempotency-Key": "once"}
         jobs = {stack.submit(tiny_archive, TINY_OPTIONS, **same).json()["id"] for _ in range(2)}
         (job,) = jobs
@@ -128,7 +128,7 @@ def test_a_bucket_that_is_away_costs_no_job(
 ) -> None:
     """Check a bucket that is away while the job trains, writes checkpoints and wants to publish."""
     settings, gate = bucket
-    with Stack(tmp_path, MGSR_CHECKPOINT_SECONDS="1", **settings) as stack:
+    with Stack(tmp_path, 1, MGSR_CHECKPOINT_SECONDS="1", **settings) as stack:
         options = LONG_OPTIONS | {"settings": TINY | {"train.warmup.surfel_iterations": 1000}}
         job = stack.submitted(tiny_archive, options)
         stack.wait_for(job, "running", step="train")

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -75,9 +76,10 @@ def wait_until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
         time.sleep(0.1)
 
 
-def job_of(address: str) -> dict:
+def job_of(address: str) -> dict[str, Any]:
     (found,) = httpx.get(f"{address}/jobs").json()["jobs"]
-    return httpx.get(f"{address}/jobs/{found['id']}").json()
+    job: dict[str, Any] = httpx.get(f"{address}/jobs/{found['id']}").json()
+    return job
 
 
 def test_ctrl_c_leaves_no_process(tmp_path: Path) -> None:
@@ -102,7 +104,7 @@ def test_serve_submit_and_stop(tmp_path: Path, tiny_archive: bytes) -> None:
         ran = run(home, "submit", str(scene), "--wait", "-o", str(tmp_path / "out"), *options)
         assert ran.returncode == 0, ran.stdout + ran.stderr
         assert "train" in ran.stdout and "mesh.ply" in ran.stdout
-        assert len(trimesh.load(tmp_path / "out/mesh.ply").faces) > 500
+        assert len(trimesh.load_mesh(tmp_path / "out/mesh.ply").faces) > 500
         assert (tmp_path / "out/report.html").exists() and (tmp_path / "out/renders/test/r_0.png").exists()
         job = httpx.get(f"http://127.0.0.1:{port}/jobs").json()["jobs"][0]["id"]
         again = run(home, "fetch", job, "-o", str(tmp_path / "again"), "--server", f"http://127.0.0.1:{port}")
@@ -121,8 +123,8 @@ def test_a_job_survives_a_stop_and_a_kill_of_everything(tmp_path: Path, tiny_arc
     home.mkdir()
     address = f"http://127.0.0.1:{port}"
     with serving(home, port) as process:
-        body = {"content": tiny_archive, "headers": {"Content-Type": "application/zip"}}
-        httpx.post(f"{address}/jobs", params={"options": json.dumps(LONG_OPTIONS)}, timeout=30, **body)
+        query, head = {"options": json.dumps(LONG_OPTIONS)}, {"Content-Type": "application/zip"}
+        httpx.post(f"{address}/jobs", params=query, timeout=30, content=tiny_archive, headers=head)
         wait_until(lambda: job_of(address)["step"] == "train", START_SECONDS)
         process.send_signal(signal.SIGINT)
         process.wait(40)

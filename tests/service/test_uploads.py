@@ -32,7 +32,7 @@ ZIP = "Content-Type: application/zip"
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     """Yield a service with small limits."""
-    with Stack(tmp_path_factory.mktemp("strict"), **LIMITS) as running:
+    with Stack(tmp_path_factory.mktemp("strict"), 1, **LIMITS) as running:
         yield running
 
 
@@ -156,7 +156,7 @@ def test_what_is_malformed_is_refused(strict: Stack, kind: str, body: bytes, sta
         ({"data.masks": "maybe"}, "auto, object, ignore, off"),
         ({"every": 3}, "ambiguous"),
         ({"train.volumes.max_start": 9}, "write 'train.gaussians.max_start'"),
-        ({"train.tv": 1}, "true or false"),
+        ({"train.paper.tv": 1}, "true or false"),
     ],
 )
 def test_a_wrong_setting_is_named_with_the_cure(strict: Stack, settings: dict[str, object], said: str) -> None:

@@ -23,7 +23,8 @@ Paint = Callable[[np.ndarray], np.ndarray]  # points [...,3] -> colours [...,3]
 def painted(points: np.ndarray) -> np.ndarray:
     """Return a paint [...,3] that changes over some six pixels, and differently along every axis."""
     waves = np.sin(points @ (np.array([[47, 11, 5], [-9, 43, 13], [7, -15, 45.0]]).T))
-    return 0.5 + 0.25 * waves
+    colors: np.ndarray = 0.5 + 0.25 * waves
+    return colors
 
 
 def flash_photographs(mesh: trimesh.Trimesh, paint: Paint) -> list[View]:

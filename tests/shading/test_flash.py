@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from mgsr.geometry.raycast import RayCaster
-from mgsr.shading.explained import Explained
-from mgsr.shading.flash import Flash, explain_by_flash
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.ambient_occlusion import AmbientOcclusion
+from mgsr.shading.flash import Flash, normals_from_flash
 from mgsr.shading.flash_fit import fit_flash
-from mgsr.shading.hollows import Hollows
-from mgsr.shading.readings import Photograph, Readings, read_photographs
-from tests.mesh.shapes import cameras_around, looking_at_origin
+from mgsr.shading.observations import LinearPhotograph, Observations, observe_photographs
+from mgsr.shading.target_normals import TargetNormals
+from tests.mesh.shapes import as_mesh, cameras_around, joined, looking_at_origin
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
 POINTS = np.asarray(BALL.vertices)
@@ -21,16 +21,16 @@ CAMERAS = cameras_around(40)
 LIGHT = Flash(right=0.15, down=-0.25, ambient=0.03, bounced=0.1)
 
 
-def hollows() -> Hollows:
-    """Return ambient occlusion and interreflection as if the ball had some: open and thrown change along it."""
+def occlusion() -> AmbientOcclusion:
+    """Return ambient occlusion and interreflection as if the ball had some: both change along it."""
     x, y, z = NORMALS.T
-    thrown = 0.1 * (1 + np.sin(4 * y))[:, None] * (1 + 0.5 * np.cos(np.arange(len(CAMERAS))))
-    return Hollows(RayCaster(POINTS, BALL.faces), np.asarray(BALL.faces), 0.7 + 0.3 * np.sin(5 * x) * z, thrown)
+    interreflection = 0.1 * (1 + np.sin(4 * y))[:, None] * (1 + 0.5 * np.cos(np.arange(len(CAMERAS))))
+    return AmbientOcclusion(Mesh(POINTS, np.asarray(BALL.faces)), 0.7 + 0.3 * np.sin(5 * x) * z, interreflection)
 
 
-def readings(light: Flash, gloss: float = 0.0) -> Readings:
+def observations(light: Flash, gloss: float = 0.0) -> Observations:
     """Compute each photograph's brightness at each of the ball's points, one by one."""
-    seen, columns = hollows(), []
+    seen, columns = occlusion(), []
     for index, camera in enumerate(CAMERAS):
         right, down, _ = camera.cam_from_world[:3, :3]
         lamp = camera.center + light.right * right + light.down * down
@@ -39,12 +39,15 @@ def readings(light: Flash, gloss: float = 0.0) -> Readings:
         cosine = (NORMALS * eye).sum(1) / distance
         shade = np.clip((NORMALS * lit).sum(1) / away, 0, 1) / away**2
         paint = 0.5 + 0.2 * np.sin(7 * POINTS[:, 2])
-        brightness = paint * (shade + light.ambient * seen.open + light.bounced * seen.thrown[:, index])
+        brightness = paint * (
+            shade + light.ambient * seen.sky_visibility + light.bounced * seen.interreflection[:, index]
+        )
         brightness += gloss * np.maximum(cosine, 0) ** 80
         weights = np.where(cosine > 0.25, cosine, 0)
         columns.append((eye / distance[:, None], distance, brightness, weights, np.full(len(POINTS), index)))
-    towards, distances, brightness, weights, numbers = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
-    return Readings(*(part.astype(np.float32) for part in (towards, distances, brightness, weights)), numbers)
+    *parts, numbers = (np.stack(part, axis=1) for part in zip(*columns, strict=True))
+    view_directions, distances, brightness, weights = (part.astype(np.float32) for part in parts)
+    return Observations(view_directions, distances, brightness, weights, numbers)
 
 
 def tilted(degrees: float) -> np.ndarray:
@@ -52,8 +55,8 @@ def tilted(degrees: float) -> np.ndarray:
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
-def explain(seen: Readings, light: Flash) -> Explained:
-    return explain_by_flash(seen, POINTS, tilted(8), light, CAMERAS, hollows())
+def explain(seen: Observations, light: Flash) -> TargetNormals:
+    return normals_from_flash(seen, POINTS, tilted(8), light, CAMERAS, occlusion())
 
 
 def off(normals: np.ndarray) -> np.ndarray:
@@ -63,7 +66,7 @@ def off(normals: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("gloss", [0.0, 0.2])
 def test_normals_come_back(gloss: float) -> None:
-    seen = readings(LIGHT, gloss)
+    seen = observations(LIGHT, gloss)
     assert off(tilted(8)).mean() > 5
     assert off(explain(seen, LIGHT).normals).mean() < 0.8
     assert off(explain(seen, Flash()).normals).mean() > 3
@@ -76,7 +79,7 @@ def test_the_lamp_is_found(light: Flash, noise: float, aside: float, ambient: fl
     rough = NORMALS + np.random.default_rng(1).normal(scale=noise, size=NORMALS.shape)
     rough /= np.linalg.norm(rough, axis=1, keepdims=True)
     assert off(rough).mean() > 60 * noise
-    found = fit_flash(readings(light, 0.1), POINTS, rough, CAMERAS, hollows(), Flash())
+    found = fit_flash(observations(light, 0.1), POINTS, rough, CAMERAS, occlusion(), Flash())
     assert abs(found.right - light.right) < aside and abs(found.down - light.down) < aside
     assert abs(found.ambient - light.ambient) < ambient
     assert abs(found.bounced - light.bounced) < 0.02
@@ -93,19 +96,21 @@ def test_lamps_are_where_the_image_has_its_right_and_its_lower_side() -> None:
 
 
 def test_nothing_seen_leaves_the_light_as_it_was() -> None:
-    blind = readings(LIGHT)
-    blind = Readings(blind.towards, blind.distances, blind.brightness, 0 * blind.weights, blind.photographs)
-    assert fit_flash(blind, POINTS, NORMALS, CAMERAS, hollows(), LIGHT) == LIGHT
-    assert not explain(blind, LIGHT).sure.any()
+    blind = observations(LIGHT)
+    blind = Observations(blind.view_directions, blind.distances, blind.brightness, 0 * blind.weights, blind.photographs)
+    assert fit_flash(blind, POINTS, NORMALS, CAMERAS, occlusion(), LIGHT) == LIGHT
+    assert not explain(blind, LIGHT).confidence.any()
 
 
 def test_points_whose_readings_disagree_are_not_trusted() -> None:
-    seen = readings(LIGHT)
+    seen = observations(LIGHT)
     brightness, odd = seen.brightness.copy(), np.arange(len(POINTS)) % 2 == 0
     brightness[odd] *= np.random.default_rng(0).uniform(0.5, 1.5, brightness[odd].shape)
-    sure = explain(Readings(seen.towards, seen.distances, brightness, seen.weights, seen.photographs), LIGHT).sure
-    assert sure[odd].mean() < 0.2
-    assert sure[~odd].mean() > 0.9
+    confidence = explain(
+        Observations(seen.view_directions, seen.distances, brightness, seen.weights, seen.photographs), LIGHT
+    ).confidence
+    assert confidence[odd].mean() < 0.2
+    assert confidence[~odd].mean() > 0.9
 
 
 def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
@@ -114,12 +119,15 @@ def test_a_vertex_in_the_shadow_of_the_lamp_is_not_read() -> None:
     plate = trimesh.creation.box((1.0, 1.0, 0.01)).subdivide().subdivide().subdivide()
     screen = trimesh.creation.box((0.01, 1.0, 0.3))
     screen.apply_translation((0.0, 0.0, 0.155))
-    both = trimesh.util.concatenate([plate, screen])
+    both = joined(plate, screen)
     even = np.ones((96, 96), np.float32)
     lamp = np.array([[2.0, 0.0, 2.0]])  # from the right, at 45 degrees
     read = [
-        read_photographs(
-            both.vertices, both.faces, both.vertex_normals, [Photograph(camera, even, even)], 0.005, lamps=lamps
+        observe_photographs(
+            as_mesh(both),
+            [LinearPhotograph(camera, even, even)],
+            0.005,
+            lamps=lamps,
         )
         for lamps in (None, lamp)
     ]

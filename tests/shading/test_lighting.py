@@ -11,9 +11,10 @@ import trimesh
 from mgsr.data.camera import Camera
 from mgsr.data.images import srgb_to_linear
 from mgsr.data.scene import Scene, Similarity
+from mgsr.geometry.mesh import Mesh
 from mgsr.shading.lighting import DIMMEST, Lighting, lit_scene
 from tests.mesh.shapes import looking_at_origin
-from tests.shading.test_refine import flash, photographs, refine, rippled
+from tests.shading.test_shape_from_shading import flash, photographs, refine, rippled
 
 RADIUS, BEFORE = 0.3, np.array([0.0, 0.0, 0.5])  # of the ball, and its centre before the wall z = 0
 RIGHT, DOWN, LAMP, BESIDES = 0.4, -0.3, 3.0, 0.1
@@ -27,8 +28,8 @@ def ball_and_wall() -> Lighting:
     faces = np.concatenate([corner[:, None] + [0, 1, 42], corner[:, None] + [0, 42, 41]])
     vertices = np.concatenate([ball.vertices, np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)])
     faces = np.concatenate([ball.faces, faces + len(ball.vertices)])
-    besides = np.full(len(vertices), BESIDES)
-    return Lighting(vertices, faces, besides, np.arange(len(vertices)), RIGHT, DOWN, LAMP)
+    ambient = np.full(len(vertices), BESIDES)
+    return Lighting(Mesh(vertices, faces), ambient, np.arange(len(vertices)), RIGHT, DOWN, LAMP)
 
 
 def camera(side: int = 512) -> Camera:
@@ -111,20 +112,20 @@ def test_who_sees_nothing_meets_full_light() -> None:
 
 def test_places_that_are_not_known_are_lit_as_others() -> None:
     whole = ball_and_wall()
-    inside_out = replace(whole, faces=whole.faces[:, ::-1])
+    inside_out = replace(whole, mesh=Mesh(whole.mesh.vertices, whole.mesh.faces[:, ::-1]))
     dark = inside_out.seen_by(camera())
     assert np.percentile(dark, 99) == round(255 * BESIDES ** (1 / 2.4))
     # Every vertex of the ball as its topmost: one light for the ball.
-    ball = np.linalg.norm(whole.vertices - BEFORE, axis=1) < RADIUS + 1e-6
-    like = np.where(ball, np.argmax(np.where(ball, whole.vertices[:, 2], -1)), whole.like)
-    found, plain = (each.seen_by(camera()) for each in (replace(whole, like=like), whole))
+    ball = np.linalg.norm(whole.mesh.vertices - BEFORE, axis=1) < RADIUS + 1e-6
+    proxy_vertex = np.where(ball, np.argmax(np.where(ball, whole.mesh.vertices[:, 2], -1)), whole.proxy_vertex)
+    found, plain = (each.seen_by(camera()) for each in (replace(whole, proxy_vertex=proxy_vertex), whole))
     pixels, _ = camera().project(BEFORE + np.array([[0, 0, RADIUS], [0.15, 0.1, 0.24]]))
     (x, y), (u, v) = np.floor(pixels).astype(int)
     assert abs(int(found[v, u]) - int(plain[y, x])) <= 1 < abs(int(plain[v, u]) - int(plain[y, x]))
 
 
 def test_darkness_is_never_complete() -> None:
-    dark = replace(ball_and_wall(), lamp=0.0, besides=np.zeros(len(ball_and_wall().vertices)))
+    dark = replace(ball_and_wall(), lamp=0.0, ambient=np.zeros(len(ball_and_wall().mesh.vertices)))
     assert (dark.seen_by(camera()) == round(255 * DIMMEST ** (1 / 2.4))).all()
 
 
@@ -134,16 +135,16 @@ def test_the_light_goes_along_into_another_frame() -> None:
     same = moved.seen_by(to.camera_to_user(camera()))
     assert np.abs(same.astype(int) - ball_and_wall().seen_by(camera())).mean() < 0.02
     back = moved.moved(to.inverse)
-    np.testing.assert_allclose(back.vertices, ball_and_wall().vertices, atol=1e-12)
+    np.testing.assert_allclose(back.mesh.vertices, ball_and_wall().mesh.vertices, atol=1e-12)
     assert back.lamp == pytest.approx(LAMP) and back.right == pytest.approx(RIGHT)
 
 
 def test_what_photographs_tell_of_the_light_explains_them() -> None:
     """Check that photographs of two paints, divided by the light, are of two brightnesses again, highlights aside."""
     aside = (0.2, -0.3)
-    refined, views = refine(flash, aside), photographs(rippled(), flash, aside)
-    assert refined.shading is not None
-    lighting = refined.shading.lighting(refined.vertices, np.asarray(rippled().faces))
+    (refined, estimate), views = refine(flash, aside), photographs(rippled(), flash, aside)
+    assert estimate.model is not None
+    lighting = estimate.model.lighting(refined)
     assert lighting is not None
     assert abs(lighting.right - aside[0]) < 0.03 and abs(lighting.down - aside[1]) < 0.03
     scene = Scene("ball", rippled, "", views[:30], views[30:], None, Similarity())  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from mgsr.data.camera import Camera
 from mgsr.ops.gaussians import GaussianOptions, Reflected, rasterize_gaussians
 from mgsr.ops.surfels import SurfelOptions, rasterize_surfels
 from tests.cuda.machines import Machine
-from tests.ops.splat_scenes import random_splats
+from tests.ops.splat_scenes import random_splats, splat_arguments
 from tests.oracles import gaussians as gaussian_oracle
 from tests.oracles import surfels as surfel_oracle
 
@@ -155,7 +155,7 @@ def assert_close(ours: Splats, theirs: Splats, tolerance: float) -> None:
     """Check the largest error against the largest value of each tensor, or against 1 where all are smaller."""
     for name, expected in theirs.items():
         if expected.numel():
-            error = (ours[name] - expected).abs().max() / max(expected.abs().max(), 1.0)
+            error = (ours[name] - expected).abs().max() / expected.abs().max().clamp(min=1.0)
             assert error < tolerance, f"{name}: largest error {error:.2e} of its largest value"
 
 
@@ -163,24 +163,29 @@ def _doubles(tensors: Splats) -> Splats:
     return {name: tensor.detach().double() for name, tensor in tensors.items()}
 
 
+def _plain(splats: Splats) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    return splat_arguments(splats[name] for name in PLAIN)
+
+
 def _surfels(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
     options = SurfelOptions(near=setting.near, far=setting.far, distortion=True)
-    return rasterize_surfels(*(splats[name] for name in PLAIN), view, background, options)
+    return rasterize_surfels(*_plain(splats), view, background, options)
 
 
 def _gaussians(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
     options = GaussianOptions(near=setting.near, compensate=setting.compensate)
     reflected = Reflected(*(splats[name] for name in REFLECTED))
-    return rasterize_gaussians(*(splats[name] for name in PLAIN), view, background, reflected, options)
+    return rasterize_gaussians(*_plain(splats), view, background, reflected, options)
 
 
 def _surfel_oracle(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
     K, pose = torch.tensor(view.K), torch.tensor(view.cam_from_world)
-    arguments = (*(splats[name] for name in PLAIN), K, pose, view.width, view.height, background)
-    return surfel_oracle.render(*arguments, near=setting.near, far=setting.far)
+    size = (view.width, view.height)
+    return surfel_oracle.render(*_plain(splats), K, pose, *size, background, near=setting.near, far=setting.far)
 
 
 def _gaussian_oracle(splats: Splats, view: Camera, background: Tensor, setting: Setting) -> Any:
     reflected = tuple(splats[name] for name in REFLECTED)
-    arguments = (*(splats[name] for name in PLAIN), view, background, reflected)
-    return gaussian_oracle.render(*arguments, near=setting.near, compensate=setting.compensate)
+    return gaussian_oracle.render(
+        *_plain(splats), view, background, reflected, near=setting.near, compensate=setting.compensate
+    )

@@ -66,6 +66,7 @@ def test_a_splat_at_the_camera_has_no_direction(machine: Machine, distance: floa
     with machine.running():
         colors = harmonics_to_rgb(sh, means, torch.zeros(3, device=machine.device), 3)
         colors.sum().backward()
+    assert sh.grad is not None and means.grad is not None
     assert torch.isfinite(colors).all() and torch.isfinite(sh.grad).all() and torch.isfinite(means.grad).all()
     if distance == 0:
         expected = (0.28209479 * sh[0, 0] + 0.5).clamp(min=0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -36,13 +37,16 @@ def drawn(branch: str, count: int, seed: int, size: float, opacity: float) -> Sp
     return held(splats)
 
 
-def property_of(examples: int) -> Any:
+Test = TypeVar("Test", bound=Callable[..., None])
+
+
+def property_of(examples: int) -> Callable[[Test], Test]:
     """Return a decorator for tests over drawn scenes, the same ones at every run.
 
     They run on the processor's kernels, and a few under the shim.
     """
 
-    def decorate(test: Any) -> Any:
+    def decorate(test: Test) -> Test:
         machines = pytest.mark.parametrize("machine", [PROCESSOR, SHIM], ids=lambda machine: machine.name)
         few = settings(
             max_examples=examples,
@@ -51,7 +55,8 @@ def property_of(examples: int) -> Any:
             database=None,
             suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
         )
-        return machines(few(test))
+        decorated: Test = machines(few(test))
+        return decorated
 
     return decorate
 

@@ -12,7 +12,8 @@ HEIGHT, WIDTH = 48, 64
 def plane(slope_x: float, slope_y: float, middle: float) -> np.ndarray:
     """Return inverse depths [h,w] of a plane before a pinhole camera: they change evenly over the image."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    return middle + slope_x * (x - WIDTH / 2) + slope_y * (y - HEIGHT / 2)
+    depth: np.ndarray = middle + slope_x * (x - WIDTH / 2) + slope_y * (y - HEIGHT / 2)
+    return depth
 
 
 def on_lines(inverse: np.ndarray, every: int) -> np.ndarray:

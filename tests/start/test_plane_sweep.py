@@ -23,7 +23,8 @@ def unmasked(views: list[View]) -> list[View]:
 
 def heights(positions: np.ndarray) -> np.ndarray:
     """Return how far [P] points lie outside the ball with the flat cap."""
-    return np.maximum(np.linalg.norm(positions, axis=1) - RADIUS, positions[:, 2] - CAP)
+    outside: np.ndarray = np.maximum(np.linalg.norm(positions, axis=1) - RADIUS, positions[:, 2] - CAP)
+    return outside
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +104,7 @@ def with_a_plain_place(view: View, towards: np.ndarray, cosine: float) -> View:
     inside = along**2 + RADIUS**2 - center @ center
     hit = center - rays * (along + np.sqrt(np.maximum(inside, 0)))[..., None]
     plain = (inside > 0) & (hit @ towards > cosine * RADIUS)
-    return replace(view, image=np.where(plain[..., None], np.uint8([120, 90, 60]), view.image))
+    return replace(view, image=np.where(plain[..., None], np.array([120, 90, 60], np.uint8), view.image))
 
 
 def test_what_has_no_contrast_shows_nothing() -> None:

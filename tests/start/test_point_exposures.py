@@ -33,6 +33,7 @@ def test_the_factors_of_a_matte_surface_are_found(normals: np.ndarray | None, of
     """
     train, test, truth = exposed_ball()
     found = point_exposures(train, test, POINTS.positions, normals)
+    assert found is not None
     np.testing.assert_allclose(found, truth, rtol=off)
     np.testing.assert_allclose(np.log(found[:20]).mean(axis=0), 0, atol=1e-9)
 
@@ -40,6 +41,7 @@ def test_the_factors_of_a_matte_surface_are_found(normals: np.ndarray | None, of
 def test_a_highlight_that_follows_the_camera_counts_little() -> None:
     train, test, truth = exposed_ball(gloss=0.4)
     found = point_exposures(train, test, POINTS.positions, POINTS.normals)
+    assert found is not None
     np.testing.assert_allclose(found, truth, rtol=0.06)
 
 
@@ -47,6 +49,7 @@ def test_test_views_do_not_change_the_factors_of_the_others() -> None:
     train, test, _ = exposed_ball()
     brighter = [exposed(view, np.full(3, 1.5)) for view in test]
     one, two = (point_exposures(train, each, POINTS.positions, POINTS.normals) for each in (test, brighter))
+    assert one is not None and two is not None
     np.testing.assert_array_equal(one[:20], two[:20])
 
 

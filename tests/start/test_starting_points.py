@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from mgsr.cli.demo import find_example
 from mgsr.config import DataConfig, Masks
 from mgsr.data.hull import Hull, carve, hull_surface, signed_field
 from mgsr.data.readers import load_scene
-from mgsr.data.scene import PointCloud, Scene, Similarity, View
+from mgsr.data.scene import PointCloud, Scene, Similarity
 from mgsr.data.silhouettes import silhouettes
-from mgsr.geometry.triangles import Triangles
+from mgsr.geometry.mesh import Mesh
 from mgsr.open3d_library import load_open3d
-from mgsr.pipeline.example import find_example
-from mgsr.shading.refine import Light, Refined
-from mgsr.shading.unexplained import Unexplained, leave_unexplained
+from mgsr.shading.environment_residual import EnvironmentResidual, environment_residuals
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.photo_set import PhotoSet
 from mgsr.start import masked_surface
 from mgsr.start.starting_points import StartSource, starting_points
 from mgsr.stereo.patch_match import DepthMap
@@ -29,11 +31,11 @@ from tests.shading.balls import mirror_photographs, painted_photographs
 
 
 @pytest.fixture
-def ball_scene(tmp_path):
+def ball_scene(tmp_path: Path) -> Scene:
     return load_scene(BallCapture(views=40).write_plain(tmp_path), DataConfig())
 
 
-def test_hull_points_lie_on_the_ball(ball_scene):
+def test_hull_points_lie_on_the_ball(ball_scene: Scene) -> None:
     points = starting_points(ball_scene, 3000, seed=0)
     assert points.positions.shape == (3000, 3) and points.normals is not None
     assert points.source is StartSource.HULL
@@ -46,14 +48,14 @@ def test_hull_points_lie_on_the_ball(ball_scene):
     assert (points.colors == [200, 100, 50]).all()
 
 
-def test_the_seed_decides(ball_scene):
+def test_the_seed_decides(ball_scene: Scene) -> None:
     first, again, other = (starting_points(ball_scene, 500, seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.positions, again.positions)
     np.testing.assert_array_equal(first.colors, again.colors)
     assert (first.positions != other.positions).any()
 
 
-def test_without_masks_or_points_a_ball(tmp_path):
+def test_without_masks_or_points_a_ball(tmp_path: Path) -> None:
     scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
     points = starting_points(scene, 4000, seed=0)
     radius = np.linalg.norm(points.positions, axis=1)
@@ -63,10 +65,10 @@ def test_without_masks_or_points_a_ball(tmp_path):
 
 
 @pytest.mark.parametrize("masks", [Masks.AUTO, Masks.OFF])
-def test_the_share_of_the_work_that_is_done(tmp_path, masks):
+def test_the_share_of_the_work_that_is_done(tmp_path: Path, masks: Masks) -> None:
     """Check that progress is told on the way of both the hull and stereo, and never falls."""
     scene = load_scene(BallCapture(views=12).write_plain(tmp_path), DataConfig(masks=masks))
-    told = []
+    told: list[float] = []
     starting_points(scene, 500, seed=0, progress=told.append)
     assert len(told) >= 2 and told == sorted(told) and 0 < told[0] < 1 and told[-1] <= 1
     if masks is Masks.OFF:
@@ -74,7 +76,7 @@ def test_the_share_of_the_work_that_is_done(tmp_path, masks):
         assert len(told) == 2 * len(scene.train) and told[-1] == pytest.approx(1)
 
 
-def test_own_points_come_first_and_are_thinned(tmp_path):
+def test_own_points_come_first_and_are_thinned(tmp_path: Path) -> None:
     scene = load_scene(BallCapture().write_plain(tmp_path), DataConfig(masks=Masks.OFF))
     rng = np.random.default_rng(0)
     positions = np.r_[rng.normal(size=(100, 3)), [[1e6, 0, 0], [np.nan, 0, 0]]]
@@ -86,14 +88,14 @@ def test_own_points_come_first_and_are_thinned(tmp_path):
     assert len(starting_points(scene, 30, seed=0).positions) == 30
 
 
-def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_scene):
+def test_with_masks_the_surface_that_stereo_finds_comes_before_own_points(ball_scene: Scene) -> None:
     cloud = PointCloud(np.random.default_rng(0).normal(size=(1200, 3)), np.zeros((1200, 3), np.uint8))
     points = starting_points(replace(ball_scene, points=cloud), 600, seed=0)
     assert points.source is StartSource.HULL and points.surface is not None and len(points.positions) == 600
     np.testing.assert_array_equal(points.positions, starting_points(ball_scene, 600, seed=0).positions)
 
 
-def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene):
+def test_coarse_to_fine_is_the_same_as_carving_all_voxels(ball_scene: Scene) -> None:
     outlines = silhouettes(ball_scene.train, 400)
     fine = carve(outlines, np.zeros(3), 1.05, 64)
     corner = fine.origin + np.stack(np.meshgrid(*[np.arange(64)] * 3, indexing="ij"), -1).reshape(-1, 3) * fine.voxel
@@ -110,11 +112,11 @@ HULLS = {"spot_soft": 2.75, "teapot_hdr": 3.02}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HULLS)
-def test_hull_against_ground_truth(shared_data, name):
+def test_hull_against_ground_truth(shared_data: Path, name: str) -> None:
     root = shared_data / "scenes" / name
     scene = load_scene(root, DataConfig())
     surface = hull_surface(carve(silhouettes(scene.train, 400), np.zeros(3), 1.05, 128))
-    truth = trimesh.load(root / "mesh_gt.ply")
+    truth = trimesh.load_mesh(root / "mesh_gt.ply")
     ours = trimesh.Trimesh(scene.user_from_scene.to_user(surface[0]), surface[1], process=False)
     assert ours.volume > 0, "faces point outwards"
     meshes = (ours, truth)
@@ -125,12 +127,12 @@ def test_hull_against_ground_truth(shared_data, name):
 
 
 @pytest.mark.slow
-def test_the_example_under_its_flash_begins_beside_its_surface():
+def test_the_example_under_its_flash_begins_beside_its_surface() -> None:
     """Check that half of all points lie within a twentieth of a pixel of the surface."""
     root = find_example()
     scene = load_scene(root, DataConfig())
     points = starting_points(scene, 5000, seed=0)
-    truth = trimesh.load(root / "mesh_gt.ply", process=False)
+    truth = trimesh.load_mesh(root / "mesh_gt.ply", process=False)
     places = scene.user_from_scene.to_user(points.positions)
     surface = load_open3d().t.geometry.RaycastingScene()
     surface.add_triangles(truth.vertices.astype(np.float32), truth.faces.astype(np.uint32))
@@ -140,7 +142,7 @@ def test_the_example_under_its_flash_begins_beside_its_surface():
 @pytest.fixture(scope="module")
 def mirror() -> Scene:
     """Return a ball that mirrors a coloured room, and nothing else."""
-    return Scene("mirror", None, "made here", mirror_photographs(96), [], None, Similarity(1.0, np.zeros(3)))
+    return Scene("mirror", Path(), "made here", mirror_photographs(96), [], None, Similarity(1.0, np.zeros(3)))
 
 
 def off_the_ball(positions: np.ndarray) -> float:
@@ -150,9 +152,9 @@ def off_the_ball(positions: np.ndarray) -> float:
 @pytest.fixture
 def neither_bent_nor_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the surface as stereo or the hull give it."""
-    unknown = Light.UNKNOWN
-    monkeypatch.setattr(masked_surface, "refine_by_shading", lambda vertices, *rest, **more: Refined(vertices, unknown))
-    monkeypatch.setattr(masked_surface, "refine_by_parallax", lambda vertices, *rest, **more: vertices)
+    monkeypatch.setattr(masked_surface, "estimate_light", lambda *given: LightEstimate())
+    for name in ("shape_from_shading", "refine_photometrically"):
+        monkeypatch.setattr(masked_surface, name, lambda mesh, *rest, **more: mesh)
 
 
 @pytest.mark.usefixtures("neither_bent_nor_moved")
@@ -162,23 +164,23 @@ def test_a_mirror_is_not_carved(mirror: Scene, monkeypatch: pytest.MonkeyPatch) 
     What it mirrors moves across it as a pattern behind it would; as mirrored light it is explained best where the hull
     is.
     """
-    compared: list[Unexplained] = []
+    compared: list[EnvironmentResidual] = []
 
-    def compare(surfaces: Sequence[Triangles], views: Sequence[View]) -> list[Unexplained]:
-        compared.extend(leave_unexplained(surfaces, views))
+    def compare(surfaces: Sequence[Mesh], photos: PhotoSet) -> list[EnvironmentResidual]:
+        compared.extend(environment_residuals(surfaces, photos))
         return compared
 
-    monkeypatch.setattr(masked_surface, "leave_unexplained", compare)
+    monkeypatch.setattr(masked_surface, "environment_residuals", compare)
     positions = starting_points(mirror, 2000, seed=0).positions
-    outer, inner = (each.vertices for each in compared)
+    outer, inner = (each.mesh.vertices for each in compared)
     assert off_the_ball(inner) > 3 * off_the_ball(outer), "stereo alone digs into it"
     assert compared[0].ratio < 0.8 * compared[1].ratio
     assert off_the_ball(positions) < 1.2 * off_the_ball(outer)
 
 
-def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Triangles:
+def smaller_hull(cameras: object, maps: object, weights: object, hull: Hull, pixel: float) -> Mesh:
     """Find, in place of stereo, a surface 0.07 inside the hull's."""
-    return hull_surface(replace(hull, field=hull.field - 0.07))
+    return Mesh(*hull_surface(replace(hull, field=hull.field - 0.07)))
 
 
 def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object) -> list[DepthMap]:
@@ -187,7 +189,7 @@ def nothing_found(photographs: StereoPhotographs, *rest: object, **more: object)
 
 
 def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = np.empty((0, 3)), np.empty((0, 3), np.int64)
+    nothing = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
     for name in ("fuse_roughly", "fuse"):
         monkeypatch.setattr(masked_surface, name, lambda *given: nothing)
     user = ball_scene.user_from_scene.to_user(starting_points(ball_scene, 500, seed=0).positions)
@@ -198,7 +200,7 @@ def test_where_stereo_leaves_nothing_the_hull_stays(ball_scene: Scene, monkeypat
 def test_what_mirrors_nothing_is_carved(monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that a painted ball is carved: a mirrored environment explains little of it, wherever its surface is."""
     views = painted_photographs(128)
-    scene = Scene("painted", None, "made here", views, [], None, Similarity(1.0, np.zeros(3)))
+    scene = Scene("painted", Path(), "made here", views, [], None, Similarity(1.0, np.zeros(3)))
     monkeypatch.setattr(masked_surface, "match_views", nothing_found)
     for name in ("fuse_roughly", "fuse"):
         monkeypatch.setattr(masked_surface, name, smaller_hull)

@@ -68,7 +68,8 @@ def _drawn(camera: Camera, waves: np.ndarray, phases: np.ndarray, random: np.ran
     noise = ndimage.gaussian_filter(random.normal(0, 0.1, (SIDE, SIDE, 3)), (1, 1, 0))
     colors = 0.5 + 0.2 * np.sin(places[..., :2] @ waves + phases) + noise
     alpha = 1.2 + ndimage.gaussian_filter(random.normal(0, 14, (SIDE, SIDE, 1)), (4, 4, 0))
-    return np.clip(np.concatenate([colors, alpha], axis=-1), 0, 1).astype(np.float32)
+    drawn: np.ndarray = np.clip(np.concatenate([colors, alpha], axis=-1), 0, 1).astype(np.float32)
+    return drawn
 
 
 def _planes(camera: Camera, distance: float, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,8 @@ def hull() -> trimesh.Trimesh:
 
 def bowl_depth(places: np.ndarray) -> np.ndarray:
     """Return how far [P] the bowl lies under the cap at x and y."""
-    return DEPTH * np.clip(1 - (np.linalg.norm(places[:, :2], axis=1) / WIDTH) ** 2, 0, None)
+    depth: np.ndarray = DEPTH * np.clip(1 - (np.linalg.norm(places[:, :2], axis=1) / WIDTH) ** 2, 0, None)
+    return depth
 
 
 def pressed() -> trimesh.Trimesh:

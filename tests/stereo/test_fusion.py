@@ -11,12 +11,12 @@ import trimesh
 
 from mgsr.data.camera import Camera, pixel_size
 from mgsr.data.hull import Hull, carve, hull_surface
+from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayCaster
-from mgsr.geometry.triangles import Triangles, face_components
 from mgsr.stereo import fusion
 from mgsr.stereo.fusion import fuse, fuse_roughly
 from mgsr.stereo.patch_match import DepthMap
-from tests.mesh.shapes import cameras_around, looking_at_origin, silhouettes_of
+from tests.mesh.shapes import as_mesh, cameras_around, looking_at_origin, silhouettes_of
 from tests.stereo.pressed_ball import cameras_above, pressed
 
 COUNT, SIDE = 20, 64
@@ -65,39 +65,43 @@ def block(half: np.ndarray, voxel: float = 0.03) -> Hull:
     return Hull(field.astype(np.float32), np.full(3, -count * voxel), voxel)
 
 
+def as_trimesh(mesh: Mesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
 def heavy(maps: list[DepthMap], weight: float = 1.0) -> list[np.ndarray]:
     return [weight * (found.depth > 0).astype(np.float32) for found in maps]
 
 
-def distances(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def distances(points: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Return how far [P] points lie from a mesh."""
-    face, shares = RayCaster(vertices, faces).nearest(points)
-    return np.asarray(np.linalg.norm((vertices[faces[face]] * shares[..., None]).sum(axis=1) - points, axis=1))
+    face, shares = mesh.caster.nearest(points)
+    return np.asarray(
+        np.linalg.norm((mesh.vertices[mesh.faces[face]] * shares[..., None]).sum(axis=1) - points, axis=1)
+    )
 
 
-def apart(mesh: Triangles, ball: trimesh.Trimesh, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+def apart(mesh: Mesh, ball: trimesh.Trimesh, voxel: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the distances in voxels from the surface's vertices to the ball, and from the ball's to the surface."""
-    forth, back = distances(mesh[0], ball.vertices, ball.faces), distances(ball.vertices, *mesh)
+    forth, back = distances(mesh.vertices, as_mesh(ball)), distances(ball.vertices, mesh)
     return forth / voxel, back / voxel
 
 
 @pytest.fixture(scope="module")
-def fused(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
+def fused(ball: trimesh.Trimesh, hull: Hull) -> Mesh:
     """Fuse perfect depths."""
     maps = perfect(ball)
     return fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
 
 
 @pytest.fixture(scope="module")
-def untold(ball: trimesh.Trimesh, hull: Hull) -> Triangles:
+def untold(ball: trimesh.Trimesh, hull: Hull) -> Mesh:
     """Fuse depths without weight."""
     maps = perfect(ball, lambda depths: depths + 0.1)
     return fuse(CAMERAS, maps, heavy(maps, 0), hull, PIXEL)
 
 
-def test_perfect_depths_give_the_surface(
-    ball: trimesh.Trimesh, hull: Hull, fused: Triangles, untold: Triangles
-) -> None:
+def test_perfect_depths_give_the_surface(ball: trimesh.Trimesh, hull: Hull, fused: Mesh, untold: Mesh) -> None:
     before, after = (apart(mesh, ball, grid_of(hull).voxel) for mesh in (untold, fused))
     # The grid rounds the crease around the cap by a little more.
     assert all(np.percentile(found, 97) < 0.5 and found.max() < 1 for found in after)
@@ -108,9 +112,9 @@ def test_perfect_depths_give_the_surface(
     assert after[1][in_bowl].max() < 0.5
 
 
-def test_maps_that_say_nothing_leave_the_hull(hull: Hull, untold: Triangles) -> None:
-    outer, voxel = hull_surface(hull), grid_of(hull).voxel
-    for found in (distances(untold[0], *outer), distances(outer[0], *untold)):
+def test_maps_that_say_nothing_leave_the_hull(hull: Hull, untold: Mesh) -> None:
+    outer, voxel = Mesh(*hull_surface(hull)), grid_of(hull).voxel
+    for found in (distances(untold.vertices, outer), distances(outer.vertices, untold)):
         assert np.percentile(found, 95) < 0.3 * voxel and found.max() < 0.6 * voxel
 
 
@@ -121,7 +125,7 @@ def test_nothing_lies_outside_the_hull(ball: trimesh.Trimesh, hull: Hull) -> Non
     inside = np.argwhere(fused.field > 0) * fused.voxel + fused.origin
     assert len(inside) > 10_000 and (hull.values(inside) > 0).all()
     # Along mean normals, the surface does not come all the way back at the crease.
-    beyond = -hull.values(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)[0]) / grid.voxel
+    beyond = -hull.values(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL).vertices) / grid.voxel
     assert np.percentile(beyond, 99) < 0.3 and beyond.max() < 0.5
 
 
@@ -171,14 +175,14 @@ def test_what_many_see_before_it_is_solid(ball: trimesh.Trimesh, hull: Hull, mon
     monkeypatch.setattr(fusion, "SOLID_WEIGHT", 0.0)
     assert volume() < 0.9, "the faint maps alone tell of the middle"
     # No photograph sees the void, and the surface has none.
-    mesh = trimesh.Trimesh(*fuse(TWICE, maps + through, weights, hull, PIXEL), process=False)
+    mesh = as_trimesh(fuse(TWICE, maps + through, weights, hull, PIXEL))
     assert len(mesh.split(only_watertight=False)) == 1
 
 
-def test_coarse_to_fine_is_as_good_as_fine_alone(ball: trimesh.Trimesh, hull: Hull, fused: Triangles) -> None:
+def test_coarse_to_fine_is_as_good_as_fine_alone(ball: trimesh.Trimesh, hull: Hull, fused: Mesh) -> None:
     grid = grid_of(hull)
     alone = fusion._surface(fusion._fused(votes_of(perfect(ball)), grid, hull, None))
-    for found in (distances(alone[0], *fused), distances(fused[0], *alone)):
+    for found in (distances(alone.vertices, fused), distances(fused.vertices, alone)):
         assert np.percentile(found, 97) < 0.15 * grid.voxel and found.max() < 0.25 * grid.voxel
 
 
@@ -186,7 +190,7 @@ def test_a_rough_fusion_is_right_to_its_own_voxel(ball: trimesh.Trimesh, hull: H
     maps, voxel = perfect(ball), fusion.COARSER * grid_of(hull).voxel
     mesh = fuse_roughly(CAMERAS, maps, heavy(maps), hull, PIXEL)
     assert all(np.percentile(found, 95) < 0.6 and found.max() < 1.5 for found in apart(mesh, ball, voxel))
-    assert len(mesh[0]) < 0.4 * len(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)[0])
+    assert len(mesh.vertices) < 0.4 * len(fuse(CAMERAS, maps, heavy(maps), hull, PIXEL).vertices)
 
 
 @pytest.fixture
@@ -205,18 +209,18 @@ def in_a_room(sheet: trimesh.Trimesh) -> list[DepthMap]:
 def test_a_sheet_thinner_than_a_voxel_keeps_both_sides(plate: trimesh.Trimesh, monkeypatch: pytest.MonkeyPatch) -> None:
     solid, maps = block(np.array([0.55, 0.55, 0.35])), in_a_room(plate)
     mesh, voxel = fuse(CAMERAS, maps, heavy(maps), solid, PIXEL), grid_of(solid).voxel
-    shell = trimesh.Trimesh(*mesh, process=False)
-    assert face_components(mesh[1], len(mesh[0]))[0] == 1 and shell.is_watertight and shell.euler_number == 2
-    away = distances(mesh[0], plate.vertices, plate.faces) / voxel
+    shell = as_trimesh(mesh)
+    assert mesh.components[0] == 1 and shell.is_watertight and shell.euler_number == 2
+    away = distances(mesh.vertices, as_mesh(plate)) / voxel
     assert np.percentile(away, 95) < 0.5 and away.max() < 0.75
     # The rim is moved back by a voxel as well as the sides, and smoothing rounds it, most of all at the corners.
-    missed = distances(trimesh.sample.sample_surface(plate, 4000, seed=0)[0], *mesh) / voxel
+    missed = distances(trimesh.sample.sample_surface(plate, 4000, seed=0)[0], mesh) / voxel
     assert np.percentile(missed, 75) < 0.5 and missed.max() < 4
     monkeypatch.setattr(fusion, "OUTSIDE", 0.5)
-    torn = trimesh.Trimesh(*fuse(CAMERAS, maps, heavy(maps), solid, PIXEL), process=False)
+    torn = as_trimesh(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL))
     assert torn.euler_number < 2
     monkeypatch.setattr(fusion, "OUTSIDE", 0.0)
-    assert not len(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL)[1])
+    assert not len(fuse(CAMERAS, maps, heavy(maps), solid, PIXEL).faces)
 
 
 WELL, FLOOR, HALF = 0.2, -0.25, np.array([0.5, 0.5, 0.45])
@@ -249,8 +253,9 @@ def test_faint_words_empty_a_deep_cavity(
     floor = (true := well.cast(above).depth) > 3.2
 
     def depth() -> float:
-        seen = RayCaster(*fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel)).cast(above).depth
-        return float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
+        seen = fuse(cameras, maps, heavy(maps, weight), block(HALF), pixel).caster.cast(above).depth
+        share: float = float(np.median((seen - 3 + HALF[2])[floor])) / (HALF[2] - FLOOR)
+        return share
 
     assert floor.sum() > 100 and np.median((true - 3 + HALF[2])[floor]) == pytest.approx(HALF[2] - FLOOR, abs=0.01)
     assert 0.8 < depth() < 1.02
@@ -265,9 +270,9 @@ def test_small_pieces_are_dropped() -> None:
         field[low : low + size, 10 : 10 + size, 10 : 10 + size] = 0.03
     hull = Hull(field, np.full(3, -0.6), 0.03)
     maps = [DepthMap(*(np.zeros((SIDE, SIDE, *more), np.float32) for more in ((), (3,), ())))] * COUNT
-    vertices, faces = fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
-    assert face_components(faces, len(vertices))[0] == 2
-    assert vertices[:, 0].max() < hull.origin[0] + 38 * hull.voxel, "the smallest is gone"
+    mesh = fuse(CAMERAS, maps, heavy(maps), hull, PIXEL)
+    assert mesh.components[0] == 2
+    assert mesh.vertices[:, 0].max() < hull.origin[0] + 38 * hull.voxel, "the smallest is gone"
 
 
 def test_the_grid_is_as_fine_as_pixels_and_no_larger_than_it_may(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,7 +299,7 @@ def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch)
     thin = rod(PIXEL, 0.6)
 
     def length() -> float:
-        vertices = fuse(CAMERAS, maps, heavy(maps), thin, PIXEL)[0]
+        vertices = fuse(CAMERAS, maps, heavy(maps), thin, PIXEL).vertices
         return float(np.ptp(vertices[:, 0])) if len(vertices) else 0.0
 
     assert 1.0 < length() < 1.25
@@ -305,10 +310,10 @@ def test_a_rod_that_only_silhouettes_tell_stays(monkeypatch: pytest.MonkeyPatch)
 def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest.MonkeyPatch) -> None:
     """Check that depths that scatter behind the hull give a surface about as large as its own convex hull's."""
     random = np.random.default_rng(0)
-    outer = hull_surface(hull)
+    outer = Mesh(*hull_surface(hull)).caster
 
     def scattered(camera: Camera) -> DepthMap:
-        hit = RayCaster(*outer).cast(camera)
+        hit = outer.cast(camera)
         return DepthMap(
             np.where(hit.mask, hit.depth + random.uniform(0, 0.6, hit.depth.shape), 0).astype(np.float32),
             hit.normal,
@@ -318,7 +323,7 @@ def test_contradicting_words_give_a_calm_surface(hull: Hull, monkeypatch: pytest
     maps = [scattered(camera) for camera in CAMERAS]
 
     def roughness() -> float:
-        mesh = trimesh.Trimesh(*fuse(CAMERAS, maps, heavy(maps, 0.2), hull, PIXEL), process=False)
+        mesh = as_trimesh(fuse(CAMERAS, maps, heavy(maps, 0.2), hull, PIXEL))
         return float(mesh.area / mesh.convex_hull.area)
 
     assert roughness() < 1.1

@@ -189,7 +189,9 @@ def perfect(few: StereoPhotographs) -> list[DepthMap]:
 def in_the_bowl(few: StereoPhotographs, maps: list[DepthMap]) -> np.ndarray:
     """Return the weights of the first map's pixels that show the bowl."""
     places = few.cameras[0].center + pixel_rays(few.cameras[0]) * maps[0].depth[..., None]
-    return weigh(few, maps)[0][(maps[0].depth > 0) & (np.linalg.norm(places - [0, 0, CAP], axis=-1) < 0.2)]
+    in_bowl = np.linalg.norm(places - [0, 0, CAP], axis=-1) < 0.2
+    chosen: np.ndarray = weigh(few, maps)[0][(maps[0].depth > 0) & in_bowl]
+    return chosen
 
 
 def farther(found: DepthMap, pixels: float, few: StereoPhotographs) -> DepthMap:

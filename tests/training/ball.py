@@ -46,7 +46,8 @@ def ball_points(count: int = 300, radius: float = RADIUS * 1.05) -> Points:
 
 def ball_color(points: np.ndarray) -> np.ndarray:
     """Return the texture at points of the surface."""
-    return 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    colors: np.ndarray = 0.5 + 0.4 * np.sin(points * [9.0, 7.0, 5.0] + [0.0, 1.0, 2.0])
+    return colors
 
 
 def _sphere(count: int) -> np.ndarray:
@@ -95,7 +96,8 @@ def _view(name: str, camera: Camera, masked: bool, gloss: float, samples: int = 
 
 
 def _bytes(image: np.ndarray) -> np.ndarray:
-    return (np.clip(image, 0, 1) * 255).round().astype(np.uint8)
+    rounded: np.ndarray = (np.clip(image, 0, 1) * 255).round().astype(np.uint8)
+    return rounded
 
 
 def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False, scene: Scene | None = None) -> Scene:
@@ -104,6 +106,7 @@ def before(color: tuple[int, int, int], noise: float = 3.0, masked: bool = False
     scene = ball_scene(48, train=6) if scene is None else scene
 
     def placed(view: View) -> View:
+        assert view.alpha is not None
         cover = view.alpha[..., None] / 255.0
         image = view.image * cover + np.array(color) * (1 - cover) + random.normal(0, noise, view.image.shape)
         return replace(view, image=image.round().clip(0, 255).astype(np.uint8), alpha=view.alpha if masked else None)

@@ -9,7 +9,7 @@ import torch
 
 from mgsr.config import Reflection, make_config
 from mgsr.errors import Cancelled
-from mgsr.training.model_selection import CANDIDATES, Candidate, simplest
+from mgsr.training.model_selection import CANDIDATES, Candidate, ReflectionSelection, simplest
 from mgsr.training.plan import make_plan
 from mgsr.training.progress import Progress, TrainResult
 from mgsr.training.run import Training
@@ -41,6 +41,7 @@ def trained(gloss: float, method: str = "mgsr", *overrides: str, **callbacks: An
 def test_a_matte_ball_ends_without_reflection() -> None:
     result = trained(0.0)
     assert result.model.reflection is Reflection.OFF
+    assert result.model.gaussians is not None
     assert result.model.environment_map is None and not result.model.gaussians.split
     assert list(result.tried) == ["off", "shared"]
 
@@ -49,6 +50,7 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
     result = trained(0.0)
     assert list(result.degrees) == [1, 0]
     assert result.tried["off"] <= result.degrees[1] <= result.degrees[0]
+    assert result.model.gaussians is not None and result.model.surfels is not None
     assert result.model.gaussians.sh_degree == 0 and result.model.surfels.sh_degree == 2
 
 
@@ -62,10 +64,13 @@ def test_colours_that_do_not_change_with_the_direction_need_no_harmonics() -> No
 )
 def test_harmonics_are_dropped_degree_by_degree(reached: list[float], kept: int, degrees: dict[int, float]) -> None:
     plan = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft", "mgsr", 0, TRIED))
-    stage, names, values = plan.stages[1], [], iter(reached)
+    names: list[str] = []
+    stage, values = plan.stages[1], iter(reached)
+    assert isinstance(stage.selection, ReflectionSelection)
     stage.selection.measure = lambda: next(values)
     stage.selection.run(stage, lambda name, iterations: names.append(name))
     assert names == ["off", "shared", *(f"degree_{degree}" for degree in degrees)]
+    assert plan.train_state.gaussians is not None
     assert plan.train_state.gaussians.model.sh_degree == kept and stage.selection.degrees == degrees
 
 
@@ -73,6 +78,7 @@ def test_under_a_flash_a_ball_ends_with_the_light_that_all_splats_share() -> Non
     result = trained(0.6)
     assert result.tried["shared"] > result.tried["off"] + 0.1
     assert result.model.reflection is Reflection.SHARED
+    assert result.model.gaussians is not None
     assert result.model.environment_map is not None and not result.model.gaussians.split
 
 
@@ -117,12 +123,14 @@ def test_views_held_back_are_trained_on_afterwards() -> None:
     stage = plan.stages[1]
     assert (len(stage.views), stage.cycle.count) == (14, 11)
     stage.iteration = 120
+    assert stage.selection is not None
     stage.selection.run(stage, lambda reflection, iterations: None)
     assert stage.cycle.count == 14 and not stage.selection.due(stage)
 
 
 def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
     branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), make_config("draft")).train_state.gaussians
+    assert branch is not None
     for tensor in branch.optimizer.params.values():
         tensor.grad = torch.rand_like(tensor)
     step_trainables({branch: 0.0})
@@ -141,6 +149,7 @@ def test_narrowing_keeps_what_the_optimiser_knows_of_the_rest() -> None:
 def test_widening_keeps_what_the_optimiser_knows() -> None:
     config = make_config("draft", "mgsr", 0, [*LENGTHS, *TRIED])
     branch = make_plan(ball_scene(32, train=14, test=3), ball_points(), config).train_state.gaussians
+    assert branch is not None
     for tensor in branch.tensors("values").values():
         tensor.grad = None
     for tensor in branch.optimizer.params.values():

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from mgsr.config import RatesConfig, StopRule, WarmupConfig, make_config
+from mgsr.config import PaperConfig, RatesConfig, StopRule, WarmupConfig, make_config
 from mgsr.data.backdrop import WHITE, Backdrop
 from mgsr.training.convergence import EpochMeans, LossRange, Validation, make_convergence
 from mgsr.training.plan import make_plan
 from mgsr.training.schedule import rates_at, rest_scale, sh_degree_at
 from mgsr.training.views import ViewCycle, bounding_region, pick_background, prepare_views
+from tests.optional import present
 from tests.training.ball import ball_points, ball_scene
 
 
@@ -54,6 +55,7 @@ def test_targets_are_composited(margin: int | None) -> None:
     view = ball_scene().train[0]
     (prepared,) = prepare_views([view], masked=True, margin=margin)
     target = prepared.target(torch.tensor([0.2, 0.4, 0.6]))
+    assert view.alpha is not None
     alpha = view.alpha[..., None] / 255.0
     expected = view.image / 255.0 * alpha + (1 - alpha) * [0.2, 0.4, 0.6]
     assert np.allclose(target.color.numpy(), expected, atol=1e-6)
@@ -63,17 +65,21 @@ def test_photographs_are_not_copied() -> None:
     view = ball_scene().train[0]
     (prepared,) = prepare_views([view], masked=True, margin=2, edge_band=1)
     assert np.shares_memory(prepared.image.numpy(), view.image)
+    assert prepared.mask is not None
     assert np.shares_memory(prepared.mask.numpy(), view.alpha)
 
 
 def test_small_views_average_light_and_alpha() -> None:
     view = ball_scene(48).train[0]
     (small,) = prepare_views([view], masked=True, reduce=2)
+    assert view.alpha is not None
     alpha = view.alpha[..., None] / 255.0
     blocks = np.concatenate([view.image / 255.0 * alpha, alpha], axis=-1).reshape(24, 2, 24, 2, 4).mean(axis=(1, 3))
     target, half = small.target(torch.zeros(3)), 0.51 / 255  # they are bytes again
     assert np.allclose(target.color.numpy(), blocks[..., :3], atol=2 * half)
+    assert target.alpha is not None
     assert np.allclose(target.alpha.numpy(), blocks[..., 3], atol=half)
+    assert small.covered is not None
     assert np.array_equal(small.covered.numpy(), np.flatnonzero(blocks[..., 3] > 0.5 / 255))
     corner = np.array([0.3, 0.2, 0.1])
     assert np.allclose(small.camera.project(corner[None])[0], view.camera.project(corner[None])[0] / 2)
@@ -83,9 +89,9 @@ def test_the_flashs_light_goes_with_its_view() -> None:
     lit = np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8)
     view = replace(ball_scene(48).train[0], irradiance=lit)
     (whole,), (small,) = prepare_views([view], masked=True), prepare_views([view], masked=True, reduce=2)
-    assert np.allclose(whole.shading().numpy(), lit / 255, atol=1e-6)
+    assert np.allclose(present(whole.shading()).numpy(), lit / 255, atol=1e-6)
     mean = lit.reshape(24, 2, 24, 2).mean(axis=(1, 3)) / 255
-    assert np.allclose(small.shading().numpy(), mean, atol=0.51 / 255)
+    assert np.allclose(present(small.shading()).numpy(), mean, atol=0.51 / 255)
     assert prepare_views([replace(view, irradiance=None)], masked=True)[0].shading() is None
 
 
@@ -151,15 +157,16 @@ def test_no_test_stops_early() -> None:
 
 def test_validation_waits_for_its_patience() -> None:
     psnrs = iter([20.0, 25.0, 25.01, 25.02, 25.03])
-    test = Validation(0, WarmupConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
+    test = Validation(0, PaperConfig(validation_every=10, validation_patience=3), lambda: next(psnrs))
     stops = [i for i in range(1, 51) if test.converged(torch.tensor(0.0), i, False)]
     assert stops == [50]
 
 
 @pytest.mark.parametrize("rule", ["epoch", "validation", "paper"])
 def test_state_goes_through_a_checkpoint(rule: str) -> None:
-    config = WarmupConfig(stop_rule=StopRule(rule), validation_every=1, epoch_span=1)
-    first, second = (make_convergence(config, 100, lambda: 1.0) for _ in range(2))
+    warmup, paper = WarmupConfig(epoch_span=1), PaperConfig(stop_rule=StopRule(rule), validation_every=1)
+    first, second = (make_convergence(warmup, paper, 100, lambda: 1.0) for _ in range(2))
+    assert first is not None and second is not None
     for i in range(1, 6):
         first.converged(torch.tensor(0.5), i, i % 2 == 0)
     second.restore(first.state())

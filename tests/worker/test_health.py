@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -27,7 +28,7 @@ def test_a_living_worker_is_healthy(stack: Stack) -> None:
 
 
 def test_workers_of_other_machines_do_not_count(stack: Stack, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker.health.socket, "gethostname", lambda: "elsewhere")
+    monkeypatch.setattr(socket, "gethostname", lambda: "elsewhere")
     alive, line = worker_health(stack.redis)
     assert not alive and "elsewhere" in line
 

@@ -160,6 +160,7 @@ def test_what_the_process_itself_meets(
     monkeypatch.setattr(job_module, "_reconstruct", fail)
     folders = {name: tmp_path / name for name in ("archive", "scene", "out", "previews", "result")}
     limits = {"max_members": 1, "max_unpacked": 1, "max_ratio": 1.0, "max_pixels": 1}
-    spec = JobSpec(options=JobOptions(), resume=False, checkpoint_seconds=1.0, **folders, **limits)
+    values: dict[str, Any] = folders | limits
+    spec = JobSpec(options=JobOptions(), resume=False, checkpoint_seconds=1.0, **values)
     result = job_module._run(spec)
     assert (result.status, result.code) == ("failed", code) and result.message

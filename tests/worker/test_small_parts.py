@@ -39,7 +39,12 @@ def report(tmp_path: Path, events: Iterable[Event]) -> list[dict[str, Any]]:
 
 
 def training(iteration: int, total: int = 1000, **more: Any) -> Event:
-    fields = {"losses": {"a": 0.25, "b": 0.5}, "counts": {"surfels": 3}, "psnr": 20.0, "seconds": iteration / 100}
+    fields: dict[str, Any] = {
+        "losses": {"a": 0.25, "b": 0.5},
+        "counts": {"surfels": 3},
+        "psnr": 20.0,
+        "seconds": iteration / 100,
+    }
     return Event("train", "", Progress("alone", iteration, total, done=iteration / total, **(fields | more)))
 
 

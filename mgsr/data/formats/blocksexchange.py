@@ -161,7 +161,8 @@ def _rotation(pose: Element, source: str) -> np.ndarray:
     about_x = [[1, 0, 0], [0, math.cos(omega), math.sin(omega)], [0, -math.sin(omega), math.cos(omega)]]
     about_y = [[math.cos(phi), 0, -math.sin(phi)], [0, 1, 0], [math.sin(phi), 0, math.cos(phi)]]
     about_z = [[math.cos(kappa), math.sin(kappa), 0], [-math.sin(kappa), math.cos(kappa), 0], [0, 0, 1]]
-    return np.array(about_z) @ np.array(about_y) @ np.array(about_x)
+    matrix: np.ndarray = np.array(about_z) @ np.array(about_y) @ np.array(about_x)
+    return matrix
 
 
 def _axes(group: Element, source: str) -> np.ndarray:

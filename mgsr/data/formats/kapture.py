@@ -132,7 +132,8 @@ def _pose(time: str, device: str, dataset: _Dataset, source: str, depth: int) ->
     for rig, place in dataset.rigs.get(device, []) if depth else []:
         rig_from_world = _pose(time, rig, dataset, source, depth - 1)
         if rig_from_world is not None:
-            return _rigid(place, source) @ rig_from_world
+            device_from_world: np.ndarray = _rigid(place, source) @ rig_from_world
+            return device_from_world
     return None
 
 

@@ -64,7 +64,8 @@ def _load(path: Path) -> np.ndarray:
         if dtype.kind not in "iuf" or not 0 <= size <= min(LARGEST_CAPTURE, path.stat().st_size):
             raise ValueError(f"an array of {dtype} of shape {shape}")
         file.seek(0)
-        return np.load(file, allow_pickle=False).astype(np.float64)
+        values: np.ndarray = np.load(file, allow_pickle=False).astype(np.float64)
+        return values
 
 
 def _names(folder: SceneFolder, count: int) -> list[str]:

@@ -134,7 +134,8 @@ def _pose(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
     rig_from_world = _rigid(pose.get("transform") if isinstance(pose, dict) else None, source)
     if "rigId" not in view or str(view.get("isPoseIndependant", "true")).lower() in ("true", "1"):
         return rig_from_world
-    return _place_in_rig(view, scene, source) @ rig_from_world
+    view_from_world: np.ndarray = _place_in_rig(view, scene, source) @ rig_from_world
+    return view_from_world
 
 
 def _place_in_rig(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:

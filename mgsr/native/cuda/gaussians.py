@@ -174,7 +174,7 @@ class GaussianKernels:
 
     def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
         color, _, depth, reflected, weight = images
-        planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        planes: Tensor = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, color, depth, reflected, weight, *v_images, planes)
         params = PixelParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("gaussians", f"gaussians_pixels_{kind}", lists.tiles, TILE_PIXELS, params)

@@ -152,7 +152,7 @@ def launch_function() -> Callable[..., int]:
     cuda-bindings makes objects of every argument and of the result, which takes longer.
     """
     library = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
-    function: Any = library.cuLaunchKernel
+    function = library.cuLaunchKernel
     sizes = [ctypes.c_uint] * 7
     function.argtypes = [ctypes.c_void_p, *sizes, ctypes.c_void_p, ONE_ADDRESS, ctypes.c_void_p]
     function.restype = ctypes.c_int

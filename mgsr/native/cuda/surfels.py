@@ -183,7 +183,7 @@ class SurfelKernels:
 
     def _prepare_pixels(self, kind: str, frame: Frame, lists: TileLists, images: Any, v_images: Any) -> Tensor:
         color, _, depth, _, normal, _ = images
-        planes = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
+        planes: Tensor = color.new_empty(lists.tiles, PIXEL_PLANES[kind], TILE_PIXELS)
         arrays = (frame.transmittance, frame.moments, color, depth, normal, *v_images, planes)
         params = PixelParams(lists.struct, *addresses(*arrays))
         self._launcher.launch("surfels", f"surfels_pixels_{kind}", lists.tiles, TILE_PIXELS, params)

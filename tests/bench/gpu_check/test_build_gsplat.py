@@ -13,7 +13,7 @@ import torch
 from benchmarks import rasterizers
 from benchmarks.gpu_check import build_gsplat, steps
 from benchmarks.gpu_check.results import Results
-from benchmarks.gpu_check.runner import LeftOutError, Place
+from benchmarks.gpu_check.runner import LeftOutError, Place, Step
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def place(tmp_path: Path) -> Place:
     return Place(Results(tmp_path / "results"), tmp_path / "work", sys.executable, "cpu", (tmp_path,))
 
 
-def step(name: str, part: int) -> steps.Step:
+def step(name: str, part: int) -> Step:
     return next(step for step in steps.parts()[part] if step.name == name)
 
 
@@ -37,7 +37,12 @@ def test_the_benchmark_goes_beside_what_was_built(place: Place, monkeypatch: pyt
 
     rendered = list[str]()
     scene = rasterizers.make_scene("1k/32", torch.device("cpu"))
-    mode = {"gsplat 3d": lambda: rendered.append("3d") or rasterizers.our_modes(scene)["3d"]()}
+
+    def render() -> list[torch.Tensor]:
+        rendered.append("3d")
+        return rasterizers.our_modes(scene)["3d"]()
+
+    mode = {"gsplat 3d": render}
     monkeypatch.setattr(rasterizers, "gsplat_modes", lambda scene: mode)
     monkeypatch.setattr(sys, "argv", words[2:])
     monkeypatch.setattr(sys, "path", sys.path.copy())

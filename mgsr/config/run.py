@@ -1,0 +1,71 @@
+"""All settings of one run, and what presets and methods change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config.capture import DataConfig
+from mgsr.config.surface import MeshConfig, OutputConfig
+from mgsr.config.train import TrainConfig
+
+
+@dataclass(frozen=True)
+class Config:
+    """One run."""
+
+    preset: str = "standard"
+    method: str = "mgsr"
+    seed: int = 0
+    time_budget: float | None = None  # seconds near which the whole run ends; the settings that presets change, and the
+    # size of the photographs, are then planned for it; none is as long as it takes
+    data: DataConfig = field(default_factory=DataConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    output: OutputConfig = field(default_factory=OutputConfig)
+
+
+# What each preset changes; times are for 48 views at 256 x 256 on two cores, with the meshing. Slow cores take up to
+# twice as long.
+PRESETS: dict[str, dict[str, str]] = {
+    "draft": {  # 25 to 50 seconds
+        "warmup.surfel_iterations": "250",
+        "warmup.gaussian_iterations": "300",
+        "mutual.iterations": "200",
+        "model_selection.iterations": "0",
+        "environment_map.iterations": "100",
+        "surfels.max_start": "9000",
+        "surfels.start_scale": "0.5",
+        "gaussians.max_start": "5000",
+        "gaussians.sh_degree": "1",  # to which model selection comes, where there is time for it
+        "surfels.densify.max_count": "10000",
+        "gaussians.densify.unmasked_count": "8000",
+        "surfels.densify.prune_contribution": "0",  # so short a mutual phase does not mend what goes
+        "gaussians.densify.prune_contribution": "0",
+        "mesh.view_scale": "1.0",
+        "mesh.poisson_depth": "7",
+        "mesh.max_light_residual": "none",  # the start is bent to the shading already, and little training follows
+    },
+    "standard": {},  # two to three minutes
+    "high": {  # up to a fifth longer; training that lasts longer makes surfaces rougher, and renders hardly better
+        "surfels.max_start": "32000",
+        "surfels.densify.max_count": "40000",
+        "gaussians.max_start": "20000",
+        "gaussians.densify.tolerance": "0.02",
+        "gaussians.densify.unmasked_count": "40000",
+    },
+}
+
+
+METHODS: dict[str, dict[str, str]] = {
+    "mgsr": {},
+    "2dgs": {"branches": "surfels", "flash": "off"},
+    "3dgs": {
+        "branches": "gaussians",
+        "reflection": "off",
+        "flash": "off",
+        "gaussians.sh_degree": "3",
+        "transmitted_tv_weight": "0",
+        "gaussians.densify.by": "gradient",
+        "gaussians.densify.prune_contribution": "0",
+    },
+}

@@ -1,0 +1,122 @@
+"""Bilateral filtering of face normals: mesh denoising that keeps creases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from mgsr.geometry.mesh import Mesh
+
+CHUNK = 65_536  # faces whose neighbourhoods are held in memory at a time
+
+
+@dataclass(frozen=True)
+class BilateralOptions:
+    """Numbers of the bilateral normal filter."""
+
+    rounds: int = 4  # of the normals' filter: more flattens what was photographed
+    steps: int = 10  # in which the vertices follow the normals
+    folded: float = 0.7  # cosine to its filtered normal under which a face counts as folded
+
+
+def bilateral_normal_filter(mesh: Mesh, angle: float, options: BilateralOptions = BilateralOptions()) -> Mesh:
+    """Return the mesh with its vertices moved so that each face normal comes near the mean of those around it.
+
+    angle: degrees. Normals that differ by `angle` weigh 0.6 in that mean, and those that differ by three times as much
+    hardly count, so that creases stay. The faces around a face are those that share a vertex with it. Vertices whose
+    move would fold a face stay in place.
+
+    Sources: Zheng, Fu, Au and Tai, Bilateral Normal Filtering for Mesh Denoising (2011), the filter; Sun, Rosin, Martin
+    and Langbein, Fast and Effective Feature-Preserving Mesh Denoising (2007), how vertices follow.
+    """
+    faces = mesh.faces
+    if len(faces) == 0:
+        return mesh
+    mesh = mesh.moved(mesh.vertices.astype(np.float64))
+    corners = np.repeat(np.arange(len(faces)), 3)
+    touches = sparse.csr_matrix(
+        (np.ones(faces.size, np.float32), (corners, faces.ravel())), (len(faces), len(mesh.vertices))
+    )
+    areas, given = _areas_and_normals(mesh)
+    neighbourhoods = _neighbourhoods(touches, mesh.vertices[faces].mean(axis=1), areas, mesh.edge_length)
+    normals = given.astype(np.float32)
+    for _ in range(options.rounds):
+        own = np.array_split(normals, range(CHUNK, len(faces), CHUNK))
+        normals = np.concatenate(
+            [
+                _mean_normals(around, part, normals, np.deg2rad(angle))
+                for around, part in zip(neighbourhoods, own, strict=True)
+            ]
+        )
+    moved = _follow(mesh.vertices, touches, normals.astype(np.float64), options.steps)
+    return mesh.moved(_unfold(moved, mesh, normals, (given * normals).sum(1), options.folded))
+
+
+def _areas_and_normals(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return twice the face areas [F] and the unit face normals [F,3]; the normal of a face without area is 0."""
+    areas = np.linalg.norm(mesh.face_crosses, axis=1)
+    return areas, mesh.face_crosses / np.maximum(areas, 1e-20)[:, None]
+
+
+def _neighbourhoods(
+    touches: sparse.csr_matrix, middles: np.ndarray, areas: np.ndarray, reach: float
+) -> list[sparse.csr_matrix]:
+    """Return the weights of the faces around each face, itself among them, by area and nearness.
+
+    touches [F,V]: 1 where a face has a vertex; middles [F,3]; areas [F]; reach: the Gaussian's deviation. The result is
+    a list of sparse matrices, each with CHUNK rows (the last with fewer) and F columns.
+    """
+    parts = []
+    for start in range(0, len(middles), CHUNK):
+        around = touches[start : start + CHUNK] @ touches.T
+        here = start + np.repeat(np.arange(around.shape[0]), np.diff(around.indptr))
+        ways = middles[around.indices] - middles[here]
+        nearness = np.exp(-np.einsum("ij,ij->i", ways, ways) / (2 * reach**2))
+        around.data = (areas[around.indices] * nearness).astype(np.float32)
+        parts.append(around)
+    return parts
+
+
+def _mean_normals(around: sparse.csr_matrix, own: np.ndarray, normals: np.ndarray, angle: float) -> np.ndarray:
+    """Return the bilateral mean normals [C,3] of one chunk of C faces.
+
+    around [C,F]: weights by area and nearness; own [C,3]: the chunk's normals; normals [F,3]; angle: radians.
+    """
+    sizes = np.diff(around.indptr)
+    unlike = 1 - np.einsum("ij,ij->i", np.repeat(own, sizes, axis=0), normals[around.indices])
+    weights = around.data * np.exp(-unlike / angle**2)
+    sums = sparse.csr_matrix((weights, around.indices, around.indptr), around.shape) @ normals
+    means: np.ndarray = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-20)
+    return means
+
+
+def _follow(vertices: np.ndarray, touches: sparse.csr_matrix, normals: np.ndarray, steps: int) -> np.ndarray:
+    """Move the vertices [V,3] in steps so that the faces come to lie across the normals [F,3].
+
+    Each step moves a vertex towards the planes through its faces' middles. touches [F,V]: 1 where a face has a vertex.
+    """
+    counts = np.maximum(touches.getnnz(axis=0), 1)
+    mean = (sparse.diags(1.0 / counts) @ touches.T).tocsr()  # over the faces around a vertex
+    projections = (mean @ (normals[:, :, None] * normals[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+    for _ in range(steps):
+        heights = np.einsum("fi,fi->f", normals, touches @ vertices) / 3
+        vertices = vertices + mean @ (normals * heights[:, None]) - np.einsum("vij,vj->vi", projections, vertices)
+    return vertices
+
+
+def _unfold(moved: np.ndarray, mesh: Mesh, normals: np.ndarray, given: np.ndarray, least: float) -> np.ndarray:
+    """Put moved vertices back where a face has folded: where its normal is far from the filtered one.
+
+    moved [V,3]: the vertices after the move; changed in place and returned. mesh: before the move. normals [F,3]: the
+    filtered ones. given [F]: the cosines between the face normals before the move and `normals`; a face that was no
+    better then stays moved. least: the cosine under which a face counts as folded.
+    """
+    while True:
+        likeness = (_areas_and_normals(Mesh(moved, mesh.faces))[1] * normals).sum(1)
+        folded = (likeness < least) & (likeness < given)
+        if not folded.any():
+            return moved
+        back = mesh.faces[folded]
+        moved[back] = mesh.vertices[back]

@@ -1,0 +1,151 @@
+"""Registration of a mesh to the masks' silhouette contours.
+
+A splat fades out, so the contour of a rendered surface is only known to a good part of a pixel, and training leaves it
+a little inside. A mask's alpha is the covered share of each pixel and tells its contour to about a twentieth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from mgsr.data.camera import Camera, pixel_size
+from mgsr.data.silhouettes import Silhouette
+from mgsr.data.valid_mask import valid_inside
+from mgsr.geometry.decimate import coarser
+from mgsr.geometry.displace import smooth_displacements
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayCaster
+from mgsr.parallel import map_ahead
+
+
+@dataclass(frozen=True)
+class ContourOptions:
+    """Numbers of the registration to silhouette contours; pixels are those of the masks."""
+
+    search: float = 3.0  # pixels to both sides of a mask's contour in which the mesh's is looked for
+    step: float = 0.25  # pixels between two rays that look for the mesh's contour
+    finer: int = 8  # parts of a step, to which it is then found: coarser ones pull surfaces inwards by 0.04 pixels
+    facing: float = 0.5  # least cosine between a vertex normal and the contour's direction
+    coarse_edge: float = 1.0  # pixels; edges of the mesh on which the correction is found, as it is smooth
+    prior_weight: float = 0.02  # of the place of a vertex that no contour touches: it follows its neighbours, not far
+    rounds: int = 2  # of finding the mesh's contours and moving it
+
+
+@dataclass(frozen=True)
+class SilhouetteContour:
+    """A mask's contour: points [P,2] in pixels, and at each the unit direction [P,2] that leads out of the mask."""
+
+    camera: Camera
+    points: np.ndarray
+    outwards: np.ndarray
+
+
+def find_contour(silhouette: Silhouette) -> SilhouetteContour:
+    """Find the silhouette contour of a mask to a fraction of a pixel.
+
+    Parts at the border of the image, or of its known pixels, where the object is cut off, are left out.
+    """
+    distance = silhouette.distance
+    slope_y, slope_x = np.gradient(ndimage.gaussian_filter(np.clip(distance, -4, 4), 0.7))
+    near = np.abs(distance) < 0.5
+    near[[0, 1, -2, -1]] = False
+    near[:, [0, 1, -2, -1]] = False
+    if silhouette.valid_mask is not None:
+        near &= valid_inside(silhouette.valid_mask, 2)
+    rows, columns = np.nonzero(near)
+    slopes = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1)
+    steep = np.linalg.norm(slopes, axis=1)
+    clear = steep > 0.5  # elsewhere two contours meet: a thin part, a corner
+    inwards = slopes[clear] / steep[clear, None]
+    centers = np.stack([columns[clear], rows[clear]], axis=1) + 0.5
+    return SilhouetteContour(silhouette.camera, centers - inwards * distance[rows, columns][clear, None], -inwards)
+
+
+def fit_contours(
+    mesh: Mesh, contours: Sequence[SilhouetteContour], smoothing: float, options: ContourOptions = ContourOptions()
+) -> Mesh:
+    """Return the mesh moved along its normals so that its silhouette contours fall on the masks'.
+
+    smoothing: the number of mask pixels over which a correction spreads.
+    """
+    pixel = pixel_size([contour.camera for contour in contours], mesh.vertices.mean(axis=0))
+    coarse = coarser(mesh, options.coarse_edge * pixel)
+    prolongation, stay = coarse.prolongation(mesh.vertices), options.prior_weight
+    reach = smoothing * pixel / coarse.edge_length * (len(mesh.vertices) / len(coarse.vertices)) ** 0.25
+    for _ in range(options.rounds):
+        target, touched = contour_gaps(mesh, contours, options)
+        held = np.minimum(touched, 1)
+        moves = prolongation @ smooth_displacements(
+            coarse.laplacian, target * held / (held + stay), held + stay, reach, prolongation
+        )
+        limit = options.search * pixel
+        mesh = mesh.moved(mesh.vertices + np.clip(moves, -limit, limit)[:, None] * mesh.normals)
+    return mesh
+
+
+def contour_gaps(
+    mesh: Mesh, contours: Sequence[SilhouetteContour], options: ContourOptions = ContourOptions()
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the displacements [V] along a mesh's normals that bring its silhouette contours onto the masks'.
+
+    Also returns the number [V] of contour points that tell each vertex's displacement, counted in barycentric shares.
+    Both are 0 where none does. Displacements are in the scene's unit.
+    """
+    faces, normals, count, caster = mesh.faces, mesh.normals, len(mesh.vertices), mesh.caster
+    sums, touched = np.zeros(count), np.zeros(count)
+    for found in map_ahead(lambda contour: _mesh_contour(caster, contour, options), contours, None):
+        corners = faces[found.faces]
+        facing = ((normals[corners] * found.shares[..., None]).sum(1) * found.outwards).sum(1)
+        good = facing > options.facing
+        shares, corners = found.shares[good], corners[good]
+        target = (found.gaps * facing)[good, None] * shares
+        sums += np.bincount(corners.ravel(), target.ravel(), count)
+        touched += np.bincount(corners.ravel(), shares.ravel(), count)
+    return sums / np.maximum(touched, 1e-9), touched
+
+
+@dataclass(frozen=True)
+class _MeshContour:
+    """The mesh's silhouette beside Q points of a mask's contour.
+
+    faces [Q]: the face that ends there; shares [Q,3]: the barycentric coordinates on it; outwards [Q,3]: the world
+    direction out of the mask; gaps [Q]: the distance from there to the contour, positive outwards, in the scene's unit.
+    """
+
+    faces: np.ndarray
+    shares: np.ndarray
+    outwards: np.ndarray
+    gaps: np.ndarray
+
+
+def _mesh_contour(caster: RayCaster, contour: SilhouetteContour, options: ContourOptions) -> _MeshContour:
+    """Find the mesh's last point on the way out across each contour point, where it lies within reach."""
+    search, step, finer = options.search, options.step, options.finer
+    camera, steps = contour.camera, np.arange(-search, search + step / 2, step)
+    mask = caster.cast_pixels(camera, _beside(contour, steps)).mask
+    last = len(steps) - 1 - mask[:, ::-1].argmax(axis=1)
+    found = np.flatnonzero(mask.any(axis=1) & (last < len(steps) - 1))
+    steps = steps[last[found], None] + np.arange(finer) * (step / finer)
+    hits = caster.cast_pixels(camera, _beside(contour, steps, found))
+    last = finer - 1 - hits.mask[:, ::-1].argmax(axis=1)
+    row = np.arange(len(found))
+    sizes = hits.depth[row, last] / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    return _MeshContour(
+        hits.face[row, last].astype(np.int64),
+        hits.barycentric[row, last],
+        contour.outwards[found] @ camera.cam_from_world[:2, :3],
+        -(steps[row, last] + step / finer / 2) * sizes,
+    )
+
+
+def _beside(contour: SilhouetteContour, steps: np.ndarray, which: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Return pixel coordinates [Q,S,2], `steps` [S] or [Q,S] pixels outwards of the contour's points.
+
+    which: the contour points to use, by index; all by default.
+    """
+    samples: np.ndarray = contour.points[which, None] + steps[..., None] * contour.outwards[which, None]
+    return samples

@@ -1,0 +1,44 @@
+"""Refine the surface photometrically: move it to where the photographs agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config import MeshConfig
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
+from mgsr.shading.light_estimate import LightEstimate
+from mgsr.shading.photometric_refinement import PhotometricOptions, refine_photometrically
+
+
+@dataclass(frozen=True)
+class PhotometricRefinement(MeshStep):
+    """Move the surface to where the photographs agree, after the shape from shading of the same turn.
+
+    It needs masks, whose contours hold the surface.
+    """
+
+    refines = True
+    turn: int = 1
+    options: PhotometricOptions = field(default_factory=PhotometricOptions)
+
+    @property
+    def name(self) -> str:
+        return "photometric_refinement" if self.turn == 1 else f"photometric_refinement_{self.turn}"
+
+    def applies(self, context: StepContext, light: LightEstimate) -> bool:
+        wanted = context.config.photometric_reach is not None and bool(context.photos.silhouettes)
+        return light.searches == self.turn and wanted and context.go_on()
+
+    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
+        held = (facts.masked or facts.learned) and config.photometric_reach is not None
+        if config.max_light_residual is None or not held:
+            return 0.0
+        if facts.flash:
+            return 16.5 * reading_size(facts, config)
+        return 10.0 * reading_size(facts, config) if self.turn == 1 else 0.0
+
+    def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
+        reach = context.config.photometric_reach or 0.0
+        moved = refine_photometrically(mesh, context.photos, reach, light.model, context.go_on, self.options)
+        return StepResult(moved, light)

@@ -1,0 +1,54 @@
+"""Refine the surface by shape from shading.
+
+A flash tells each point's normal by itself. Training knows the large shape better than shading does, which
+interreflection in concavities flattens. An environment map needs the observations of neighbours: it betters the first
+surface on the hull, but no trained one, of which it only tells the photometric refinement what is mirrored.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config import MeshConfig
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, reading_size
+from mgsr.shading.light_estimate import LightEstimate, LightKind, estimate_light
+from mgsr.shading.shape_from_shading import ShadingOptions, ShadingPass, shape_from_shading
+
+
+@dataclass(frozen=True)
+class ShapeFromShading(MeshStep):
+    """Estimate the light, and under a flash bend the surface to the normals that explain its shading.
+
+    The light is estimated anew in each turn, as it is known better on a better surface. A turn after the first needs a
+    flash.
+    """
+
+    refines = True
+    turn: int = 1
+    edge: float = 1.0  # photographs' pixels; edges of the mesh that is bent
+    rounds: int = 3  # of reading the photographs and bending the surface
+    reach: float = 60.0  # photographs' pixels; larger shape stays
+    options: ShadingOptions = field(default_factory=ShadingOptions)
+
+    @property
+    def name(self) -> str:
+        return "shape_from_shading" if self.turn == 1 else f"shape_from_shading_{self.turn}"
+
+    def applies(self, context: StepContext, light: LightEstimate) -> bool:
+        if not context.photos.views or context.config.max_light_residual is None:
+            return False
+        return self.turn == 1 or (light.kind is LightKind.FLASH and context.go_on())
+
+    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
+        if config.max_light_residual is None:
+            return 0.0
+        if facts.flash:
+            return 10.0 * self.rounds * reading_size(facts, config)
+        return 2.0 * reading_size(facts, config) if facts.shiny and self.turn == 1 else 0.0
+
+    def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
+        light = estimate_light(mesh, context.photos, context.config.max_light_residual or 0.0, light)
+        passes = {LightKind.FLASH: (ShadingPass(self.edge, self.rounds, self.reach),)}
+        mesh = shape_from_shading(mesh, context.photos, light, passes, go_on=context.go_on, options=self.options)
+        return StepResult(mesh, light, {"light": str(light.kind)})

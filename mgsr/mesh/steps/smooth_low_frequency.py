@@ -1,0 +1,30 @@
+"""Smooth low-frequency waves, which training leaves where photographs tell little."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from mgsr.config import MeshConfig
+from mgsr.geometry.low_frequency import LowFrequencyOptions, smooth_low_frequency
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh.steps.step import MeshStep, SceneFacts, StepContext, StepResult, surface_cells
+from mgsr.shading.light_estimate import LightEstimate, LightKind
+
+
+@dataclass(frozen=True)
+class SmoothLowFrequency(MeshStep):
+    """Smooth shallow waves of a few of the photographs' pixels. Under a flash, shading separates them from shape."""
+
+    name = "smooth_low_frequency"
+    options: LowFrequencyOptions = field(default_factory=LowFrequencyOptions)
+
+    def applies(self, context: StepContext, light: LightEstimate) -> bool:
+        wanted = bool(context.config.regression_angle and context.photos.views)
+        return wanted and light.kind is not LightKind.FLASH
+
+    def cost(self, facts: SceneFacts, config: MeshConfig) -> float:
+        return 2.5 * surface_cells(facts, config) ** 2 if config.regression_angle and not facts.flash else 0.0
+
+    def run(self, mesh: Mesh, light: LightEstimate, context: StepContext) -> StepResult:
+        angle = context.config.regression_angle or 0.0
+        return StepResult(smooth_low_frequency(mesh, context.photos.pixel_on(mesh), angle, self.options), light)

@@ -1,0 +1,178 @@
+"""The environment map as a surface mirrors it, blurred by its gloss.
+
+Under light that stands still, what a point of an object shows is its own steady brightness, whatever matte paint makes
+of the light, plus what it mirrors, which depends on the mirrored direction alone when the gloss is the same all over.
+So all points together tell one map, and how a single point's brightness changes from view to view tells its normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.ndimage import map_coordinates
+from scipy.sparse.linalg import LinearOperator, cg
+
+from mgsr.shading.observations import Observations
+
+HEIGHT, WIDTH = 32, 64  # of the map: polar angle by azimuth, in steps of 5.6 degrees
+CELLS = 64  # a side of the table, which looks a direction up to 2 degrees
+POINTS = 6000  # whose observations make the map
+SMOOTHNESS = 0.002  # weight of the map's squared steps beside the observations
+ROUNDS = 3  # of least squares with new weights
+OUTLIER = 3.0  # deviations at which an observation counts half
+
+
+@dataclass(frozen=True)
+class FittedEnvironmentMap:
+    """An environment map fitted to observations.
+
+    light [HEIGHT,WIDTH] float32, up to a constant; deviation: of the observations from it, in linear light; ratio: of
+    that to their deviation from one brightness a point.
+    """
+
+    light: np.ndarray
+    deviation: float
+    ratio: float
+
+    def table(self) -> np.ndarray:
+        """Return the light in the cells of the cube [-1,1]^3, flat [CELLS^3] float32.
+
+        `look_up` reads it without computing angles.
+        """
+        middles = (np.arange(CELLS, dtype=np.float32) + 0.5) * (2 / CELLS) - 1
+        cells = np.stack(np.meshgrid(middles, middles, middles, indexing="ij"), axis=-1)
+        rows, columns = _places(cells / np.linalg.norm(cells, axis=-1, keepdims=True))
+        wide = np.concatenate([self.light[:, -1:], self.light, self.light[:, :1]], axis=1)
+        values: np.ndarray = map_coordinates(wide, [rows, columns + 1], order=1, mode="nearest").ravel()
+        return values
+
+    def mirrored(self, normals: np.ndarray, view_directions: np.ndarray) -> np.ndarray:
+        """Return the light [P] that points with normals [P,3] mirror into the directions view_directions [P,3], all
+        unit."""
+        directions = 2 * (view_directions * normals).sum(axis=1, keepdims=True) * normals - view_directions
+        return np.asarray(_sampling(directions) @ self.light.ravel())
+
+
+def look_up(table: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Return the light [...] in unit directions with components x, y and z [...], from a
+    `FittedEnvironmentMap.table`."""
+    x, y, z = (((axis + 1) * np.float32(CELLS * 0.49999)).astype(np.int32) for axis in (x, y, z))
+    values: np.ndarray = table[(x * CELLS + y) * CELLS + z]
+    return values
+
+
+def fit_environment_map(observations: Observations, normals: np.ndarray, seed: int = 0) -> FittedEnvironmentMap:
+    """Fit the environment map that best explains the observations of a surface with normals [P,3].
+
+    By robust least squares, from at most POINTS points, drawn with `seed`.
+    """
+    points, seen = _well_read(observations, seed)
+    view_directions, brightness, weights = (
+        observations.view_directions[points],
+        observations.brightness[points],
+        observations.weights[points],
+    )
+    owners = np.nonzero(seen)[0]
+    own, eye = normals[points][owners], view_directions[seen]
+    rows = _sampling(2 * (eye * own).sum(1, keepdims=True) * own - eye)
+    equations = _Equations(rows, brightness[seen].astype(float), owners)
+    given = weights[seen].astype(float)
+    light, current = np.zeros(rows.shape[1]), given
+    for _ in range(ROUNDS):
+        light = equations.solve(current, light)
+        residual = equations.residual(light, current)
+        spread = 1.4826 * np.median(np.abs(residual)) + 1e-9
+        current = given / (1 + (residual / (OUTLIER * spread)) ** 2)
+    deviation = _deviation(residual, given)
+    plain = _deviation(equations.residual(np.zeros_like(light), given), given)
+    return FittedEnvironmentMap(
+        light.reshape(HEIGHT, WIDTH).astype(np.float32), deviation, deviation / max(plain, 1e-9)
+    )
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """The linear equations of the map: brightness [Q] = rows [Q,cells] @ light + each point's own brightness.
+
+    owners [Q]: the point of each reading; its own brightness is the same in all of them.
+    """
+
+    rows: sparse.csr_matrix
+    brightness: np.ndarray
+    owners: np.ndarray
+
+    def solve(self, weights: np.ndarray, start: np.ndarray) -> np.ndarray:
+        smooth = SMOOTHNESS * weights.sum() / (HEIGHT * WIDTH) * _steps_squared()
+        turned = self.rows.T.tocsr()
+
+        def apply(light: np.ndarray) -> np.ndarray:
+            data = turned @ (weights * self._without_own(self.rows @ light, weights))
+            applied: np.ndarray = data + smooth @ light + 1e-6 * light
+            return applied
+
+        size = self.rows.shape[1]
+        right = turned @ (weights * self._without_own(self.brightness, weights))
+        system = LinearOperator((size, size), matvec=apply, dtype=float)
+        solution: np.ndarray = cg(system, right, x0=start, rtol=1e-3, maxiter=100)[0]
+        return solution
+
+    def residual(self, light: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        return self._without_own(self.brightness - self.rows @ light, weights)
+
+    def _without_own(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        means = np.bincount(self.owners, weights * values) / np.maximum(np.bincount(self.owners, weights), 1e-12)
+        centred: np.ndarray = values - means[self.owners]
+        return centred
+
+
+def _well_read(observations: Observations, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of some points that at least three photographs see, and which of their observations count.
+
+    The latter are [points,K] bool.
+    """
+    points = np.flatnonzero(observations.counts >= 3)
+    if len(points) > POINTS:
+        points = np.sort(np.random.default_rng(seed).choice(points, POINTS, replace=False))
+    return points, observations.weights[points] > 0
+
+
+def _places(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where directions [...,3] fall on the map: rows -0.5 to HEIGHT-0.5 and columns -0.5 to WIDTH-0.5."""
+    polar = np.arccos(np.clip(directions[..., 2], -1, 1)) / np.pi
+    azimuth = np.arctan2(directions[..., 1], directions[..., 0]) / (2 * np.pi) % 1
+    return polar * HEIGHT - 0.5, azimuth * WIDTH - 0.5
+
+
+def _sampling(directions: np.ndarray) -> sparse.csr_matrix:
+    """Return the matrix [Q,HEIGHT*WIDTH] that reads the map in directions [Q,3], bilinearly."""
+    rows, columns = _places(directions)
+    top, first = np.floor(rows).astype(int), np.floor(columns).astype(int)
+    down, along = rows - top, columns - first
+    cells, shares = [], []
+    for row, row_share in ((top, 1 - down), (top + 1, down)):
+        for column, column_share in ((first, 1 - along), (first + 1, along)):
+            cells.append(np.clip(row, 0, HEIGHT - 1) * WIDTH + column % WIDTH)
+            shares.append(row_share * column_share)
+    places = (np.tile(np.arange(len(rows)), 4), np.concatenate(cells))
+    return sparse.coo_matrix((np.concatenate(shares), places), (len(rows), HEIGHT * WIDTH)).tocsr()
+
+
+def _steps_squared() -> sparse.csr_matrix:
+    """Return the quadratic form of the differences of neighbouring cells; the map wraps around in azimuth."""
+    cells = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    pairs = np.concatenate(
+        [
+            np.stack([cells.ravel(), np.roll(cells, -1, axis=1).ravel()], 1),
+            np.stack([cells[:-1].ravel(), cells[1:].ravel()], 1),
+        ]
+    )
+    count = len(pairs)
+    ends = (np.tile(np.arange(count), 2), pairs.T.ravel())
+    steps = sparse.coo_matrix((np.repeat([1.0, -1.0], count), ends), (count, cells.size)).tocsr()
+    return (steps.T @ steps).tocsr()
+
+
+def _deviation(residual: np.ndarray, weights: np.ndarray) -> float:
+    return float(np.sqrt((weights * residual * residual).sum() / max(weights.sum(), 1e-12)))

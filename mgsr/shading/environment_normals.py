@@ -1,0 +1,120 @@
+"""Normals from gloss: each point is tilted until the environment map explains how its brightness changes.
+
+The tilts are searched on a grid, as lamps make the environment too uneven for steps along a slope. How fast the
+residual rises around the best tilt, against how much of it there is, tells how well the tilt is known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from mgsr.geometry.displace import diffuse, mean_normals
+from mgsr.geometry.triangles import tangents
+from mgsr.parallel import map_ahead
+from mgsr.shading.environment_fit import FittedEnvironmentMap, fit_environment_map, look_up
+from mgsr.shading.observations import Observations
+from mgsr.shading.target_normals import MIN_OBSERVATIONS, TargetNormals
+
+MAX_TILT, STEP = 16.0, 4.0  # degrees; the largest tilt on each of two axes, and the search's step
+OUTLIER = 3.0  # deviations at which an observation counts half
+TILT_COST = 0.08  # cost of a tilt by 10 degrees, in mean costs of the observations
+HALF_CONFIDENCE = 4.0  # degrees; deviation of a normal in which the confidence is a half
+CHUNK = 1000  # points at a time, so that their observations stay in the cache
+
+
+def normals_from_environment(
+    observations: Observations,
+    normals: np.ndarray,
+    laplacian: sparse.csr_matrix,
+    reach: float,
+    still: np.ndarray,
+    threads: int | None,
+) -> TargetNormals:
+    """Estimate the normals of a mesh's vertices from one environment map that they all mirror.
+
+    normals [P,3]: the mesh's own. laplacian: its uniform Laplacian (`Mesh.laplacian`). reach: edges over which the
+    observations of neighbours are put together. still [P] in 0..1: how little a point's own normal may change.
+    """
+    own = mean_normals(normals, laplacian, rounds=1)
+    environment = fit_environment_map(observations, own)
+    tilts = np.tan(np.radians(np.arange(-MAX_TILT, MAX_TILT + STEP / 2, STEP)))
+    first, second = tangents(own)
+    costs = _costs(observations, environment, np.stack([first, second, own], axis=1), tilts, threads)
+    costs = diffuse(costs, laplacian, reach)
+    squares = tilts[:, None] ** 2 + tilts[None] ** 2
+    costs += TILT_COST * costs.mean() * squares.ravel() / np.tan(np.radians(10)) ** 2
+    across, along, cost, bends = _lowest(costs.reshape(-1, len(tilts), len(tilts)), tilts)
+    change = across[:, None] * first + along[:, None] * second
+    target = normals + (1 - still)[:, None] * change
+    target /= np.linalg.norm(target, axis=1, keepdims=True).clip(1e-9)
+    weights = diffuse(observations.weights.sum(axis=1)[:, None], laplacian, reach)[:, 0]
+    variance = 2 * cost / np.maximum(weights, 1e-6) * (STEP**2 / np.maximum(bends, 1e-9)).sum(axis=0)
+    return TargetNormals(
+        target, np.where(observations.counts >= MIN_OBSERVATIONS, 1 / (1 + variance / HALF_CONFIDENCE**2), 0)
+    )
+
+
+def _costs(
+    observations: Observations,
+    environment: FittedEnvironmentMap,
+    frames: np.ndarray,
+    tilts: np.ndarray,
+    threads: int | None,
+) -> np.ndarray:
+    """Return the cost [P,T*T] of the residual at each tilt of the third axis of the frames [P,3,3] along the others.
+
+    tilts [T]: tangents of the angles.
+    """
+    table, outlier = environment.table(), OUTLIER * environment.deviation + 1e-9
+    parts = np.array_split(np.arange(len(frames)), -(-len(frames) // CHUNK))
+    costs = map_ahead(lambda part: _part(observations.at(part), table, frames[part], tilts, outlier), parts, threads)
+    return np.concatenate(list(costs))
+
+
+def _part(
+    observations: Observations, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float
+) -> np.ndarray:
+    along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
+    eye = [observations.view_directions[..., axis] for axis in range(3)]
+    total = np.maximum(observations.weights.sum(axis=1), 1e-9)[:, None]
+    costs = np.empty((len(frames), len(tilts) ** 2), np.float32)
+    for column, (first, second) in enumerate((first, second) for first in tilts for second in tilts):
+        tilted = (first * frames[:, 0] + second * frames[:, 1] + frames[:, 2]).astype(np.float32)
+        length = 1 + first**2 + second**2
+        twice = np.float32(2 / length) * (np.float32(first) * along[0] + np.float32(second) * along[1] + along[2])
+        shown = look_up(table, *(twice * tilted[:, axis, None] - eye[axis] for axis in range(3)))
+        residual = observations.brightness - shown
+        residual -= (observations.weights * residual).sum(axis=1, keepdims=True) / total
+        squares = (residual / outlier) ** 2
+        costs[:, column] = (observations.weights * squares / (1 + squares)).sum(axis=1)
+    return costs
+
+
+def _lowest(costs: np.ndarray, tilts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find the tilts at which the costs [P,T,T] are lowest, between the steps by a parabola.
+
+    Returns the tilts [P] along both axes; the cost at the lowest step [P]; and by how much the steps before and after
+    it are higher together, along both axes [2,P]. The last is 0 at the search's limits, beyond which the cost may be
+    lower.
+    """
+    count, side = len(costs), len(tilts)
+    place = costs.reshape(count, -1).argmin(axis=1)
+    row, column, index = place // side, place % side, np.arange(count)
+    here = costs[index, row, column]
+    rows = [costs[index, np.clip(row + shift, 0, side - 1), column] for shift in (-1, 1)]
+    columns = [costs[index, row, np.clip(column + shift, 0, side - 1)] for shift in (-1, 1)]
+    steps = np.arange(side)
+    across, along = (
+        np.interp(steps[at] + _vertex(before, here, after), steps, tilts)
+        for at, (before, after) in ((row, rows), (column, columns))
+    )
+    within = (row % (side - 1) > 0) & (column % (side - 1) > 0)
+    return across, along, here, within * (np.stack([sum(rows), sum(columns)]) - 2 * here)
+
+
+def _vertex(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return where a parabola through three neighbours is lowest, in steps from the middle, at most half a step."""
+    bend = np.maximum(before + after - 2 * here, 1e-12)
+    offsets: np.ndarray = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+    return offsets

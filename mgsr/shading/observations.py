@@ -1,0 +1,174 @@
+"""Observations of a surface: how bright each point is in the photographs that see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from mgsr.data.camera import Camera
+from mgsr.data.images import srgb_to_linear
+from mgsr.data.scene import View, some_of
+from mgsr.data.valid_mask import valid_inside
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import RayCaster
+from mgsr.parallel import map_ahead
+
+MIN_COS = 0.25  # of the tilt; what is seen more grazing is left out
+SOLID = 0.97  # of alpha; pixels under it mix object and background
+CLIPPED = 0.98  # of the brightest channel; pixels above it hide how bright they were
+KEPT = 24  # observations of a point, those that see it most frontal
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Observations of P points, each in at most K photographs, float32.
+
+    view_directions [P,K,3]: unit directions to the camera; distances [P,K] to it; brightness [P,K]: the mean of the
+    channels in linear light; weights [P,K]: the cosine of the tilt where the point is seen and the pixel is of use,
+    else 0; photographs [P,K] int: the photographs' indices.
+    """
+
+    view_directions: np.ndarray
+    distances: np.ndarray
+    brightness: np.ndarray
+    weights: np.ndarray
+    photographs: np.ndarray
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Return how many photographs tell of each point, [P]."""
+        seen: np.ndarray = (self.weights > 0).sum(axis=1)
+        return seen
+
+    def at(self, points: np.ndarray) -> Observations:
+        """Return the observations of some of the points, by their indices."""
+        return Observations(*(array[points] for array in _arrays(self)))
+
+    def frontal(self, least: float) -> Observations:
+        """Return the same observations, but those under a cosine of the tilt of `least` count as unseen."""
+        return replace(self, weights=np.where(self.weights >= least, self.weights, 0))
+
+
+@dataclass(frozen=True)
+class LinearPhotograph:
+    """A photograph in linear light.
+
+    brightness [H,W] float32: the mean of the channels, 0 where nothing is known; usable [H,W] bool: pixels that show
+    the object alone and are not clipped; valid_mask [H,W] bool: pixels that are valid together with their neighbours,
+    None if all are.
+    """
+
+    camera: Camera
+    brightness: np.ndarray
+    usable: np.ndarray
+    valid_mask: np.ndarray | None = None
+
+
+def linear_photographs(views: Sequence[View]) -> list[LinearPhotograph]:
+    """Return `some_of` the views as photographs in linear light."""
+    return [_linear(view) for view in some_of(views)]
+
+
+def observe_photographs(
+    mesh: Mesh,
+    photographs: Sequence[LinearPhotograph],
+    gap: float,
+    threads: int | None = None,
+    lamps: np.ndarray | None = None,
+) -> Observations:
+    """Read the photographs' brightness at the vertices of a mesh.
+
+    gap: how far a vertex may lie behind the mesh. lamps [N,3]: the lamp's place for each photograph; a vertex in its
+    shadow counts as unseen. At most KEPT observations of a vertex are kept, those that see it most head-on.
+    """
+    count = len(mesh.vertices)
+
+    def read(index: int) -> tuple[np.ndarray, ...]:
+        lamp = None if lamps is None else lamps[index]
+        return *_read(mesh, photographs[index], lamp, gap), np.full(count, index)
+
+    parts = list(map_ahead(read, range(len(photographs)), threads))
+    observations = Observations(*(np.stack(column, axis=1) for column in zip(*parts, strict=True)))
+    if len(photographs) <= KEPT:
+        return observations
+    best = np.argpartition(observations.weights, -KEPT, axis=1)[:, -KEPT:]
+    rows = np.arange(count)[:, None]
+    return Observations(*(array[rows, best] for array in _arrays(observations)))
+
+
+def seen_frontal(
+    caster: RayCaster,
+    camera: Camera,
+    points: np.ndarray,
+    normals: np.ndarray,
+    frontal: np.ndarray,
+    gap: float,
+    valid_mask: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the indices of the points [P,3] of a mesh that are frontal and that the camera sees.
+
+    normals [P,3]: unit; frontal [P] bool; gap: how far a point may lie behind the mesh; valid_mask: as for
+    `RayCaster.sees`.
+    """
+    index = np.flatnonzero(frontal)
+    seen: np.ndarray = index[caster.sees(camera, points[index] + normals[index] * gap, gap, valid_mask)]
+    return seen
+
+
+def read_image(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Interpolate the image [H,W] bilinearly at pixel coordinates [P,2] (centres at +0.5), held at the border."""
+    values: np.ndarray = map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
+    return values
+
+
+def lie_within(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return which of the pixel coordinates [P,2] lie between pixels of the mask [H,W] bool alone, [P] bool."""
+    return read_image(mask.astype(np.float32), pixels) > 0.99
+
+
+def _linear(view: View) -> LinearPhotograph:
+    srgb = view.image.astype(np.float32) / 255
+    linear = srgb_to_linear(srgb).mean(axis=-1)
+    usable = srgb.max(axis=-1) <= CLIPPED
+    if view.alpha is not None:
+        usable &= view.alpha >= SOLID * 255
+    if view.valid_mask is None:
+        return LinearPhotograph(view.camera, linear, usable)
+    valid_mask = valid_inside(view.valid_mask, 1)  # so that interpolation between usable pixels meets no unknown one
+    return LinearPhotograph(view.camera, np.where(view.valid_mask, linear, 0), usable & valid_mask, valid_mask)
+
+
+def _arrays(observations: Observations) -> tuple[np.ndarray, ...]:
+    return (
+        observations.view_directions,
+        observations.distances,
+        observations.brightness,
+        observations.weights,
+        observations.photographs,
+    )
+
+
+def _read(
+    mesh: Mesh, photograph: LinearPhotograph, lamp: np.ndarray | None, gap: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Read one photograph's column of the observations of a mesh's vertices, without its index.
+
+    lamp [3]: the lamp's place, or None; gap: how far a vertex may lie behind the mesh.
+    """
+    caster, points, normals = mesh.caster, mesh.vertices, mesh.double_normals
+    camera = photograph.camera
+    offsets = (camera.center - points).astype(np.float32)
+    distances = np.linalg.norm(offsets, axis=1)
+    view_directions = offsets / distances[:, None]
+    cosines = (view_directions * normals).sum(1)
+    index = seen_frontal(caster, camera, points, normals, cosines > MIN_COS, gap, photograph.valid_mask)
+    if lamp is not None:
+        index = index[caster.reached(lamp, points[index] + normals[index] * gap, gap)]
+    pixels, _ = camera.project(points[index])
+    brightness, weights = np.zeros((2, len(points)), np.float32)
+    brightness[index] = read_image(photograph.brightness, pixels)
+    weights[index] = cosines[index] * lie_within(photograph.usable, pixels)
+    return view_directions, distances, brightness, weights

@@ -1,0 +1,56 @@
+"""The photographs of a capture, in the forms that refinement needs, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from mgsr.data.camera import pixel_size
+from mgsr.data.scene import View
+from mgsr.data.silhouettes import Silhouette
+from mgsr.geometry.contours import SilhouetteContour, find_contour
+from mgsr.geometry.mesh import Mesh
+from mgsr.shading.observations import LinearPhotograph, Observations, linear_photographs, observe_photographs
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSet:
+    """The photographs of a capture.
+
+    views: the training views; silhouettes: of their masks, at any size, none without masks; threads: the cores to use,
+    None for all.
+    """
+
+    views: Sequence[View]
+    silhouettes: Sequence[Silhouette] = ()
+    threads: int | None = None
+
+    @cached_property
+    def linear(self) -> list[LinearPhotograph]:
+        """Return `some_of` the photographs in linear light."""
+        return linear_photographs(self.views)
+
+    @cached_property
+    def contours(self) -> list[SilhouetteContour]:
+        """Return the contours of the silhouettes."""
+        return [find_contour(silhouette) for silhouette in self.silhouettes]
+
+    def pixel_on(self, mesh: Mesh) -> float:
+        """Return the size of a pixel at the middle of a mesh, in the scene's unit."""
+        return pixel_size([view.camera for view in self.views], mesh.vertices.mean(axis=0))
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Linear photographs, to be read at the vertices of meshes; pixel: a pixel's size on them."""
+
+    photographs: Sequence[LinearPhotograph]
+    pixel: float
+    threads: int | None
+
+    def observe(self, mesh: Mesh, lamps: np.ndarray | None = None) -> Observations:
+        """Read the photographs at a mesh's vertices. lamps: as for `observe_photographs`."""
+        return observe_photographs(mesh, self.photographs, self.pixel, self.threads, lamps)

@@ -1,0 +1,76 @@
+"""Correction of observations for the footprints of pixels.
+
+A pixel shows the mean of a patch of the surface, and a value between pixels that of a larger one. So creases look
+flatter than they are, and the borders of paint look like shades. The surface as it is known, seen through the same
+pixels, is mixed alike; what mixing changes there at a point is taken off the observation of it. A surface that explains
+the photographs then explains its observations too (deferred correction; of images, Van Cittert's deconvolution, 1931).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mgsr.geometry.mesh import Mesh
+from mgsr.geometry.raycast import PixelHits, RayCaster
+from mgsr.parallel import map_ahead
+from mgsr.shading.observations import LinearPhotograph, Observations, read_image
+
+RAYS = 2  # along a pixel's side
+
+
+def deconvolve(
+    observations: Observations,
+    mesh: Mesh,
+    photographs: Sequence[LinearPhotograph],
+    shown: Callable[[int, np.ndarray], np.ndarray],
+    threads: int | None = None,
+) -> Observations:
+    """Return the observations of a mesh's vertices, corrected for what the footprints of pixels mix into them.
+
+    shown: a function of a photograph's number and vertex indices [P], which returns the known
+    brightness [P] of these vertices in this photograph, as single points.
+    """
+    vertices, faces, caster = mesh.vertices, mesh.faces, mesh.caster
+    brightness = observations.brightness.copy()
+
+    def take_off(number: int) -> None:
+        photograph = photographs[number]
+        read, columns = np.nonzero((observations.photographs == number) & (observations.weights > 0))
+        pixels, _ = photograph.camera.project(vertices[read])
+        hits = _cast(caster, photograph)
+        needed = np.unique(np.concatenate([faces[hits.face[hits.mask]].ravel(), read]))
+        points = np.zeros(len(vertices), np.float32)
+        points[needed] = shown(number, needed)
+        image, known = _through_pixels(hits, faces, points, photograph.usable)
+        brightness[read, columns] += read_image(known, pixels) * points[read] - read_image(image, pixels)
+
+    deque(map_ahead(take_off, range(len(photographs)), threads), maxlen=0)
+    return replace(observations, brightness=brightness)
+
+
+def _cast(caster: RayCaster, photograph: LinearPhotograph) -> PixelHits:
+    """Cast RAYS x RAYS rays through each of a photograph's U usable pixels; the hits are [U,RAYS,RAYS]."""
+    rows, columns = np.nonzero(photograph.usable)
+    inside = (np.arange(RAYS) + 0.5) / RAYS
+    pixels = np.empty((len(rows), RAYS, RAYS, 2))
+    pixels[..., 0], pixels[..., 1] = columns[:, None, None] + inside, rows[:, None, None] + inside[:, None]
+    return caster.cast_pixels(photograph.camera, pixels)
+
+
+def _through_pixels(
+    hits: PixelHits, faces: np.ndarray, points: np.ndarray, usable: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Render vertices' brightness [V] through the pixels that were cast: an image [H,W] and its coverage [H,W].
+
+    usable [H,W] bool: the pixels that were cast. A pixel that meets no face has 0 in both, any other 1 in the coverage.
+    """
+    met = hits.mask
+    seen, counts = np.zeros(met.shape, np.float32), met.sum(axis=(1, 2))
+    seen[met] = (points[faces[hits.face[met]]] * hits.barycentric[met]).sum(axis=-1)
+    image, known = np.zeros((2, *usable.shape), np.float32)
+    image[usable], known[usable] = seen.sum(axis=(1, 2)) / np.maximum(counts, 1), counts > 0
+    return image, known

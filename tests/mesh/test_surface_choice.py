@@ -1,0 +1,69 @@
+"""A ball with and without dents, held against photographs of the ball: a mirror's, and a painted one's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from mgsr.config import MeshConfig
+from mgsr.geometry.mesh import Mesh
+from mgsr.mesh import extract
+from mgsr.mesh.extract import extract_mesh
+from mgsr.mesh.surface_choice import is_torn, photographs_prefer_start
+from mgsr.shading.photo_set import PhotoSet
+from tests.mesh.shapes import ball, cameras_around, views_of
+from tests.shading.balls import RADIUS, mirror_photographs, painted_photographs
+
+
+def surface(depth: float) -> Mesh:
+    """Return the ball with dents of this depth."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
+    dents = depth * np.clip(np.sin(9 * mesh.vertices).prod(axis=1), 0, 1)
+    return Mesh(np.asarray(mesh.vertices * (1 - dents[:, None] / RADIUS)), np.asarray(mesh.faces))
+
+
+@pytest.mark.parametrize("mirror", [True, False], ids=["mirror", "painted"])
+def test_the_surface_that_photographs_speak_for_is_told(mirror: bool) -> None:
+    photos = PhotoSet(mirror_photographs(128) if mirror else painted_photographs(128))
+    smooth, dented = surface(0), surface(0.06)
+    assert photographs_prefer_start(smooth, dented, photos)
+    assert not photographs_prefer_start(dented, smooth, photos)
+    assert not photographs_prefer_start(smooth, smooth, photos), "training's is taken where both are alike"
+
+
+@pytest.mark.parametrize(("holes", "torn"), [(0, False), (20, False), (60, True)])
+def test_a_surface_full_of_holes_is_torn(holes: int, torn: bool) -> None:
+    whole = surface(0)
+    apart = np.arange(len(whole.faces)) % 128 == 0  # faces that have no corner in common
+    kept = ~(apart & (np.cumsum(apart) <= holes))
+    assert (~kept).sum() == holes
+    assert is_torn(whole.keep_faces(kept), whole) is torn
+
+
+def test_a_torn_surface_gives_way_to_the_start_bent_to_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, whole = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0)
+    monkeypatch.setattr(extract, "is_torn", lambda *surfaces: True)
+    mesh = extract_mesh(
+        views,
+        MeshConfig(max_light_residual=None),
+        (),
+        painted_photographs(64)[:3],
+        start=whole.moved(0.98 * whole.vertices),
+    )
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert mesh.start_kept and len(mesh.faces) == len(whole.faces)
+    # Of the 0.014 that the start lies too deep, and pixels are 0.03 wide.
+    assert np.abs(radii - RADIUS).mean() < 0.001 and np.abs(radii - RADIUS).max() < 0.004
+
+
+def test_a_likelier_start_is_what_is_finished(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, smaller = views_of(ball(RADIUS), cameras_around(12, side=64)), surface(0.0)
+    smaller = smaller.moved(0.9 * smaller.vertices)
+    monkeypatch.setattr(extract, "is_torn", lambda *surfaces: False)
+    for kept, radius in ((True, 0.9 * RADIUS), (False, RADIUS)):
+        monkeypatch.setattr(extract, "photographs_prefer_start", lambda *surfaces, kept=kept: kept)
+        mesh = extract_mesh(views, MeshConfig(max_light_residual=None), (), painted_photographs(64)[:3], start=smaller)
+        assert mesh.start_kept is kept
+        assert abs(np.median(np.linalg.norm(mesh.vertices, axis=1)) - radius) < 0.01
+    assert not extract_mesh(views, MeshConfig(max_light_residual=None)).start_kept

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from mgsr.data.camera import Camera
-from mgsr.data.scene import View
 from mgsr.gaussians.surfels import SurfelModel
 from mgsr.renderers.surfels import render_surfels
 from mgsr.segmentation.support_plane import SupportPlane
@@ -25,6 +24,7 @@ COVERED = 0.3  # opacity from where surfels show a surface
 PLANE_RADIUS = 4.0  # around the scene's centre, in balls, in which the support plane is the background
 PLANE_FIRST = 1.05  # times the plane's distance, up to where surfels behind it count as the plane's
 COLUMNS = 1024  # of the maps by which colours are looked up
+SAME = 1e-6  # distance, in balls, up to where a camera is the one that is asked for
 FAR = 20.0  # distance, in balls, of what has no surface
 
 Window = tuple[slice, slice]
@@ -47,8 +47,8 @@ class ExpectedBackground:
 class BackgroundSources:
     """What tells of the background.
 
-    cameras and images [H,W,3] float32 sRGB 0..1 of photographs; clear [H,W] float32 0..1: where each shows background
-    and no object; surfels: those of the background; plane: what the object stands on, if anything.
+    cameras and images [H,W,3] uint8 sRGB of photographs; clear [H,W] uint8: 255 where each shows background and no
+    object, 0 elsewhere; surfels: those of the background; plane: what the object stands on, if anything.
     """
 
     cameras: Sequence[Camera]
@@ -89,7 +89,7 @@ class BackgroundSources:
         """Return the other cameras' indices, those in the most similar direction from the scene's centre first."""
         centers = np.stack([camera.center, *(other.center for other in self.cameras)])
         ways = centers / np.maximum(np.linalg.norm(centers, axis=1, keepdims=True), 1e-12)
-        itself = np.array([other is camera for other in self.cameras])
+        itself = np.linalg.norm(centers[1:] - centers[0], axis=1) < SAME
         order = np.argsort(-(ways[1:] @ ways[0]), kind="stable")
         nearest: np.ndarray = order[~itself[order]][:NEAREST]
         return nearest
@@ -123,7 +123,7 @@ class BackgroundSources:
         across, down = (maps[:, i].reshape(-1, COLUMNS) for i in (0, 1))
         color = cv2.remap(self.images[index], across, down, cv2.INTER_LINEAR).reshape(-1, 3)
         clear = cv2.remap(self.clear[index], across, down, cv2.INTER_LINEAR).ravel()
-        return color[: len(places)], np.asarray(clear[: len(places)] > 0.99)
+        return color[: len(places)] / np.float32(255), np.asarray(clear[: len(places)] == 255)
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
@@ -131,8 +131,3 @@ def pixel_rays(camera: Camera) -> np.ndarray:
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     local = np.stack([(columns - camera.K[0, 2]) / camera.K[0, 0], (rows - camera.K[1, 2]) / camera.K[1, 1]], axis=-1)
     return np.asarray(np.concatenate([local, np.ones_like(local[..., :1])], axis=-1) @ camera.cam_from_world[:3, :3])
-
-
-def prepared_image(view: View) -> np.ndarray:
-    """Return a view's photograph as BackgroundSources takes it, [H,W,3] float32 sRGB 0..1."""
-    return view.image.astype(np.float32) / 255

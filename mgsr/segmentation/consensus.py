@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.hull import Hull, carve, hull_surface
+from mgsr.data.hull import Hull, carve
 from mgsr.data.silhouettes import Silhouette, signed_distance
-from mgsr.geometry.mesh import Mesh
-from mgsr.parallel import map_ahead
+from mgsr.geometry.raycast import RayCaster
 from mgsr.segmentation.support_plane import SupportPlane
 
 RESOLUTION = 128  # voxels along a side
@@ -40,14 +39,6 @@ def tolerant_hull(
     return replace(hull, field=np.minimum(hull.field, above).astype(np.float32))
 
 
-def hull_silhouettes(hull: Hull, cameras: Sequence[Camera]) -> list[np.ndarray]:
-    """Return the signed distances [H,W], pixels, to the hull's silhouette in each camera, positive inside.
-
-    Raises SceneError if the hull is empty.
-    """
-    caster = Mesh(*hull_surface(hull)).caster
-
-    def silhouette(camera: Camera) -> np.ndarray:
-        return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))
-
-    return list(map_ahead(silhouette, cameras, None))
+def silhouette(caster: RayCaster, camera: Camera) -> np.ndarray:
+    """Return the signed distances [H,W], pixels, to a surface's silhouette in a camera, positive inside."""
+    return signed_distance((caster.cast(camera).depth > 0).astype(np.float32))

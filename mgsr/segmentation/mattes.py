@@ -69,7 +69,7 @@ def matte(
 ) -> Matte:
     """Segment a photograph inside a region [H,W] bool.
 
-    image [H,W,3] float32 sRGB 0..1; surfels: the object's; silhouette [H,W]: signed distances, pixels, to that of the
+    image [H,W,3] uint8 sRGB; surfels: the object's; silhouette [H,W]: signed distances, pixels, to that of the
     object's hull, once it is known.
     """
     found = Matte(np.zeros(region.shape, np.float32), np.zeros(region.shape, bool), np.zeros(region.shape, bool))
@@ -78,7 +78,7 @@ def matte(
     window = _window(region)
     inside = region[window]
     background = sources.expected(camera, window, inside)
-    known, part = background.known, image[window]
+    known, part = background.known, image[window] / np.float32(255)
     behind, _ = _extended(background.color, known.astype(np.float32))
     variance = np.where(known, NOISE**2 + (SPREAD * background.spread) ** 2, GUESSED**2)
     as_background = _cost(part - behind, variance)

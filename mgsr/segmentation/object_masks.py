@@ -19,14 +19,15 @@ from scipy.spatial import cKDTree
 
 from mgsr.config import make_config
 from mgsr.data.camera import Camera, pixel_size
-from mgsr.data.hull import Hull
+from mgsr.data.hull import Hull, hull_surface
 from mgsr.data.scene import Scene, View
 from mgsr.errors import Cancelled
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.geometry.mesh import Mesh
 from mgsr.parallel import map_ahead
 from mgsr.renderers.surfels import render_surfels
-from mgsr.segmentation.background import BackgroundSources, prepared_image
-from mgsr.segmentation.consensus import hull_silhouettes, tolerant_hull
+from mgsr.segmentation.background import BackgroundSources
+from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.mattes import Matte, first_region, hull_region, matte
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane
@@ -115,7 +116,7 @@ def find_object(
     )
     if (doubt := _doubt(search.masks, agreement)) is not None:
         return doubt
-    masks = search.last_masks([*scene.train, *scene.test])
+    masks = search.last_masks(scene.train, scene.test)
     progress(1.0)
     return FoundObject(masks[: len(views)], masks[len(views) :], agreement, search.box(), first.plane)
 
@@ -145,7 +146,7 @@ class _Search:
     def __init__(self, model: SurfelModel, first: _FirstLabels, views: Sequence[View]) -> None:
         self._model, self._first = model.detached(), first
         self._cameras = [view.camera for view in views]
-        self._images = [prepared_image(view) for view in views]
+        self._images = [view.image for view in views]
         self._pixel = pixel_size(self._cameras, np.zeros(3))
         self._hull: Hull | None = None
         self.labels = first.standing
@@ -157,37 +158,47 @@ class _Search:
 
         dissent: the share of the views that may have a place of the hull outside their masks.
         """
-        sources = self._sources()
-        found = self._mattes(self._images, self._cameras, self.masks, self.silhouettes, sources)
+        sources, surfels = self._sources(), some_surfels(self._model, self.labels)
+
+        def made(index: int) -> Matte:
+            image, camera, mask = self._images[index], self._cameras[index], self.masks[index]
+            if self.silhouettes is None:
+                return matte(image, camera, first_region(mask), surfels, sources)
+            inside = self.silhouettes[index]
+            return matte(image, camera, hull_region(mask, inside), surfels, sources, inside)
+
+        found = list(map_ahead(made, range(len(self._images)), None))
         self.masks = [each.share > 0.5 for each in found]
         first = self._first
         self._hull = tolerant_hull([each.share for each in found], self._cameras, first.box, first.plane, dissent)
         if not (self._hull.field > 0).any():
             self.labels = np.zeros_like(self.labels)
             return
-        self.silhouettes = hull_silhouettes(self._hull, self._cameras)
+        caster = Mesh(*hull_surface(self._hull)).caster
+        self.silhouettes = [silhouette(caster, camera) for camera in self._cameras]
         inside = self._hull.values(self._model.means.numpy().astype(np.float64)) > -AROUND * self._pixel
         self.labels = inside & (first.heights > RAISED * self._pixel) & self._sure(found)
 
-    def last_masks(self, views: Sequence[View]) -> list[np.ndarray]:
-        """Return the masks [H,W] uint8 of views, made once more in larger photographs."""
+    def last_masks(self, train: Sequence[View], test: Sequence[View]) -> list[np.ndarray]:
+        """Return the masks [H,W] uint8 of the training and the test views, made once more in larger photographs."""
         import cv2  # late: training needs no OpenCV
 
-        assert self._hull is not None
-        sources, fine = self._sources(), [small_view(view, FINE_SIDE) for view in views]
-        cameras = [view.camera for view in fine]
-        silhouettes = hull_silhouettes(self._hull, cameras)
-        images, covered = [prepared_image(view) for view in fine], [inside > 0 for inside in silhouettes]
-        found = self._mattes(images, cameras, covered, silhouettes, sources)
-        shares = [
-            np.where(inside > FILLED, 1, np.where(inside > -BESIDE, each.share, 0)).astype(np.float32)
-            for each, inside in zip(found, silhouettes, strict=True)
-        ]
-        sizes = [(view.camera.width, view.camera.height) for view in views]
-        larger = [
-            cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) for share, size in zip(shares, sizes, strict=True)
-        ]
-        return [(255 * share).round().astype(np.uint8) for share in larger]
+        fine = [small_view(view, FINE_SIDE) for view in [*train, *test]]
+        sources, surfels = self._sources(fine[: len(train)]), some_surfels(self._model, self.labels)
+        hull = self._hull
+        assert hull is not None
+        caster = Mesh(*hull_surface(hull)).caster
+
+        def made(pair: tuple[View, View]) -> np.ndarray:
+            view, camera = pair[0], pair[1].camera
+            longest = max(camera.width, camera.height)
+            inside = silhouette(caster, camera) / max(1.0, longest / SIDE)  # in pixels of the small photographs
+            found = matte(pair[1].image, camera, hull_region(inside > 0, inside), surfels, sources, inside)
+            share = np.where(inside > FILLED, 1, np.where(inside > -BESIDE, found.share, 0)).astype(np.float32)
+            size = view.camera.width, view.camera.height
+            return np.asarray((255 * cv2.resize(share, size, interpolation=cv2.INTER_LINEAR)).round().astype(np.uint8))
+
+        return list(map_ahead(made, zip([*train, *test], fine, strict=True), None))
 
     def box(self) -> np.ndarray:
         """Return the corners [2,3] of the box around the hull."""
@@ -199,8 +210,11 @@ class _Search:
         with torch.no_grad():
             return render_surfels(some_surfels(self._model, self.labels), camera, torch.zeros(3), 0).alpha.numpy() > 0.5
 
-    def _sources(self) -> BackgroundSources:
-        """Return what tells of the background: whatever lies outside the masks and the hull's silhouettes."""
+    def _sources(self, larger: Sequence[View] | None = None) -> BackgroundSources:
+        """Return what tells of the background: whatever lies outside the masks and the hull's silhouettes.
+
+        larger: the same photographs at another size, to look at in place of the small ones.
+        """
         import cv2  # late: training needs no OpenCV
 
         around = np.ones((2 * BLOCKED + 1,) * 2, np.uint8)
@@ -210,28 +224,16 @@ class _Search:
         blocked = [ndimage.binary_fill_holes(cv2.dilate(mask.astype(np.uint8), around) > 0) for mask in wide]
         lifted, _ = lifted_labels(self._model, blocked, self._cameras)
         behind = ~self.labels & (lifted < 0.5) & (self._first.heights > -BELOW * self._pixel)
-        clear = [(~mask).astype(np.float32) for mask in blocked]
         surfels = some_surfels(self._model, behind)
-        return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane)
-
-    def _mattes(
-        self,
-        images: Sequence[np.ndarray],
-        cameras: Sequence[Camera],
-        masks: Sequence[np.ndarray],
-        silhouettes: Sequence[np.ndarray] | None,
-        sources: BackgroundSources,
-    ) -> list[Matte]:
-        surfels = some_surfels(self._model, self.labels)
-
-        def one(index: int) -> Matte:
-            image, camera, mask = images[index], cameras[index], masks[index]
-            if silhouettes is None:
-                return matte(image, camera, first_region(mask), surfels, sources)
-            inside = silhouettes[index]
-            return matte(image, camera, hull_region(mask, inside), surfels, sources, inside)
-
-        return list(map_ahead(one, range(len(images)), None))
+        clear = [255 * (~mask).astype(np.uint8) for mask in blocked]
+        if larger is None:
+            return BackgroundSources(self._cameras, self._images, clear, surfels, self._first.plane)
+        cameras, images = [view.camera for view in larger], [view.image for view in larger]
+        clear = [
+            cv2.resize(mask, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)
+            for mask, camera in zip(clear, cameras, strict=True)
+        ]
+        return BackgroundSources(cameras, images, clear, surfels, self._first.plane)
 
     def _sure(self, found: Sequence[Matte]) -> np.ndarray:
         """Return which surfels [N] bool photographs show where they surely do not show the background."""

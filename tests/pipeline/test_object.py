@@ -20,7 +20,7 @@ from mgsr.pipeline.single_steps import mesh_again, score_again
 from tests.segmentation.table_scene import TABLE, table_scene
 
 SHORT = [
-    "warmup.surfel_iterations=30",
+    "warmup.surfel_iterations=100",
     "warmup.gaussian_iterations=30",
     "mutual.iterations=20",
     "model_selection.iterations=0",

@@ -9,11 +9,13 @@ import pytest
 import torch
 
 from mgsr.data.camera import Camera
+from mgsr.data.hull import hull_surface
 from mgsr.gaussians.start import SH_CONSTANT
 from mgsr.gaussians.surfels import SurfelModel
+from mgsr.geometry.mesh import Mesh
 from mgsr.renderers.surfels import render_surfels
-from mgsr.segmentation.background import BackgroundSources, pixel_rays, prepared_image
-from mgsr.segmentation.consensus import hull_silhouettes, tolerant_hull
+from mgsr.segmentation.background import BackgroundSources, pixel_rays
+from mgsr.segmentation.consensus import silhouette, tolerant_hull
 from mgsr.segmentation.random_walker import CONTRAST, SMOOTHNESS, random_walker
 from mgsr.segmentation.splat_labels import lifted_labels, pieces, some_surfels
 from mgsr.segmentation.support_plane import SupportPlane, find_support_plane, upward
@@ -120,16 +122,16 @@ def test_the_background_behind_the_object_is_what_other_photographs_show() -> No
     (scene, truth), (empty, _) = table_scene(size=96), table_scene(size=96, copies=0)
     seen = [view.camera for view in scene.train]
     masks = truth[: len(seen)]
-    clear = [(~mask).astype(np.float32) for mask in masks]
+    clear = [255 * (~mask).astype(np.uint8) for mask in masks]
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
-    sources = BackgroundSources(seen, [prepared_image(view) for view in scene.train], clear, surfels(0), plane)
+    sources = BackgroundSources(seen, [view.image for view in scene.train], clear, surfels(0), plane)
     for index in (0, 1, 2):
         rays, center = pixel_rays(seen[index]), seen[index].center
         places = center + (TABLE - center[2]) / np.minimum(rays[..., 2:], -1e-9) * rays
         asked = masks[index] & (rays[..., 2] < 0) & (np.linalg.norm(places[..., :2], axis=-1) < 1.7)
         found = sources.expected(seen[index], (slice(None), slice(None)), asked)
         assert not (found.known & ~asked).any() and found.known[asked].mean() > 0.6
-        wrong = np.abs(found.color - prepared_image(empty.train[index])).max(axis=-1)[found.known]
+        wrong = np.abs(found.color - empty.train[index].image / 255).max(axis=-1)[found.known]
         assert np.median(wrong) < 0.03 and (wrong < 0.1).mean() > 0.9
 
 
@@ -141,7 +143,8 @@ def test_a_hull_that_some_masks_contradict_shows_what_they_leave_out() -> None:
     masks[2][48:, :] = 0
     plane = SupportPlane(np.array([0.0, 0.0, 1.0]), -TABLE)
     hull = tolerant_hull(masks, seen, box, plane, 0.1)
-    silhouettes = [inside > 0 for inside in hull_silhouettes(hull, seen)]
+    caster = Mesh(*hull_surface(hull)).caster
+    silhouettes = [silhouette(caster, camera) > 0 for camera in seen]
     assert (silhouettes[2] & truth[2]).sum() > 0.97 * truth[2].sum() > 1.3 * masks[2].sum()
     for mask, true in zip(silhouettes, truth, strict=True):
         assert (mask & ~true).sum() < 0.12 * true.sum()

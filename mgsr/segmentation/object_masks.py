@@ -47,6 +47,7 @@ STANDING = 6.0  # over the plane, from where a surfel belongs to what stands on 
 RAISED = 3.0  # over the plane, from where a surfel in the hull is the object's
 BELOW = 3.0  # under the plane, from where a surfel is a reflection and not the background
 AROUND = 1.5  # around the hull, up to where a surfel is the object's
+COPIES = 8  # of a surfel between the object's surface and the plane, which fill the first masks
 LINKED = 2.5  # times the usual distance to a third neighbour, by which surfels of one piece are apart at most
 BLOCKED = 2  # around a mask, in which a photograph does not show the background for certain
 SURE = 0.5  # share of its pixels with a known background in which an object's surfel is surely not that
@@ -151,7 +152,8 @@ class _Search:
         self._hull: Hull | None = None
         self.labels = first.standing
         self.silhouettes: list[np.ndarray] | None = None
-        self.masks = [ndimage.binary_fill_holes(self._covered(camera)) for camera in self._cameras]
+        columns = _columns(some_surfels(self._model, first.standing), first.plane)
+        self.masks = [ndimage.binary_fill_holes(_covered(columns, camera)) for camera in self._cameras]
 
     def refine(self, dissent: float) -> None:
         """Make masks from the present labels, a hull from the masks, and labels from the hull.
@@ -206,10 +208,6 @@ class _Search:
         places = np.argwhere(self._hull.field > 0) * self._hull.voxel + self._hull.origin
         return np.stack([places.min(axis=0), places.max(axis=0)])
 
-    def _covered(self, camera: Camera) -> np.ndarray:
-        with torch.no_grad():
-            return render_surfels(some_surfels(self._model, self.labels), camera, torch.zeros(3), 0).alpha.numpy() > 0.5
-
     def _sources(self, larger: Sequence[View] | None = None) -> BackgroundSources:
         """Return what tells of the background: whatever lies outside the masks and the hull's silhouettes.
 
@@ -242,6 +240,26 @@ class _Search:
             for masks in ([each.sure for each in found], [each.told for each in found])
         )
         return np.asarray((sure > SURE * told) & (told > TOLD))
+
+
+def _columns(surfels: SurfelModel, plane: SupportPlane | None) -> SurfelModel:
+    """Return surfels and copies of them on their way down to the plane, which fill what lies below the surface.
+
+    Shiny sides show what they reflect, so that surfels of them may lie anywhere.
+    """
+    if plane is None:
+        return surfels
+    down = torch.from_numpy((plane.heights(surfels.means.numpy())[:, None] * plane.normal).astype(np.float32))
+    lowered = [replace(surfels, means=surfels.means - share * down) for share in np.linspace(0, 1, COPIES)]
+    return SurfelModel(
+        **{name: torch.cat([part.parameters()[name] for part in lowered]) for name in surfels.parameters()}
+    )
+
+
+def _covered(surfels: SurfelModel, camera: Camera) -> np.ndarray:
+    """Return where surfels cover a camera's image, [H,W] bool."""
+    with torch.no_grad():
+        return render_surfels(surfels, camera, torch.zeros(3), 0).alpha.numpy() > 0.5
 
 
 def _first_labels(

@@ -40,7 +40,7 @@ def adapt(
 ) -> Adaptation:
     """Return the next set of splats, from the stored parameters of either branch (`model.parameters()`).
 
-    extent: the scene's, in its unit. grow: off only prunes. Neither the parameters nor the state are changed. The two
+    extent: the scene's, in its unit. grow: off only prunes. Parameters and state remain unchanged. The two
     halves of a split are drawn from the splat itself by the generator. Deviation from 3DGS: what would pass
     config.max_count is left out, smallest gradients first; no limit on screen size.
     """

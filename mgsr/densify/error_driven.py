@@ -53,7 +53,7 @@ class NewPoints:
     residual: Tensor
 
     def rows(self, chosen: Tensor) -> NewPoints:
-        """Return some of the points, by a mask or indices."""
+        """Return a subset of the points, by a mask [N] bool or indices [M] int64."""
         return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.residual[chosen])
 
 
@@ -101,9 +101,9 @@ def new_points(
 
 
 def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoints:
-    """Return the points whose residual agrees with that of the other views that see them.
+    """Return the points whose residual agrees among the views that see them.
 
-    Views disagree about a highlight, which one lacks and the others have too much of, and about noise half of the time.
+    Residuals of a highlight differ in sign between views, and those of noise do so half of the time.
     Points that no other view sees are left out, too.
     """
     agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))

@@ -155,9 +155,9 @@ def depth_agreement(
 def depth_unit(kind: DepthUnit, gaussian_depth: Tensor, distance: float) -> float | Tensor:
     """Return the unit that `depth_agreement` divides by: the camera's distance from the scene's centre.
 
-    As in the paper, it may be the largest depth instead (one for both, so that depths which agree still agree after
-    it). A distance under 0.1 counts as that: a camera in the middle of the scene, whose radius is 1, would else weigh
-    without bound.
+    As in the paper, it may instead be the largest value of gaussian_depth [H,W]. Both branches share it, so equal
+    depths remain equal after the division. A distance below 0.1 counts as 0.1, which bounds the weight of a camera in
+    the middle of the scene (radius 1).
     """
     return (
         max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else gaussian_depth.detach().max().clamp(min=1e-6)
@@ -172,7 +172,7 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
-    if clip and target.invalid is not None:  # what is put in at unknown pixels must be clipped too
+    if clip and target.invalid is not None:  # values filled in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
     known_sum = target.off_edge_sum if where is target.off_edge else None

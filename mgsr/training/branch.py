@@ -99,7 +99,7 @@ class Branch(Trainable[Splats]):
         self.densify_state = DensifyState.empty(len(self.model), self.device)
 
     def keep(self, rows: Tensor) -> None:
-        """Drop all splats but those of ascending indices [M] int64, and begin to gather anew."""
+        """Keep only the splats of ascending indices [M] int64, and reset the gathered statistics."""
         self.optimizer.keep(rows)
         self.adopt()
         self.densify_state = DensifyState.empty(len(self.model), self.device)

@@ -21,7 +21,7 @@ FORMAT = 7
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
-    """Return hashes of what a checkpoint must share with a run.
+    """Return the hashes by which a checkpoint must match a run.
 
     They are of the training images and cameras, and of the settings that change the result.
     """

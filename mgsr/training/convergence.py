@@ -44,8 +44,8 @@ def make_convergence(
 class EpochMeans:
     """The test that compares mean losses over whole epochs.
 
-    It has converged when the mean loss over `span` epochs lies less than `gain` (relative) under that of the `span`
-    epochs before. Whole epochs hold the same views, so only the model's change is measured.
+    Training has converged when the mean loss of the last `span` epochs is less than a fraction `gain` below the mean of
+    the preceding `span` epochs. Whole epochs hold the same views, so only the model's change is measured.
     """
 
     def __init__(self, earliest: int, span: int, gain: float) -> None:

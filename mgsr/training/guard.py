@@ -29,9 +29,10 @@ MOST_INCIDENTS = 100  # that are kept for the report; all are logged
 class Guard:
     """A guard that watches one stage's steps.
 
-    A step is bad when its loss or a gradient is not finite or over 1e19 (whose square float32 does not hold, nor Adam's
-    memory of it). It is not taken, and the next view comes. Every `every` steps the guard looks back: where a parameter
-    is not finite, or the loss has blown up, the branches return to how they were at the last good look. On a card
+    A step is bad when its loss or a gradient is not finite or exceeds 1e19. The square of a larger number overflows
+    float32, and with it Adam's second moment. It is not taken, and the next view comes. Every `every` steps the guard
+    looks back: where a parameter is not finite, or the loss has blown up, the branches return to how they were at the
+    last good look. On a card
     nothing is read between two looks: there a bad step's gradients count as zero.
     """
 
@@ -49,8 +50,8 @@ class Guard:
     def admits(self, step: Step, view: str) -> bool:
         """Return whether the step may be taken.
 
-        On a card the answer is always yes, and `bad` tells those who take the step whether its gradients count as zero.
-        Raises TrainingError where going back did not help.
+        On a GPU the answer is always yes; the optimiser then reads `bad` and treats the gradients of a bad step as
+        zero. Raises TrainingError where going back did not help.
         """
         # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
@@ -89,7 +90,7 @@ class Guard:
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def state(self) -> dict[str, Any]:
-        """Return what the guard's next judgements depend on, with the copy of the last good look, for a checkpoint."""
+        """Return the guard's state for a checkpoint, including the copy from the last good check."""
         return {
             "losses": list(self._losses),
             "dropped": list(self._dropped),

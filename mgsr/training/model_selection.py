@@ -1,6 +1,6 @@
 """Model selection of the 3D branch: a part must earn its place on photographs that training did not see.
 
-It decides what the branch adds to the transmitted light, and how far that light's colour may change with direction.
+It chooses the branch's reflection model and the harmonic degree of the transmitted light.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class ReflectionSelection:
         self._decide(stage, best.reflection)
 
     def state(self) -> dict[str, Any]:
-        """Return what was decided, for a checkpoint."""
+        """Return the decisions for a checkpoint."""
         chosen = None if self.chosen is None else str(self.chosen)
         return {"chosen": chosen, "psnr": self.psnr, "degrees": self.degrees}
 
@@ -115,7 +115,7 @@ class ReflectionSelection:
         stage.cycle.count = self.all_views
 
     def _add(self, reflection: Reflection) -> None:
-        """Add to the models what the candidate has and they lack."""
+        """Add the candidate's missing parameters to the models."""
         if self.environment_map is not None:
             self.environment_map.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):

@@ -4,8 +4,8 @@ The backdrop's colour lies behind the splats and needs none, so what they come t
 compared with that colour: splats have to explain all photographs at once, so a highlight or a patch that looks like the
 backdrop makes no hole, as it would in a mask by colour.
 
-A first branch begins anywhere in the ball. Its splats that show nothing have the backdrop's colour, which no photograph
-tells from being transparent, so opacity costs something there, and its contours are rough. A second begins on the hull
+A first branch begins anywhere in the ball. Superfluous splats take the backdrop's colour, which no photograph
+distinguishes from transparency. A loss on opacity removes them. The contours remain rough. A second begins on the hull
 of these, where no splat is idle, and opacity is free.
 """
 

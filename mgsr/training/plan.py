@@ -100,8 +100,8 @@ def make_plan(
 ) -> Plan:
     """Build the branches on the starting points, all on `device`, and the stages that the settings ask for.
 
-    With `finish`, or where a mesh may reflect the environment map in the end, there is one more stage, of no iterations
-    yet, in which the branch that renders goes on alone.
+    With `finish`, or where a mesh may reflect the environment map, one more stage follows. It trains the rendering
+    branch alone, and its length is zero until it is set.
 
     Raises TrainingError for too few training views.
     """
@@ -141,7 +141,7 @@ def mutual_iterations(config: Config) -> int:
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
-    """Return what the 3D branch adds to the transmitted light at first, and whether model selection decides on more."""
+    """Return the 3D branch's initial reflection model, and whether model selection may change it."""
     asked, alone = config.train.gaussians.reflection, config.train.branches is Branches.GAUSSIANS
     if asked is not Reflection.AUTO:
         return asked, False

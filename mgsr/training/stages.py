@@ -126,7 +126,7 @@ class Stage:
         ]
 
     def next_view(self) -> TrainingView:
-        """Return the view whose turn it is."""
+        """Return the next training view."""
         return self._current_views()[self.cycle.next()]
 
     def adapt(self, branch: Branch[Any]) -> None:
@@ -144,7 +144,7 @@ class Stage:
         return self.views
 
     def state(self) -> dict[str, Any]:
-        """Return where the stage stands, for a checkpoint."""
+        """Return the stage's progress for a checkpoint."""
         return {
             "iteration": self.iteration,
             "iterations": self.iterations,
@@ -180,7 +180,7 @@ class ReflectingSurface:
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
     def shown(self, view: TrainingView, rendered: RenderedMap) -> Tensor:
-        """Return what each pixel of a view reflects of the map, [H,W,3]."""
+        """Return the environment map's reflection at each pixel of a view, [H,W,3]."""
         model = self.environment_map.model
         if model.reflector is not None:
             return reflected_environment(model, view.camera, pixels=view.covered, rendered=rendered)

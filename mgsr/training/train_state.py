@@ -114,5 +114,5 @@ def camera_extent(scene: Scene) -> float:
 
 
 def seeded(config: Config, purpose: int) -> torch.Generator:
-    """Return a generator of its own for each purpose, so that one stage's length does not change another's draws."""
+    """Return a separate generator for each purpose, so that one stage's length does not change another's draws."""
     return torch.Generator().manual_seed(config.seed * 1000 + purpose)

@@ -18,7 +18,8 @@ from mgsr.ops.pixels import composite
 
 CPU = torch.device("cpu")
 
-# What is made of the views lies in memory up to this, and in a file past that, as the decoded photographs do.
+# Data derived from the views stays in memory up to this size and goes to a file beyond it, like the decoded
+# photographs.
 MADE_BYTES = 1 << 30
 
 

@@ -111,7 +111,7 @@ def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(view: View) -> tuple[np.ndarray, float]:
-    """Return the world direction to the middle of the mask's bounding box, and half its diagonal over depth.
+    """Return the world direction [3] to the centre of the mask's bounding box, and half its diagonal over depth.
 
     The mask must not be empty.
     """
@@ -133,7 +133,7 @@ def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple
     center = focus(origins, directions)
     if center is None:
         return _one_sided_ball(cameras, origins, directions, positions)
-    # The median: a few cameras that came close must not shrink the ball to what they alone see.
+    # The median: a few close cameras must not shrink the ball to their own field of view.
     radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
     return (center, radius) if positions is None else _ball_of_points(positions, center, radius)
 
@@ -150,10 +150,10 @@ def _view_direction(camera: Camera) -> np.ndarray:
 
 
 def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
-    """Return the ball moved to where the points in it crowd, and shrunk to them.
+    """Return the centre [3] and radius of the ball, moved to the densest points in it and shrunk to them.
 
-    People aim beside the object, but its texture gets most of the points. The centre stays within the ball's own radius
-    of the focus.
+    Photographers aim beside the object, but its texture yields most of the points [P,3]. The centre stays within the
+    ball's radius of focus_point [3].
     """
     center = focus_point
     for _ in range(10):
@@ -192,7 +192,7 @@ def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
-    """Return the radius of the ball around `center` that the camera's image shows whole.
+    """Return the radius of the largest ball around `center` [3] that lies wholly in the camera's image.
 
     It is at least a tenth of the distance to `center`.
     """

@@ -13,7 +13,7 @@ MEMORY_BYTES = 4 << 30
 
 # A file holds many images, so that a scene doesn't take a file for each.
 _FILE_BYTES = 1 << 30
-_ALIGNED = 64  # bytes at whose multiples arrays begin in a file
+_ALIGNED = 64  # alignment of arrays in a file, bytes
 
 
 class PixelStore:
@@ -26,7 +26,7 @@ class PixelStore:
         self._used = 0
 
     def hold(self, array: np.ndarray) -> np.ndarray:
-        """Return an array of any type itself while there is memory, else a copy in a file; both are writable."""
+        """Return the array [...] itself while memory remains, else a copy in a mapped file; both are writable."""
         with self._lock:
             if array.nbytes <= self._memory:
                 self._memory -= array.nbytes

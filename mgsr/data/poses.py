@@ -110,7 +110,7 @@ def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.nd
     """Return the intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1.
 
     The principal point may lie outside the image, as in a part that is cut out of a larger one. Raises SceneError for
-    what no pinhole camera has.
+    intrinsics that no pinhole camera has.
     """
     if not np.isfinite(K).all():
         raise SceneError(
@@ -156,7 +156,7 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
 
 
 def cuts_out(K: np.ndarray, size: tuple[int, int]) -> bool:
-    """Return whether the principal point lies outside an image of `size`, as in one cut out of a larger image."""
+    """Return whether the principal point of K [3,3] lies outside an image of `size`, as after a crop."""
     return not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1])
 
 

@@ -81,11 +81,11 @@ class _Frame:
 
 
 def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-    """Compute the pinhole image that keeps the photograph's focal lengths and all that it shows up to HALF_ANGLE.
+    """Compute a pinhole image with the photograph's focal lengths and its whole field of view up to HALF_ANGLE.
 
-    Where nearly all of that fills a rectangle, the image is the rectangle. Which pixels it shows is known exactly:
-    those whose ray the lens puts inside the photograph, before its polynomial folds back. Raises SceneError naming
-    `source` if nothing is left.
+    Where a rectangle holds nearly all of that field, the image is the rectangle. A pixel is valid exactly where the
+    lens projects its ray into the photograph, before its polynomial folds back. K [3,3] is in pixels. Raises SceneError
+    naming `source` if nothing is left.
     """
     photograph = _Photograph(lens, K, width, height)
     frame = _frame(photograph)
@@ -189,7 +189,7 @@ def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.nda
     # With a border of one pixel, to see folds. float32 places a pixel to a thousandth.
     x = ((frame.left - cx + (np.arange(-1, frame.width + 1) + 0.5) * frame.step) / fx).astype(np.float32)
     y = ((frame.top - cy + (np.arange(rows.start - 1, rows.stop + 1) + 0.5) * frame.step) / fy).astype(np.float32)
-    with np.errstate(all="ignore"):  # what a senseless lens makes is not shown, and so refused
+    with np.errstate(all="ignore"):  # a senseless lens leaves no valid pixels, and so is refused
         bent_x, bent_y = photograph.lens.distort(x[None, :], y[:, None])
         map_x, map_y = bent_x * fx + (cx - 0.5), bent_y * fy + (cy - 0.5)
         inside = (map_x >= -0.5) & (map_x <= width - 0.5) & (map_y >= -0.5) & (map_y <= height - 0.5)
@@ -201,7 +201,7 @@ def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.nda
 
 
 def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
-    """Return where the mapping keeps its orientation, without the border."""
+    """Return where the mapping [H,W] keeps its orientation, [H-2,W-2] bool without the border."""
     turn = (map_x[1:-1, 2:] - map_x[1:-1, :-2]) * (map_y[2:, 1:-1] - map_y[:-2, 1:-1])
     shear = (map_x[2:, 1:-1] - map_x[:-2, 1:-1]) * (map_y[1:-1, 2:] - map_y[1:-1, :-2])
     kept: np.ndarray = turn > shear
@@ -223,9 +223,9 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 
 def _kept(valid: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns of a rectangle without invalid pixels if it holds nearly all valid ones.
+    """Return the rows and columns of a rectangle of valid pixels [H,W] if it holds nearly all of them.
 
-    Otherwise they bound all valid pixels.
+    Otherwise return the bounding box of all valid pixels.
     """
     rows, columns = largest_rectangle(valid)
     inner = valid[rows, columns]

@@ -118,9 +118,9 @@ def _rows(parameters: Parameters, mask: Tensor) -> Parameters:
 
 
 def lowered_opacities(parameters: dict[str, Tensor], opacity: float) -> dict[str, Tensor]:
-    """Return the opacity logits of either branch, by name, lowered to at most that of `opacity` (3DGS, section 5.2).
+    """Return a branch's opacity logits [N] by name, clamped to the logit of `opacity` (3DGS, section 5.2).
 
-    What isn't needed stays faint then, and is pruned. `parameters` stay as they are.
+    Superfluous splats then remain faint and are pruned. `parameters` remain unchanged.
     """
     limit = math.log(opacity / (1 - opacity))
     return {name: parameters[name].detach().clamp(max=limit) for name in OPACITY_NAMES if name in parameters}

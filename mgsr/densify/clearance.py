@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 
-NEAREST = 10  # of the starting points: those before it may be wrong
+NEAREST = 10  # rank of the starting point that is used; nearer ones may be outliers
 
 
 @dataclass(frozen=True)

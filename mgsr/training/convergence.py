@@ -1,6 +1,6 @@
 """Tests for whether a warm-up has converged.
 
-They compare like with like; the paper's own rule is there too.
+They include the paper's own rule.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def make_convergence(
 ) -> Convergence | None:
     """Return the convergence test that the settings name for a warm-up of at most `iterations`, or None for none.
 
-    validation_psnr measures the branch on the views that it is not trained on.
+    validation_psnr measures the branch on held-out views.
     """
     earliest = int(warmup.stop_after * iterations)
     if paper.stop_rule is StopRule.EPOCH:
@@ -74,10 +74,10 @@ class EpochMeans:
 
 
 class Validation:
-    """The test that looks at views which are kept from training.
+    """The test on held-out views.
 
-    It has converged when their PSNR has not risen by `validation_gain` dB over its best for `validation_patience` looks
-    in a row.
+    Training has converged when `validation_patience` consecutive checks have not improved the best PSNR by
+    `validation_gain` dB.
     """
 
     def __init__(self, earliest: int, config: PaperConfig, measure: Callable[[], float]) -> None:

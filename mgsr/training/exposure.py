@@ -1,7 +1,7 @@
 """Exposure differences between photographs, estimated with a small 3D branch that is trained for it.
 
-Where most surfaces look the same from all sides, the points that they show tell the factors more exactly than the
-branch does (see `point_exposures`): on matte objects, and in photographs of a whole room.
+Matte surfaces, as in photographs of a whole room, look the same from all sides. There, the starting points give more
+exact factors than the branch (see `point_exposures`).
 
 The branch can't reproduce the exposure factor of a held-out view. A factor is therefore fitted to one half of each
 held-out view and tested on the other half: if it improves that half too, exposures differ. The branch explains a flash
@@ -84,9 +84,10 @@ def _rounded(factors: np.ndarray, train: int) -> Exposures:
 def _kept_errors(
     scene: Scene, start: StartingPoints, small: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> np.ndarray:
-    """Return the mean `_errors` [2] of views that are kept from training.
+    """Return the mean `_errors` [2] of held-out views.
 
-    Every HELD_BACK-th view is kept, then others in the same way until JUDGED were kept, as few tell too little.
+    Every HELD_BACK-th view is held out, then others in the same way, until at least JUDGED views were held out: a mean
+    over fewer is unreliable.
     """
     errors: list[tuple[float, float]] = []
     for first in (1, 2, 3, 0):

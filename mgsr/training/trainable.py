@@ -99,7 +99,7 @@ class Trainable(ABC, Generic[Model]):
 
 
 def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None = None) -> None:
-    """Take one optimiser step of all these models, on a card in one launch.
+    """Take one optimiser step of all these models, on a GPU in one launch.
 
     progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.
     """

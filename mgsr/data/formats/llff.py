@@ -52,7 +52,7 @@ def _rows(path: Path) -> np.ndarray:
 
 
 def _load(path: Path) -> np.ndarray:
-    """Load the array of an .npy file (numpy.lib.format), after checking its size against the file's.
+    """Load the array [...] of an .npy file (numpy.lib.format), after checking its size against the file's.
 
     Raises ValueError for arrays of another type or a false size.
     """

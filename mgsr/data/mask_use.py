@@ -126,8 +126,7 @@ def _black_corners(masks: Sequence[np.ndarray]) -> float:
 
 
 def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
-    """Return the agreement of views: how much likelier than average a place that is black in one view is black in
-    another.
+    """Return how much likelier than average a place is black in one view if it is black in another.
 
     seen, black: [V,P] bool; black only where seen. It is the share of other views that agree, less the share of all
     seen places that are black.

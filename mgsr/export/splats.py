@@ -35,11 +35,11 @@ _SHAPES = {
     "refl_opacity_logits": (),
     "weight_logits": (),
 }
-# How the names of the colour coefficients begin, before "dc_" and "rest_".
+# Prefixes of the colour coefficients' names, before "dc_" and "rest_".
 _COLOR, _REFLECTED = "f_", "refl_"
 _SPLIT_FIELDS = ("refl_opacity", "refl_weight", "refl_dc_0", "refl_dc_1", "refl_dc_2")
 _SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
-# What a damaged PLY makes its reader raise: a ValueError is also text that can't be decoded.
+# The errors of plyfile's reader for a damaged PLY: a ValueError is also text that can't be decoded.
 DAMAGE = (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError, OSError)
 
 
@@ -164,7 +164,7 @@ def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
     columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), [*means.T, *normals.T], strict=True))
     columns |= _sh_columns(splats["sh"], _COLOR, FULL_SH)
     columns["opacity"] = splats["opacity_logits"]
-    # In float64, so that a unit scale returns the very bits that went in.
+    # In float64, so that a unit scale preserves every bit.
     scales = splats["log_scales"].astype(np.float64) + math.log(frame.scale)
     if flat:
         thin = np.full((len(scales), 1), math.log(SURFEL_THICKNESS * frame.scale))

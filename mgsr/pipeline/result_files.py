@@ -204,7 +204,7 @@ def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputC
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:
-    """Return the up direction [3] in the user's frame, which has the scene's axes."""
+    """Return the up axis or direction [3] in the user's frame, which has the scene's axes."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
     return up_direction([view.camera for view in scene.train])

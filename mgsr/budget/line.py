@@ -21,7 +21,7 @@ JUST_ABOVE_DRAFT = 0.01  # where what draft goes without begins
 class Line:
     """The line of settings for one run.
 
-    What the caller has set otherwise than the preset and the method have it stays at all places.
+    Settings that the caller changed from the preset's and the method's stay fixed along the line.
     """
 
     def __init__(self, config: Config) -> None:
@@ -45,7 +45,7 @@ class Line:
 
 
 def value_at(values: list[Any], place: float) -> Any:
-    """Return the value at a place on a line whose points 0, 1, ... have these values."""
+    """Return the value at a place on a line through these values at the points 0, 1, ...."""
     if None in values:
         return values[min(max(math.ceil(place), 0), len(values) - 1)]
     if not all(isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0 for value in values):

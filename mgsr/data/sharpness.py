@@ -19,10 +19,10 @@ _SIDE = 800
 # Pixels of the smaller side below which images are too small to tell.
 _SMALLEST = 48
 
-# Pixels of the Gaussian that the photograph is compared with itself after.
+# Standard deviation, pixels, of the Gaussian that blurs the photograph for comparison with itself.
 _SIGMA = 1.5
 
-# Powers of two by which a photograph's fine detail may be weaker than its sharp neighbours'. On the shared scenes sharp
+# The largest loss of fine detail, in powers of two, against sharp neighbours. On the shared scenes sharp
 # photographs lack at most 0.43; photographs moved by 5 pixels 0.5 to 1.2, by 9 pixels 0.9 to 1.6.
 _MUCH = 0.55
 

@@ -24,7 +24,7 @@ FREE_BORDER = 0.02
 class Silhouette:
     """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera.
 
-    valid_mask [h,w] bool: the pixels that say where the object is and isn't; None if all do.
+    valid_mask [h,w] bool: the pixels that separate the object from its surroundings; None if all do.
     """
 
     camera: Camera

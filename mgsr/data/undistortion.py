@@ -19,14 +19,13 @@ from mgsr.errors import SceneError
 # The maps of a 2-megapixel camera take 16 MB; captures with a camera for each photograph must not pile them up.
 _KEPT = 8
 
-# Rows that are worked at a time, so that all that is in work stays in the processor's cache: making maps takes an
-# eighth of the time of whole images.
+# Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.
 _BAND = 32
 
 
-# The half angle, degrees, that is kept of wide lenses: a pinhole spreads a fisheye's pixel at 60 degrees over 7 of its
-# own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image of 2.5 times as
-# many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
+# The half angle of view, degrees, to which wide lenses are cropped: a pinhole spreads a fisheye's pixel at 60 degrees
+# over 7 of its own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image
+# of 2.5 times as many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
 HALF_ANGLE = 60.0
 
 # A rectangle that every photograph fills is cheaper than a mask: nothing has to be left out in training. It is taken
@@ -34,10 +33,10 @@ HALF_ANGLE = 60.0
 # cameras 92 and with fisheyes 80.
 WHOLE_ENOUGH = 0.97
 
-# Undoing a lens makes an image at most this many times as large along each side, or it is a fisheye and wide.
+# Undistortion enlarges an image at most by this factor along each side; a lens beyond it counts as a wide fisheye.
 _LARGEST = 2.0
 
-# Columns and rows of the sketch that finds out which part of the plane a photograph shows.
+# Columns and rows of the coarse grid that finds the photograph's part of the image plane.
 _SKETCH = 128
 
 
@@ -47,7 +46,7 @@ class Undistortion:
 
     map_x, map_y [h,w] float32: each pixel's place in the photograph, counted from the middle of the first pixel as
     OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. valid_mask [h,w] bool: the pixels that
-    the photograph shows; None for all. The maps mean nothing at other pixels.
+    the photograph shows; None for all. The maps are undefined at other pixels.
     """
 
     map_x: np.ndarray
@@ -103,7 +102,7 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
     map_x, map_y, valid = (np.ascontiguousarray(image[rows, cols]) for image in (map_x, map_y, valid))
     if valid.all():
         return Undistortion(map_x, map_y, pinhole)
-    map_x[~valid] = map_y[~valid] = 0  # they may be no numbers
+    map_x[~valid] = map_y[~valid] = 0  # they may be NaN
     return Undistortion(map_x, map_y, pinhole, valid)
 
 
@@ -129,7 +128,7 @@ class Undistorter:
         if mine:
             try:
                 result.set_result(self._held(undistortion(lens, K, width, height, source)))
-            except Exception as error:  # those who wait for it need the error too
+            except Exception as error:  # waiting threads need the error too
                 result.set_exception(error)
         return result.result()
 
@@ -175,7 +174,7 @@ def _frame(photograph: _Photograph) -> _Frame:
     rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return _Frame(0, 0, photograph.width, photograph.height)
-    # What is shown may end up to a pixel of the sketch beside the last one whose middle is.
+    # The valid region may extend up to one grid cell beyond the last valid cell centre.
     first = np.floor([left + (cols[0] - 0.5) * step, top + (rows[0] - 0.5) * step])
     last = np.ceil([left + (cols[-1] + 1.5) * step, top + (rows[-1] + 1.5) * step])
     size = (last - first).astype(int).tolist()

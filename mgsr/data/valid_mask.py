@@ -1,7 +1,7 @@
 """Valid masks: undistorting a strong lens leaves corners or sides that no pixel of the photograph covers.
 
-A valid mask [H,W] bool says which pixels are shown; None means all. The others hold no meaning, and whoever reads a
-view leaves them out.
+A valid mask [H,W] bool marks the pixels that the photograph covers; None means all. Other pixels are undefined, and
+every user of a view ignores them.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def _read_origin(source: Path) -> np.ndarray:
 
 
 def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
-    """Return positions [P,3] times `scale`, float64. Raises ConfigError where float32 overflows."""
+    """Return positions [P,3] times `scale`, float64. Raises ConfigError where float32 can't hold them."""
     with np.errstate(over="ignore"):
         scaled = places.astype(np.float64) * scale
     largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)

@@ -220,7 +220,7 @@ def _check_sizes(log_scales: np.ndarray) -> None:
 
 
 def _fraction_bits(means: np.ndarray) -> int:
-    """Return the fraction bits that the farthest of means [N,3] leaves of 23. Raises SceneError where none fit."""
+    """Return the fraction bits that the farthest of means [N,3] leaves of 23. Raises SceneError beyond 23 bits."""
     farthest = float(np.abs(means).max(initial=0))
     bits = math.floor(math.log2((2**23 - 1) / farthest)) if farthest > 1 else _MAX_FRACTION_BITS
     if bits < 0:

@@ -77,7 +77,7 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
 
 
 def usual_count(start: int, facts: Facts) -> int:
-    """Return how many Gaussians a branch of `start` Gaussians that grows by errors usually comes to have.
+    """Return the usual final number of Gaussians of a branch that starts with `start` and grows by errors.
 
     Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
     """
@@ -92,7 +92,7 @@ def surface_cost(facts: Facts, config: MeshConfig) -> float:
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return the seconds that all steps of the mesh take that refine it by the photographs."""
+    """Return the seconds of all mesh steps that refine it against the photographs."""
     seconds: float = sum(step.cost(facts, config) for step in STEPS if step.refines)
     return seconds
 

@@ -152,6 +152,10 @@ class FusedAdam:
             self._pack(name)
 
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
+        """Take a parameter [N,...] with its moments under a name, as a contiguous float32 leaf.
+
+        Raises TensorError for another dtype, layout or number of dimensions.
+        """
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
         if leaf.dtype != torch.float32 or not leaf.is_contiguous() or leaf.ndim == 0:
             came = f"{leaf.dtype} {[*leaf.shape]}"

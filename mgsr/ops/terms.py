@@ -118,6 +118,7 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
 
 
 def _added_up(image: Image, scales: list[float]) -> Tensor:
+    """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
     gradient = None
     for part in image.parts:
         assert part.region is None, "on the processor slopes are whole images"

@@ -107,8 +107,9 @@ def _at_one_exposure(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints] | None,
 ) -> tuple[Scene, StartingPoints]:
-    """Bring the photographs to a common exposure, and choose the starting points again; neither changes where exposures
-    agree.
+    """Bring the photographs to a common exposure, and choose the starting points again.
+
+    Where exposures agree, both stay unchanged.
 
     points: chooses the starting points during a step; None leaves them as they are.
     """
@@ -131,8 +132,9 @@ def _object_alone(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints],
 ) -> tuple[Scene, StartingPoints]:
-    """Return the scene with masks of its object, and starting points on it; without an object, the whole scene and a
-    note.
+    """Return the scene with masks of its object, and starting points on the object.
+
+    Without an object, return the whole scene with a note.
 
     points: chooses the starting points during a step.
     """

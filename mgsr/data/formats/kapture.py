@@ -107,6 +107,10 @@ def _photo(image: Path, record: list[str], dataset: _Dataset) -> Photo:
 
 
 def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
+    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a device.
+
+    Raises SceneError for a missing or unsupported camera.
+    """
     if sensor is None or len(sensor) < 5 or sensor[1] != "camera" or sensor[2] == "UNKNOWN_CAMERA":
         raise SceneError(
             f"{source}: {_SENSORS} has no camera {device[:80]} with a model and its parameters; calibrate it (such as "

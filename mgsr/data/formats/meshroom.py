@@ -158,6 +158,10 @@ def _rigid(value: Any, source: str) -> np.ndarray:
 def _camera(
     camera: dict[str, Any], version: tuple[int, ...], source: str
 ) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
+    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a camera.
+
+    Raises SceneError for camera models that are not supported.
+    """
     width, height = (_one(camera, name, source) for name in ("width", "height"))
     cx, cy = numbers(camera.get("principalPoint"), 2, "principalPoint", source)
     if version >= _FROM_MIDDLE:

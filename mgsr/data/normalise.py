@@ -76,6 +76,10 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
 
 
 def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
+    """Return the centre [3] and radius of the smallest ball around the masks' visual hull.
+
+    Raises SceneError where the masks have no common hull.
+    """
     center, radii = ball_of_masks(views)
     radius = float(radii.max())
     for _ in range(8):
@@ -174,6 +178,10 @@ def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: floa
 def _one_sided_ball(
     cameras: Sequence[Camera], origins: np.ndarray, directions: np.ndarray, positions: np.ndarray | None
 ) -> tuple[np.ndarray, float]:
+    """Return the centre [3] and radius of the ball for cameras that look in one direction.
+
+    origins, directions [C,3]: the cameras' viewing rays; positions [P,3] or None: points of the surface.
+    """
     if positions is not None and len(positions) >= MIN_POINTS:
         center = np.median(positions, axis=0)
         return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))

@@ -56,6 +56,7 @@ def _colors(vertex: Any, count: int) -> np.ndarray:
 
 
 def _as_bytes(values: np.ndarray) -> np.ndarray:
+    """Convert colours [P,3] of any numeric type to uint8; values that are not finite become grey."""
     if values.dtype == np.uint8:
         return values
     colors = values.astype(np.float64)

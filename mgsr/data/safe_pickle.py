@@ -166,6 +166,7 @@ def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
 
 
 def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarray:
+    """Return an array of a shape, float64, from its raw bytes. Raises ValueError where their number is wrong."""
     if isinstance(data, _Bytes):
         data = data.arguments[0]
     content = data.encode("latin-1") if isinstance(data, str) else data

@@ -171,7 +171,7 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """Return the views with a mask that is not empty, and a note on the others. Raises SceneError where most are
+    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are
     empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):

@@ -144,6 +144,7 @@ def _pack(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Unpack fields of `bits` bits, the highest first, from 32-bit numbers [N]; return [N,len(bits)], 0..1."""
     parts, left = [], 32
     for count in bits:
         left -= count
@@ -166,6 +167,7 @@ def _packed_rotations(quats: np.ndarray) -> np.ndarray:
 
 
 def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:
+    """Unpack unit quaternions [N,4] wxyz from 32-bit numbers [N] (see `_packed_rotations`)."""
     largest = packed.astype(np.uint64) >> 30
     smaller = (_unpack(packed, (2, 10, 10, 10))[:, 1:] - 0.5) / np.sqrt(0.5)
     real = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(axis=1)))
@@ -187,6 +189,7 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
 
 
 def _load_harmonics(data: PlyData, count: int) -> np.ndarray:
+    """Return the higher colour coefficients [N,K,3], float64, with K = 0 where the file has none."""
     if "sh" not in data:
         return np.zeros((count, 0, 3))
     table = data["sh"].data

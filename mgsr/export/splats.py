@@ -148,6 +148,7 @@ def _check_properties(names: set[str], path: Path) -> None:
 
 
 def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
+    """Return colour coefficients [N,K,3] float32: the constant term, then the rest."""
     rest = sum(name.startswith(f"{prefix}rest_") for name in names)
     dc = np.stack([np.asarray(vertex[f"{prefix}dc_{channel}"], np.float32) for channel in range(3)], axis=1)
     if rest == 0:

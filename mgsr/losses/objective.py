@@ -29,7 +29,8 @@ Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentia
 
 
 def total(terms: Mapping[str, Term | Tensor]) -> Loss:
-    """Add up the terms."""
+    """Evaluate the terms by name, and return the loss that sums them; a Tensor [] is a term that torch
+    differentiates."""
     names = [name for name, term in terms.items() if isinstance(term, Term)]
     others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
     return Loss(evaluate([term for term in terms.values() if isinstance(term, Term)]), names, others)
@@ -172,6 +173,10 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
+    """Return the photometric term of an image [H,W,3] against another, in the target's region.
+
+    where [H,W]: weights of the pixels, or None; clip: as for `image_loss`.
+    """
     if clip and target.invalid is not None:  # values filled in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
@@ -187,6 +192,7 @@ def _rendered(depth: Tensor | None) -> Tensor:
 def _silhouette(
     branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig, where: Tensor | None = None
 ) -> Terms:
+    """Return the silhouette term of alpha [H,W]; no term without a mask or a weight."""
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)

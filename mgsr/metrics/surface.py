@@ -77,6 +77,7 @@ def compare_hits(hits: RayHits, true: RayHits, radius: float) -> dict[str, float
 
 
 def _distances(to_truth: np.ndarray, to_mesh: np.ndarray) -> dict[str, float]:
+    """Return the scores of distances to the truth [P] and to the mesh [Q], in bounding radii, by name."""
     # A mesh wholly outside the observed region has no accuracy; it counts as CLIP.
     accuracy = float(to_truth.clip(max=CLIP).mean()) if len(to_truth) else CLIP
     completeness = _mean(to_mesh.clip(max=CLIP))

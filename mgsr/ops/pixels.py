@@ -157,6 +157,7 @@ def _cross_entropy(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
 def _squares(
     a: Tensor, b: Tensor | None, weights: tuple[Tensor | None, Tensor | None], offset: float, by: float | Tensor
 ) -> tuple[Total, Tensor]:
+    """Return the sum of squares with its divisor, and the differences [...] of a's shape (see `squares_term`)."""
     differences = a if b is None else a - b
     for weight in weights:
         differences = differences if weight is None else differences * weight
@@ -166,6 +167,7 @@ def _squares(
 
 
 def _steps(maps: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of the squared steps of maps [M,S,S,C], and its gradient of the same shape."""
     down, right = maps[:, 1:] - maps[:, :-1], maps[:, :, 1:] - maps[:, :, :-1]
     v_maps = torch.zeros_like(maps)
     v_maps[:, 1:].add_(down, alpha=2)

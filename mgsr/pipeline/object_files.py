@@ -71,6 +71,7 @@ def _names(scene: Scene) -> Iterator[tuple[View, str]]:
 
 
 def _read(path: Path, view: View, out: Path) -> np.ndarray:
+    """Read a mask [H,W] uint8 of the view's size. Raises MgsrError where it is missing or of another size."""
     mask = read_mask(path, path.name) if path.is_file() else None
     if mask is None or mask.shape != view.image.shape[:2]:
         height, width = view.image.shape[:2]

@@ -164,8 +164,7 @@ def surface_pictures(
 
 
 def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: float, size: int) -> Camera:
-    """Return a camera, size x size, that sees the whole mesh from `angle` degrees around up [3], starting at front
-    [3]."""
+    """Return a camera, size x size, that sees the whole mesh, `angle` degrees around up [3] from front [3]."""
     up = up / np.linalg.norm(up)
     ahead = front - (front @ up) * up
     if np.linalg.norm(ahead) < 1e-6:

@@ -293,5 +293,6 @@ def _see_gaussians(
     depth: bool,
     environment: Tensor | None,
 ) -> GaussianOutputs:
+    """Render the 3D branch from a view's camera; behind [3]: the background; environment [H,W,3] or None."""
     light = (environment, view.shading())
     return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

@@ -1,4 +1,4 @@
-"""What a format reader returns: photographs as the files describe them, in the user's frame, not yet decoded.
+"""The result of a format reader: photographs as the files describe them, in the user's frame, not yet decoded.
 
 A new format is one new file in `mgsr/data/formats/` with a constant ``FORMAT: Format``.
 """

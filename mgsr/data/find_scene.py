@@ -1,4 +1,4 @@
-"""Find the scene in what a person gives: the folder itself, one below it, or the one that it is a part of."""
+"""Find the scene at the user's path: in the folder itself, below it, or around it."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class MaskIndex:
         return self._beside(image, (IGNORED_PREFIX + image.stem,))
 
     def _homes(self, image: Path) -> list[Path]:
-        """Return the folders that may hold a mask folder for a photograph: the root, and those that it lies in."""
+        """Return the folders that may hold a mask folder for a photograph: the root, and the photograph's parents."""
         root = [self._folder.root] if image.is_relative_to(self._folder.root) else []
         return [*root, *(path for path in image.parents if path.is_relative_to(self._folder.top) and path not in root)]
 

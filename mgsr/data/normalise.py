@@ -1,4 +1,4 @@
-"""Where a scene's unit ball lies: around the object that the masks show, or around what the cameras look at."""
+"""The place of a scene's unit ball: around the masks' object, or around the cameras' focus."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ MIN_POINTS = 50
 
 
 def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Sequence[Silhouette]) -> Similarity:
-    """Return the similarity whose unit ball holds the object, from training views in the user's frame.
+    """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
+    frame.
 
     outlines: the views' silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks, the
-    ball is the smallest around the visual hull. Without, it lies around the point that the cameras look at and that
-    most of them have in view, moved and shrunk to the points that crowd in it. Cameras that look into one direction
-    have no such point: there the ball holds nine tenths of the points, or what the cameras see in common. Raises
-    SceneError if all cameras stand at one place, or if the masks exclude each other.
+    ball is the smallest around the visual hull. Without masks, it lies around the cameras' common focus, which most of
+    them have in view; it is then moved and shrunk to the densest points. Cameras that look in one direction have no
+    such focus. Their ball holds nine tenths of the points, or else the region that they see in common. Raises
+    SceneError if all cameras stand at one place, or if the masks have no common hull.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
@@ -130,7 +131,7 @@ def _box(view: View) -> tuple[np.ndarray, float]:
 
 
 def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
-    """Return centre [3] and radius of the ball around what the cameras look at, fitted to the points [P,3] in it."""
+    """Return the centre [3] and radius of the ball around the cameras' focus, fitted to the points [P,3] in it."""
     origins = np.array([camera.center for camera in cameras])
     directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]

@@ -1,4 +1,4 @@
-"""What a reader returns to the rest of MGSR: views with images and cameras, in one normalised frame."""
+"""A loaded scene: views with images and cameras, in one normalised frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each splat's contribution to images: those that together contribute next to nothing can go."""
+"""Each splat's contribution to images, by which superfluous splats are pruned."""
 
 from __future__ import annotations
 

@@ -214,7 +214,7 @@ class _Training:
         return self._training.set_reflector(mesh)
 
     def run(self, before_surface: bool = False) -> TrainResult:
-        """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
+        """Return the branches after all stages, or with `before_surface` after the stages before the surface."""
         run = self._run
         with run.step("train", self._text):
             trained = self._training.run(finish=not before_surface)

@@ -1,4 +1,4 @@
-"""The time budget in a run: what it asks of `TimeBudget`, and when."""
+"""The use of `TimeBudget` by a run."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class MeshFacts:
 
 @dataclass(frozen=True)
 class Decision:
-    """A choice that was made for the person: what, what it came to, and the reason."""
+    """An automatic choice: its subject, its outcome, and the reason."""
 
     what: str
     choice: str
@@ -88,7 +88,7 @@ class ReportData:
     other: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the object of report.json: only plain types, and None for what is not a finite number."""
+        """Return the object of report.json: only plain types, with None for numbers that are not finite."""
         plain = asdict(self)
         other = plain.pop("other")
         written: dict[str, Any] = finite(other | plain)

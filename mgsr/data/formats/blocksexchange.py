@@ -25,7 +25,7 @@ from mgsr.data.scene import PointCloud
 from mgsr.data.xml_files import read_xml
 from mgsr.errors import SceneError
 
-# What is not needed and may be most of the file; where it is very large, the tie points are not read either.
+# Elements to skip, which may be most of the file. In a very large file, tie points are skipped too.
 _LEFT_OUT = ("Measurement", "Metadata", "ExifData", "ColorModel", "ControlPoints", "PositioningConstraints")
 _TIE_POINTS_UP_TO = 300 << 20  # bytes
 _COLOR = ("Red", "Green", "Blue")

@@ -1,7 +1,7 @@
 """Kapture: sensors/ with cameras, poses and the photographs.
 
-Source: kapture's "data format v1.1" (kapture_format.adoc). Poses take the world to a device, and those of a rig's
-sensors take the rig to the sensor, as quaternion and translation; camera models are COLMAP's.
+Source: kapture's "data format v1.1" (kapture_format.adoc). A pose maps the world to a device, or the rig to one of its
+sensors, as quaternion and translation; camera models are COLMAP's.
 """
 
 from __future__ import annotations

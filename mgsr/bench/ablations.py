@@ -9,7 +9,7 @@ from mgsr.config import ABLATIONS, METHODS
 
 @dataclass(frozen=True)
 class AblationRow:
-    """One ablation row: its name, what it changes, and its run, which is a method with ``key=value`` overrides.
+    """One ablation row: its name, its change, and its run, a method with ``key=value`` overrides.
 
     Rows of one run share it: E, I and M are the method itself, B is the method `2dgs`.
     """

@@ -22,7 +22,7 @@ GROUPS = {"ablations": PAPER_ROWS, "paper-choices": PAPER_CHOICES, "needs": NEED
 
 @dataclass(frozen=True)
 class Variant:
-    """Settings under a name; the plain one has neither. method: the one that it needs, None for any."""
+    """Named settings; the plain variant has neither. method: the required method, None for any."""
 
     name: str = PLAIN
     overrides: tuple[str, ...] = ()
@@ -42,7 +42,7 @@ class Cell:
 
     @property
     def name(self) -> str:
-        """Return the name of the cell's folder: the scene, then what differs from a plain run on the processor."""
+        """Return the name of the cell's folder: the scene, then the differences from a plain run on the CPU."""
         parts = [self.scene.name, self.preset, self.method]
         parts += [self.device] if self.device != "cpu" else []
         parts += [f"seed{self.seed}"] if self.seed else []
@@ -78,9 +78,9 @@ def matrix(
 ) -> list[Cell]:
     """Return every combination once, scene by scene, so that a matrix that is stopped early has whole scenes.
 
-    A variant that needs a method of its own is run with that one alone.
+    A variant that requires a method runs only with that method.
 
-    Raises ConfigError for what no run would take, before any run is made.
+    Raises ConfigError for invalid settings, before any run starts.
     """
     cells = []
     for scene, preset, device, seed, variant in itertools.product(scenes, presets, devices, seeds, variants):
@@ -92,7 +92,7 @@ def matrix(
 
 
 def read_variants(words: Sequence[str], settings: Sequence[str] = ()) -> list[Variant]:
-    """Parse variants as a person names them.
+    """Parse variants as the user names them.
 
     A word is `plain`, an ablation row (`K`), a group of rows (`ablations`, `paper-choices`, `needs`), or settings
     (`masks=off`, `max_side=200,sh_degree=1`), which become its name. `settings` hold for all of them, below a variant's

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import mgsr
 
-# What a run computes comes from these; a change of tests or pages makes no figure stale.
+# The paths that determine a run's results; changes of tests or pages leave figures valid.
 COMPUTED_BY = ("mgsr", "CMakeLists.txt", ":(exclude)mgsr/bench", ":(exclude)mgsr/report", ":(exclude)mgsr/cli/bench.py")
 ROOT = Path(mgsr.__file__).resolve().parents[1]
 
 
 def program_commit() -> str:
-    """Return the commit that last changed what a run computes.
+    """Return the last commit that changed the results of runs.
 
     It has a plus and a mark of the changes where the checkout has uncommitted ones. Where the program is no checkout,
     its version is returned.
@@ -40,7 +40,7 @@ def _git(*words: str) -> str:
 
 
 def processor_name() -> str:
-    """Return the processor's name as the system tells it, with the number of cores that this process may use."""
+    """Return the CPU's name from the system, with the number of cores that this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{_cpu_model()}, {cores} cores"
 

@@ -36,7 +36,7 @@ class Bench:
 
     out: a folder for each cell below it. commit: the program's; any_commit: take finished results of another one too.
     evaluator: a script that scores instead of the report. keep: the folders of tables that take the rows in, `out`
-    itself among them. command: what was typed.
+    itself among them. command: the command line.
     """
 
     out: Path

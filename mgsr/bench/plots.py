@@ -117,7 +117,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def write_svg(figure: Figure, path: Path) -> Path:
-    """Write a figure as SVG whose bytes depend on its contents alone, and return the path."""
+    """Write a figure as reproducible SVG: its bytes depend only on its contents. Return the path."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     path.write_text(_numbered(path.read_text(encoding="utf-8")), encoding="utf-8")
@@ -161,7 +161,7 @@ def _draw_fronts(panel: Axes, rows: Sequence[Row], score: str) -> None:
 
 
 def _draw_curves(panel: Axes, scene: str, rows: Sequence[Row], curves: Sequence[Curve]) -> None:
-    """Draw the curve of each run, shifted by what came before its training."""
+    """Draw the curve of each run, shifted by the time before its training."""
     known = {row.key: row for row in rows if row.scene == scene}
     for curve in curves:
         row = known.get(curve.key)
@@ -199,7 +199,7 @@ def _save(figure: Figure, path: Path, rows: Sequence[Row]) -> Path:
 def _numbered(svg: str) -> str:
     """Rename the clip paths of an SVG by their order.
 
-    matplotlib names them by all digits of their place, of which the last differ from one machine to the next.
+    matplotlib names them by their exact positions, and the last digits of these differ between machines.
     """
     names = dict.fromkeys(re.findall(r'<clipPath id="(\w+)"', svg))
     for index, name in enumerate(names):

@@ -110,7 +110,7 @@ def finished_row(
 
 
 def told_command(words: Sequence[str]) -> str:
-    """Join what was typed after `mgsr`, for others to read: absolute paths are told from the current folder."""
+    """Join the arguments of `mgsr` for publication, with absolute paths relative to the current folder."""
     return shlex.join(["mgsr", *(os.path.relpath(word) if os.path.isabs(word) else word for word in words)])
 
 
@@ -133,8 +133,8 @@ def _identity(cell: Cell) -> dict[str, Any]:
 def keep_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Row]:
     """Merge old and new rows, sorted; a new row replaces the old one of its cell, unless it is broken.
 
-    A plain run that gives way stays behind it as long as there are variants or other methods of its scene, preset and
-    commit, which only it can be compared with.
+    A replaced plain run is kept as long as variants or other methods of its scene, preset and commit exist, since they
+    can be compared only with it.
     """
     kept: dict[tuple[str | int, ...], Row] = {}
     behind: dict[tuple[str | int, ...], Row] = {}
@@ -158,7 +158,7 @@ def _circumstances(row: Row) -> tuple[str, str, str]:
 
 
 def latest(rows: Iterable[Row]) -> list[Row]:
-    """Return the rows, of those that `keep_rows` gave, that stand behind no newer one of their cell."""
+    """Return those rows of `keep_rows` that have no newer row of their cell."""
     found: dict[tuple[str | int, ...], Row] = {}
     for row in rows:
         found.setdefault(row.key, row)

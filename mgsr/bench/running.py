@@ -1,4 +1,4 @@
-"""The run of one cell of the matrix in a process of its own, unless its results are there already."""
+"""The run of one cell of the matrix in a separate process, unless its results exist already."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def run_cell(cell: Cell, folder: Path, commit: str, stop: Callable[[], bool]) ->
 
 
 def identity(cell: Cell, commit: str) -> dict[str, Any]:
-    """Return all that makes two runs the same run."""
+    """Return all values that identify a run."""
     return {
         "scene": str(cell.scene.resolve()),
         "device": cell.device,

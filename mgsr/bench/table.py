@@ -32,7 +32,7 @@ WORDS = (
 
 
 def results_page(rows: Sequence[Row], command: str) -> str:
-    """Return the page: what was measured by which command on what, then the table, then what broke."""
+    """Return the page: the measurements with their commands and machines, then the table, then the broken cells."""
     done = [row for row in rows if row.state == DONE]
     parts = [f"Last changed by `{command}`. {WORDS} Each run's own command stands in runs.csv.", *_circumstances(done)]
     parts.append(runs_table(done))

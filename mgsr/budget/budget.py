@@ -1,11 +1,11 @@
 """Time budgets: a run is planned so that it ends near the best that can be reached in the given time.
 
-Once the photographs are read, their size is chosen; once an iteration of each stage has been timed, the place on the
-line of settings (`mgsr.budget.line`). From then on the settings stay and the lengths of the stages follow the clock.
-What comes after training can't be made longer or shorter at will, and nobody knows well how long it takes: so the
-surface is made before the branch that renders has learnt all it can, which then learns on until just the report is
-left. That last stage can end at any iteration, and the surface's refinement, which betters it more than training does
-that lasts as long, after any round.
+The budget first chooses the size of the photographs, once they are read. It then times an iteration of each stage, and
+chooses the place on the line of settings (`mgsr.budget.line`). From then on the settings are fixed, and the lengths of
+the stages follow the clock. The time of the surface is neither adjustable nor well known in advance. The surface is
+therefore made before the rendering branch is fully trained, and that branch trains on until only the report is left.
+This last stage can end at any iteration. The surface's refinement can end after any round; it improves the surface more
+than training of the same length.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ from mgsr.config import (
 )
 from mgsr.training.stage_scheduler import FINISH, StageLength
 
-AIM = 0.96  # of the budget: near the middle of what is allowed, 0.9 to 1.05, and on the safe side
-UNSURE = 0.5  # share of the surface's time that is kept for its taking longer; else the last stage has it
-LONGER_START = 1.25  # times the usual time that is kept for the starting points, which nothing shortens once they begin
-LEAST_REFINED = 0.3  # share of the refinement's time; with less it is not begun
+AIM = 0.96  # planned share of the budget; a run may take 0.9 to 1.05 of it
+UNSURE = 0.5  # reserve for a slower surface, as a share of its time; the last stage gets the rest
+LONGER_START = 1.25  # reserved multiple of the starting points' usual time; they can't be cut short
+LEAST_REFINED = 0.3  # least share of the refinement's time with which it begins
 SCALES = (1.0, 0.71, 0.5, 0.35, 0.25)  # sizes of the photographs that may be chosen
-LEAST_PIXELS = 96 * 96  # of a view; nothing is made smaller than this
-PERIOD = 10  # iterations between two looks at the clock, which get more frequent towards a stage's end
-RECENT = 5  # looks by which the present speed is told
+LEAST_PIXELS = 96 * 96  # least size of a reduced view
+PERIOD = 10  # iterations between two readings of the clock; fewer towards a stage's end
+RECENT = 5  # readings that the current speed is measured over
 THROWN_AWAY = 3  # candidates of a model selection that lead nowhere; one more where a lower degree of colour is as good
 
 
 class TimeBudget:
-    """The budget of `config`, from the time when `clock`, which tells seconds, was 0.
+    """The time budget of `config`, counted from the zero of `clock`, in seconds.
 
-    on_card: whether training's speed says nothing of the processor's. place: on the line of settings; scale: of the
-    training photographs' sides. Both are None until they are chosen. refined: the share of its time that the surface's
-    refinement is planned to have.
+    on_card: whether training runs on a GPU, so that its speed says nothing about the CPU's. place: on the line of
+    settings; scale: of the training photographs' sides. Both are None until they are chosen. refined: the planned share
+    of the refinement's full time.
     """
 
     def __init__(self, config: Config, clock: Callable[[], float], on_card: bool = False) -> None:
@@ -59,7 +59,7 @@ class TimeBudget:
         self.planned: dict[str, float] = {}
         self.least = 0.0
         self.refined = 1.0
-        self._cut = False  # whether the refinement ended before its last round, so that its time tells nothing
+        self._cut = False  # whether the refinement ended early, so that its time is not representative
         self._mesh = MeshConfig()
         self._clock, self._earlier = clock, 0.0
         self._slowness: float | None = None
@@ -109,7 +109,7 @@ class TimeBudget:
         return self.scale
 
     def choose_place(self, facts: Facts, measured: Mapping[str, float], splats: Mapping[str, int]) -> float:
-        """Return the place on the line whose plan fills the time that is left.
+        """Return the place on the line at which the plan fills the remaining time.
 
         measured: seconds of one iteration, by stage in their order; splats: by branch, as they were then.
         """
@@ -141,7 +141,7 @@ class TimeBudget:
         if stage.iterations - stage.iteration > PERIOD and stage.iteration % PERIOD:
             return stage.iterations
         if self._recent and stage.iteration > self._recent[-1][1] + PERIOD:
-            self._recent.clear()  # a model selection lay between, whose iterations were done several times
+            self._recent.clear()  # a model selection repeated iterations in between
         self._recent.append((now, stage.iteration))
         each = self._present(stage.name, splats)
         left = self._end(stages, index) - now
@@ -180,7 +180,7 @@ class TimeBudget:
         return max(0, int(left / self._expected(FINISH, splats)))
 
     def state(self) -> dict[str, Any]:
-        """Return what a checkpoint keeps of the budget."""
+        """Return the budget's state for a checkpoint."""
         return {
             "spent": self.spent,
             "place": self.place,
@@ -217,9 +217,9 @@ class TimeBudget:
         return AIM * self.seconds
 
     def _settle(self) -> None:
-        """Derive from the chosen place what each stage should take, and its least and largest length.
+        """Derive each stage's planned, least and largest length from the chosen place.
 
-        The largest is the most that is of use to the surface, which gets rougher by more; the last stage has the rest.
+        Training beyond the largest length roughens the surface; the last stage gets the remaining time.
         """
         chosen, least, most = self.settings, self.line.at(LOWEST), self.line.at(HIGHEST)
         self._mesh = chosen.mesh
@@ -261,7 +261,7 @@ class TimeBudget:
         return self._costs[like] * costs.iteration_cost(name, self._facts, splats) / reference
 
     def _present(self, name: str, splats: Mapping[str, int]) -> float:
-        """Return the seconds of one iteration at present, and update the machine's drift from what was expected."""
+        """Return the current seconds per iteration, and update the machine's drift from the expected speed."""
         expected = self._expected(name, splats)
         (first, start), (last, done) = self._recent[0], self._recent[-1]
         if len(self._recent) < 3:
@@ -282,10 +282,10 @@ class TimeBudget:
         return self._opened + (surface_begins - self._opened) * weights[0] / sum(weights)
 
     def _after(self, facts: Facts, mesh: MeshConfig, unsure: float = UNSURE, refined: float | None = None) -> float:
-        """Return the seconds that are kept for what comes after training.
+        """Return the seconds reserved for the steps after training.
 
-        refined: the share of the refinement's time, None for the planned one. unsure: the share that is kept for the
-        surface taking longer; none is kept for the refinement, since it can end before.
+        refined: the share of the refinement's time, None for the planned one. unsure: the reserve for a slower surface,
+        as a share; the refinement needs none, since it can end early.
         """
         surface = (1 + unsure) * (costs.surface_cost(facts, mesh) + costs.judging_cost(facts))
         refinement = (self.refined if refined is None else refined) * costs.refinement_cost(facts, mesh)
@@ -307,7 +307,7 @@ def _iterations(config: Config, stage: str) -> int:
 
 
 def _work(config: Config, stage: str) -> int:
-    """Return the iterations of a stage, with those of a selection's candidates that are thrown away."""
+    """Return the iterations of a stage, including those of a selection's rejected candidates."""
     iterations, train = _iterations(config, stage), config.train
     if stage != "warmup_gaussians" or train.gaussians.reflection is not Reflection.AUTO:
         return iterations

@@ -1,7 +1,8 @@
 """Cost model of a run's steps, in seconds of a reference machine: two idle cores with AVX2 kernels.
 
 Fitted by hand to runs with 32 to 264 pixels a side, 8 to 62 views, and the presets draft and standard; a step of one
-scene takes up to half more or less than of another. Who plans with them measures how the machine at hand compares.
+scene takes up to half more or less than of another. The planner measures the speed of the actual machine relative to
+it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from mgsr.mesh.steps import STEPS
 from mgsr.mesh.steps.step import rendered_pixels, surface_cells
 
 USUAL_PIXELS = 256 * 256
-GROWN = 0.15  # Gaussians that errors add, for each pixel of a view
+GROWN = 0.15  # Gaussians added by error-driven growth, per pixel of a view
 STEREO = 0.4  # a view
 ROUNDS, FLASH_ROUNDS = 3, 10  # of refining the surface, that long
 SEARCHED = 0.45  # a view, for the object's masks
@@ -23,7 +24,7 @@ LEARNED = 12.0  # masks that are learned from small photographs
 
 @dataclass(frozen=True)
 class Facts:
-    """What the cost of a scene depends on.
+    """The factors of a scene's cost.
 
     views, tests: its training and test views; pixels: of one view, in the mean; truth: whether the true surface lies
     beside it; shiny: whether shading may refine its mesh; masked: whether there are masks; learned: whether masks are
@@ -76,7 +77,7 @@ def iteration_cost(stage: str, facts: Facts, splats: Mapping[str, int]) -> float
 
 
 def usual_count(start: int, facts: Facts) -> int:
-    """Return how many Gaussians a branch of `start` Gaussians that grows by errors usually comes to have.
+    """Return the usual final number of Gaussians of a branch that starts with `start` and grows by errors.
 
     Scenes differ much: matte toys take 0.02 a pixel, lego 0.2.
     """
@@ -91,7 +92,7 @@ def surface_cost(facts: Facts, config: MeshConfig) -> float:
 
 
 def refinement_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return the seconds that all steps of the mesh take that refine it by the photographs."""
+    """Return the seconds of all mesh steps that refine it against the photographs."""
     seconds: float = sum(step.cost(facts, config) for step in STEPS if step.refines)
     return seconds
 
@@ -102,7 +103,7 @@ def mesh_cost(facts: Facts, config: MeshConfig, refined: float) -> float:
 
 
 def round_cost(facts: Facts, config: MeshConfig) -> float:
-    """Return the seconds that a round of the refinement takes, with what it may have to prepare."""
+    """Return the seconds of one round of refinement, including preparation where it is needed."""
     return refinement_cost(facts, config) / (FLASH_ROUNDS if facts.flash else ROUNDS)
 
 

@@ -1,8 +1,8 @@
 """The line of settings on which the presets are points: draft at 0, standard at 1, high at 2.
 
 Between two presets a number lies between theirs, in equal ratios; below draft it goes on in the same way.
-What is no number, or 0 for none, is that of the nearest preset; but what a preset goes without altogether begins just
-above it.
+A setting that is not a number, or is 0 for none, comes from the nearest preset. A part that a preset lacks altogether
+begins just above that preset.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Any
 from mgsr.config import PRESETS, Config, field_types, make_config
 
 LOWEST, HIGHEST = -0.75, 2.0  # below, too little is trained to be of use; above, more splats learn the noise
-JUST_ABOVE_DRAFT = 0.01  # where what draft goes without begins
+JUST_ABOVE_DRAFT = 0.01  # where the parts that draft lacks begin
 
 
 class Line:
     """The line of settings for one run.
 
-    What the caller has set otherwise than the preset and the method have it stays at all places.
+    Settings that the caller changed from the preset's and the method's stay fixed along the line.
     """
 
     def __init__(self, config: Config) -> None:
@@ -45,7 +45,7 @@ class Line:
 
 
 def value_at(values: list[Any], place: float) -> Any:
-    """Return the value at a place on a line whose points 0, 1, ... have these values."""
+    """Interpolate the values of the points 0, 1, 2 at a place on the line."""
     if None in values:
         return values[min(max(math.ceil(place), 0), len(values) - 1)]
     if not all(isinstance(value, (int, float)) and not isinstance(value, bool) and value > 0 for value in values):

@@ -25,19 +25,19 @@ from mgsr.errors import ArchiveError, SceneError, in_short
 
 ARCHIVE_SUFFIXES = (".zip", ".tar", ".tar.gz", ".tgz", ".tar.zst", ".tzst", ".7z", ".rar")
 
-# The bytes at a zip's end that tell of it: its records, with the longest comment.
+# The bytes at a zip's end that hold its end records and the longest comment.
 _ZIP_END = (1 << 16) + 128
 
-# Bytes out of an archive up to which it may be as compressible as it likes (masks are).
+# Unpacked bytes below which the compression ratio is not checked (masks compress well).
 RATIO_FROM = 64 << 20
 
 _LONGEST_NAME = 255
 _LONGEST_PATH = 1000
 _CHUNK = 1 << 20
-# Between two files of a tar stream only their headers come; those that claim more were made to fill the memory.
+# Only headers lie between two files of a tar stream; a longer gap was made to fill the memory.
 _HEADER_BYTES = 4 << 20
 _JUNK = {"__MACOSX", ".DS_Store", "Thumbs.db"}
-_APPLE_DOUBLE = "._"  # begins the names of what macOS puts beside files
+_APPLE_DOUBLE = "._"  # prefix of the files that macOS adds beside others
 
 # What other archives begin with.
 _OTHERS = {b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf\x27\x1c": "7z", b"Rar!\x1a\x07": "RAR"}
@@ -45,7 +45,7 @@ _OTHERS = {b"BZh": "bzip2", b"\xfd7zXZ\0": "xz", b"7z\xbc\xaf\x27\x1c": "7z", b"
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 _METHOD_NAMES = {9: "Deflate64", 93: "Zstandard", 95: "XZ", 98: "PPMd"}  # APPNOTE.TXT 4.4.5
 
-# What a disk says that takes no more.
+# The error numbers of a full disk.
 _NO_SPACE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -94,7 +94,7 @@ def unpack(archive: Path, target: Path | None = None, limits: ArchiveLimits | No
     members; for archives that unpack to more than the limits, counted in bytes really written; and for other kinds of
     archives. Raises OSError, naming the folder, where the disk is full. After an error nothing is left behind.
     """
-    folder = target or _temporary_folder() / archive_stem(archive)  # messages name a scene by its folder
+    folder = target or _temporary_folder() / archive_stem(archive)  # messages name a scene after its folder
     if folder.is_dir() and any(folder.iterdir()):
         raise SceneError(f"{folder}: expected an empty folder to unpack {archive.name} to; name another one")
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,7 +181,7 @@ def _declared_count(file: IO[bytes]) -> int:
 def _zstd_reader(file: IO[bytes]) -> Any:
     import zstandard  # late: few archives need it
 
-    # 128 MiB is the window up to which the format asks every program to go.
+    # 128 MiB is the window that the format asks every decoder to support.
     return _Zstd(zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(file))
 
 
@@ -223,7 +223,7 @@ def _zip_members(archive: Path, opened: zipfile.ZipFile) -> Iterator[_Member]:
             raise _refused(archive, member.filename, "is a link or a special file; put the file in")
         if member.flag_bits & 1:
             raise _refused(archive, member.filename, "is encrypted; archive it without a password")
-        # zipfile cuts names at a NUL byte; what stood after it was meant for another reader.
+        # zipfile cuts names at a NUL byte; the rest was meant for another reader.
         if "\0" in member.orig_filename:
             raise _refused(archive, member.orig_filename, "has control characters in its name; rename it")
         if member.compress_type not in _METHODS:

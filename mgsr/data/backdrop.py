@@ -1,8 +1,8 @@
-"""The colour behind everything: white, black, or that of a plain backdrop in the photographs.
+"""The colour behind everything: white, black, or the colour of a plain backdrop in the photographs.
 
 Without masks, splats must reproduce everything that photographs show. Around an object on black velvet or before white
-paper they would build a curtain, which would end up in the mesh. As the colour behind the splats, a plain backdrop
-costs none.
+paper they would build a curtain, which would end up in the mesh. With the backdrop's colour behind the splats, none are
+needed there.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ Color = tuple[float, float, float]
 WHITE: Color = (1.0, 1.0, 1.0)
 BLACK: Color = (0.0, 0.0, 0.0)
 
-SIDE = 200  # pixels; of larger photographs only every so many-th row and column is looked at
-BORDER = 0.03  # of a photograph's shorter side
-PLAIN, MOST = 16, 0.9  # a backdrop is plain where so many border pixels are this near, of 255, to their median
-DIFFERENT, SOME = 48, 0.02  # and so many others are this far from it: else all that there is has that colour
-NEAR = 24  # what is nearer, of 255, to the backdrop's colour is taken for it
+SIDE = 200  # pixels a side; larger photographs are subsampled by rows and columns
+BORDER = 0.03  # border width, as a share of a photograph's shorter side
+PLAIN, MOST = 16, 0.9  # a plain backdrop has this share of border pixels this near (of 255) to their median
+DIFFERENT, SOME = 48, 0.02  # and this share of other pixels this far from it; else nothing stands before it
+NEAR = 24  # colours nearer (of 255) to the backdrop's colour count as backdrop
 
 
 @dataclass(frozen=True)
 class Backdrop:
     """The colour behind the splats, sRGB 0..1.
 
-    random: training draws another colour in each iteration, and `color` is the one that renderings are judged on.
-    plain: the photographs show this backdrop, so whatever has its colour is taken for it.
+    random: training draws another colour in each iteration; evaluation uses `color`.
+    plain: the photographs show this backdrop, so pixels of its colour count as backdrop.
     """
 
     color: Color
@@ -47,7 +47,7 @@ def plain_backdrop(photographs: Sequence[tuple[np.ndarray, np.ndarray | None]]) 
     """Find the colour, sRGB 0..1, that nearly all borders of the photographs share.
 
     photographs: each an image [H,W,3] uint8 sRGB, and the pixels [H,W] bool that it shows, None where it shows all.
-    Returns None where the borders have no such colour, or where nothing else stands before it. It reads all
+    Returns None where the borders share no colour, or where nothing stands before the backdrop. It reads all
     photographs; `Scene.plain_backdrop` caches the result.
     """
     borders, others = (

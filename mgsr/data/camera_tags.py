@@ -19,7 +19,7 @@ _LONGEST_SEGMENT = 65533
 
 @dataclass(frozen=True)
 class CameraTags:
-    """What a photograph's EXIF says about its camera; fields are empty or None where it says nothing.
+    """A photograph's EXIF data on its camera; absent fields are empty or None.
 
     serial: the body's number. focal: mm. focal_35mm: mm, the focal length with the same view on a frame of 36 x 24 mm.
     zoom: the factor of the digital zoom.
@@ -76,7 +76,7 @@ def _header(path: Path) -> Any:
 
     handle = OpenImageIO.ImageInput.open(str(path))
     if handle is None:
-        OpenImageIO.geterror()  # else it complains of an error that nobody asked for
+        OpenImageIO.geterror()  # clears the error, which it would otherwise print
         return None
     header = handle.spec()
     handle.close()
@@ -110,6 +110,6 @@ def _text(header: Any, name: str) -> str:
 
 
 def _length(header: Any, name: str) -> float | None:
-    """Return a header's number if it is finite and above 0, else None: cameras write 0 for what they don't know."""
+    """Return a header's number if it is finite and above 0, else None: cameras write 0 for unknown values."""
     value = header.getattribute(name)
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) and value > 0 else None

@@ -1,4 +1,4 @@
-"""What a format reader returns: photographs as the files describe them, in the user's frame, not yet decoded.
+"""The result of a format reader: photographs as the files describe them, in the user's frame, not yet decoded.
 
 A new format is one new file in `mgsr/data/formats/` with a constant ``FORMAT: Format``.
 """
@@ -19,7 +19,7 @@ from mgsr.errors import MissingPhotoError, SceneError
 
 
 class Split(StrEnum):
-    """What a photograph is used for."""
+    """The use of a photograph: training or test."""
 
     TRAIN = "train"
     TEST = "test"
@@ -29,13 +29,13 @@ class Split(StrEnum):
 class Photo:
     """One photograph.
 
-    image: its file. mask: a file that is white on the object, or white but on what is to be ignored (see `MaskUse`), or
-    None. ignored: a file that is black but on what is to be ignored, or None.
+    image: its file. mask: a file that is white on the object, or black on the regions to ignore and white elsewhere
+    (see `MaskUse`), or None. ignored: a file that is white on the regions to ignore and black elsewhere, or None.
     K: [3,3] pixels, pixel centres at +0.5, for an image of `size` = (width, height); it follows the image if that is
     larger or smaller. With a lens, image and K are those of the distorted photograph.
     cam_from_world: [4,4] in the user's frame, OpenCV axes; a uniform scale is divided out when it is checked.
     split: None where the files name none.
-    source: where the camera stands, for messages ("transforms_train.json, frame 3").
+    source: the camera's place in the files, for messages ("transforms_train.json, frame 3").
     """
 
     image: Path
@@ -51,10 +51,11 @@ class Photo:
 
 @dataclass(frozen=True)
 class Capture:
-    """What a capture's files say.
+    """A capture as its files describe it.
 
     photos: the usable photographs. points: points of the surface in the user's frame, where the files have them. notes:
-    messages for the person about what the reader left out. file: the file that names the photographs, for messages.
+    messages to the user about everything that the reader left out. file: the file that names the photographs, for
+    messages.
     lost: the reason for each photograph that is missing or whose camera can't be used. least_kept: the share of the
     photographs that must be left.
     """
@@ -68,10 +69,10 @@ class Capture:
 
     @classmethod
     def of(cls, found: FoundPhotos, build: Callable[[int, Path], Photo]) -> Capture:
-        """Make a capture of photographs that were looked for.
+        """Build a capture from the photographs found for a list of names.
 
-        build: makes the photograph with a given number in the list of names, whose file was found. A SceneError that it
-        raises loses that photograph alone.
+        build: builds the photograph at an index of the list of names. A SceneError that it raises excludes only that
+        photograph.
         """
         photos: list[Photo] = []
         lost: list[SceneError] = []

@@ -7,7 +7,7 @@ from typing import Any
 
 from mgsr.errors import SceneError, in_short
 
-# Of several layers with colours, those that programs give the whole picture.
+# The layer names that programs give the whole picture, where a file has several colour layers.
 _WHOLE = ("", "combined", "beauty", "rgba", "rgb", "color")
 
 
@@ -16,7 +16,7 @@ class Channels:
     """The channels of an image file that hold its colours and its alpha.
 
     part: the file's subimage; only EXRs have several. colors: the channels that are red, green and blue, or grey alone.
-    alpha: the one that is alpha, or None. multiplied: whether the colours come premultiplied by alpha.
+    alpha: the alpha channel, or None. multiplied: whether the colours come premultiplied by alpha.
     """
 
     part: int
@@ -59,7 +59,7 @@ def _by_place(handle: Any) -> Channels:
     colors = (0, 1, 2) if spec.nchannels >= 3 else (0,)
     alpha = spec.channelnames.index("A") if "A" in spec.channelnames else None
     straight = spec.getattribute("oiio:UnassociatedAlpha")
-    # Only TIFF can have it either way; what OpenImageIO says of BMP and GIF is not so.
+    # Only TIFF allows both kinds of alpha; OpenImageIO reports the wrong kind for BMP and GIF.
     return Channels(0, colors, alpha, alpha is not None and handle.format_name() == "tiff" and not straight)
 
 
@@ -75,7 +75,7 @@ def _layers(names: tuple[str, ...]) -> dict[str, dict[str, int]]:
 def _layer(layers: dict[str, dict[str, int]]) -> tuple[tuple[int, ...], int | None] | None:
     """Return the colours and alpha of the layer that is the whole picture; None if no layer is."""
     for wanted in ("RGB", "Y"):
-        # X and Y with each other are no colours but coordinates.
+        # X and Y together are coordinates, not colours.
         fitting = {name: of for name, of in layers.items() if set(wanted) <= set(of) and "X" not in of}
         whole = [of for name, of in fitting.items() if name.rpartition(".")[2].lower() in _WHOLE]
         chosen = whole[:1] or list(fitting.values())

@@ -11,12 +11,13 @@ from mgsr.data.scene import View
 # Fewer training views than this give a rough surface at best.
 FEW = 8
 
-# Degrees between two views, as seen from what they look at, up to which parts of the surface look alike in both.
+# The largest angle between two views, in degrees at the point they look at, at which a surface still looks alike in
+# both.
 STEREO_ANGLE = 35.0
 
 
 def note_of_few_views(views: Sequence[View], center: np.ndarray, masked: bool) -> str | None:
-    """Return a note where the training views are too few or too far apart for what they show, else None.
+    """Return a note where the training views are too few or too far apart, else None.
 
     center: the point [3] that the cameras look at, in the views' frame. masked: whether silhouettes constrain the shape
     too.

@@ -16,7 +16,7 @@ from mgsr.data.images import linear_to_srgb, srgb_to_linear, to_uint8
 from mgsr.data.pixels import PixelStore
 from mgsr.data.scene import Exposures, Scene, View
 
-ENOUGH = 256  # pixels a side that tell a photograph's mean light
+ENOUGH = 256  # pixels a side of the subsampled photograph for its mean light
 NEIGHBOURS = 4  # views nearest to one, by the directions to their cameras
 
 
@@ -39,7 +39,7 @@ def evened(scene: Scene, exposures: Exposures) -> Scene:
 def at_common_exposure(view: View, factor: np.ndarray) -> View:
     """Return the view with its linear light divided by the factor [3].
 
-    Values that become brighter than white are clipped. Values that the photograph had clipped stay its brightest.
+    Values that become brighter than white are clipped. Values that the photograph clipped remain its brightest.
     """
     if (factor == 1).all():
         return view
@@ -50,7 +50,7 @@ def at_common_exposure(view: View, factor: np.ndarray) -> View:
 
 
 def brightness_jumps(views: Sequence[View]) -> float:
-    """Return the robust deviation of the logarithm of a photograph's mean light from that of its neighbours.
+    """Return the robust standard deviation of a photograph's log mean light from that of its neighbours.
 
     The scene's own light changes little from one camera to the next, so larger jumps come from exposure. A result of
     0.1 is a tenth more or less light.
@@ -62,7 +62,8 @@ def brightness_jumps(views: Sequence[View]) -> float:
     np.fill_diagonal(alike, -2)
     nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
     jumps = light - light[nearest].mean(axis=1)
-    # The deviation of one light, from the median of its difference to the mean of others that vary as much.
+    # Convert the median difference between one value and the mean of equally varying neighbours to a standard
+    # deviation.
     usual = 1.4826 * float(np.median(np.abs(jumps - np.median(jumps))))
     return usual / float(np.sqrt(1 + 1 / nearest.shape[1]))
 

@@ -17,7 +17,7 @@ from typing import Any
 from mgsr.data.odd_files import require_content
 from mgsr.errors import SceneError, in_short
 
-# In the order in which they are taken where a photograph is there as several.
+# In order of preference, for a photograph that exists in several formats.
 IMAGE_SUFFIXES = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".webp", ".bmp", ".heic", ".heif"),
     *(".jfif", ".tga", ".ppm", ".pgm", ".pnm", ".jp2", ".j2k", ".gif", ".hdr", ".dpx", ".psd"),
@@ -25,7 +25,7 @@ IMAGE_SUFFIXES = (
 MASK_FOLDERS = ("masks", "mask")
 IGNORED_PREFIX = "dynamic_mask_"
 
-# What file systems take, 255 bytes, less what names of masks add; longer names come from damaged or hostile files.
+# File systems allow 255 bytes, and the names of masks add some; longer names come from damaged or hostile files.
 LONGEST_NAME = 240
 LONGEST_PATH = 4000
 
@@ -46,7 +46,7 @@ def text_number(text: str) -> float:
 def read_json(path: Path) -> Any:
     """Read a JSON file, with NaN for the words that C prints for NaN and infinity.
 
-    Raises SceneError that names the line of a mistake, or what the file is instead.
+    Raises SceneError, which names the line of a mistake or the file's real kind.
     """
     require_content(path)
     try:
@@ -131,12 +131,12 @@ def is_mask_beside(path: Path) -> bool:
 
 
 def is_photo(path: Path) -> bool:
-    """Return whether a path's name is that of a photograph."""
+    """Return whether a path has the name of a photograph."""
     return _is_image(path.name) and not is_mask_beside(path)
 
 
 def all_images(root: Path) -> list[Path]:
-    """Return every image file in the folder and below, sorted, without hidden ones and those of mask folders.
+    """Return every image file in the folder and below, sorted, except hidden files and mask folders.
 
     Links to folders are followed, each folder once.
     """

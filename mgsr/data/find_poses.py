@@ -23,8 +23,8 @@ from mgsr.data.shared_lenses import Lens, describe_lenses, share_lenses
 from mgsr.data.zoom_check import zoom_note
 from mgsr.errors import ConfigError, SceneError, in_short
 
-# Up to here each photograph is matched with each other one; beyond, that takes hours, and each is matched with those
-# that follow it by name, as in a video.
+# Up to this number, all pairs of photographs are matched. Beyond it, that takes hours, and each photograph is matched
+# with its successors by name, as in a video.
 EXHAUSTIVE_UP_TO = 300
 _FOLLOWING = 30
 
@@ -46,10 +46,10 @@ def find_poses(
     disk allows it, and PNG where COLMAP can't read the originals. The same seed gives the same choices of COLMAP's
     random samples; its threads may still differ in the last digits.
 
-    say: receives a line on each stage. camera_per_image: give each photograph a lens of its own; otherwise the
-    photographs of one camera share one. Returns notes on what could not be placed. Raises ConfigError without pycolmap
-    or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no `scene` is
-    left.
+    say: receives a line on each stage. camera_per_image: give each photograph its own lens; otherwise the photographs
+    of one camera share a lens. Returns notes on the photographs that could not be placed. Raises ConfigError without
+    pycolmap or where `scene` holds something, and SceneError where most photographs can't be read or placed; then no
+    `scene` is left.
     """
     _require_pycolmap()
     if is_video(photos) and photos.is_file():
@@ -82,9 +82,9 @@ def _require_pycolmap() -> None:
 def _pycolmap() -> Any:
     """Import pycolmap, with its logging and signal handlers set as MGSR needs them.
 
-    pycolmap bundles an OpenImageIO of its own, and the one that is loaded later uses parts of the other. The process
-    crashes where ours comes later and refuses a file, and where pycolmap's is given a file that it refuses. Raises
-    ConfigError where pycolmap can't be loaded.
+    pycolmap bundles its own OpenImageIO, and the copy that is loaded second uses parts of the first. The process
+    crashes where our copy is the second and refuses a file, and where pycolmap's copy gets a file that it refuses.
+    Raises ConfigError where pycolmap can't be loaded.
     """
     importlib.import_module("OpenImageIO")
     try:
@@ -93,7 +93,7 @@ def _pycolmap() -> Any:
         raise ConfigError(
             f"pycolmap can't be loaded: {in_short(error)}; install it again with `pip install 'mgsr[poses]'`"
         ) from error
-    pycolmap.logging.minloglevel = 2  # its errors come as exceptions, and its chatter is not for our users
+    pycolmap.logging.minloglevel = 2  # its errors arrive as exceptions, and its messages are not for our users
     pycolmap.logging.logtostderr = True  # else it leaves files in the folder for temporary ones
     if threading.current_thread() is threading.main_thread():
         # It took SIGTERM for itself, and would end without any cleanup.
@@ -148,8 +148,7 @@ def _run(colmap: Any, folder: Path, lenses: Sequence[Lens], work: Path, seed: in
 def _write_cameras(colmap: Any, database: Path, folder: Path, lenses: Sequence[Lens]) -> list[str]:
     """Write a camera for each lens, and its photographs, into a new COLMAP database; return their names, sorted.
 
-    COLMAP's own ways of sharing cameras know neither several lenses in a folder nor photographs whose EXIF is in
-    another file.
+    COLMAP's own modes of camera sharing support neither several lenses in a folder nor EXIF in another file.
     """
     with colmap.Database.open(str(database)) as opened:
         rigs = {}

@@ -1,4 +1,4 @@
-"""Find the scene in what a person gives: the folder itself, one below it, or the one that it is a part of."""
+"""Find the scene at the user's path: in the folder itself, below it, or around it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mgsr.data.photo_files import SceneFolder
 from mgsr.data.unread import unread_cameras
 from mgsr.errors import SceneError
 
-# How many folders deep a scene is looked for, and in how many folders at most.
+# Limits of the search for a scene: depth, and number of folders.
 _DEEPEST = 8
 _MOST_FOLDERS = 2000
 
@@ -46,10 +46,9 @@ class FoundScene:
 def find_scene(folder: Path, given: Path, confined: bool = False) -> FoundScene:
     """Find the scene in a folder: the nearest folder that a format recognises, itself first and then those below.
 
-    given: what the person gave, for messages: the folder, or the archive that it was unpacked from. A folder of
-    photographs whose cameras lie beside it belongs to the scene around it, unless it comes from an archive. confined:
-    nothing outside the folder is looked at. Raises SceneError, with what lies there and what to do, where no scene or
-    several are found.
+    given: the user's path, for messages: the folder, or the archive that it was unpacked from. A folder of photographs
+    with its cameras beside it belongs to the enclosing scene, unless it comes from an archive. confined: never search
+    outside the folder. Raises SceneError, with the folder's content and the cure, where it finds no scene or several.
     """
     formats = all_formats()
     for level in _levels(folder):
@@ -113,7 +112,7 @@ def _name(folder: SceneFolder) -> str:
 def scene_around(folder: Path) -> FoundScene | None:
     """Return the scene that a folder of photographs alone, or of cameras alone, is a part of; None without one.
 
-    It is the scene in the nearest enclosing folder that has photographs and cameras of which some lie in this folder.
+    The search takes the nearest enclosing scene with some photographs or cameras in this folder.
     """
     inner, formats = folder.resolve(), all_formats()
     for outer in inner.parents[:_FARTHEST_AROUND]:

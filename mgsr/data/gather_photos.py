@@ -1,4 +1,4 @@
-"""Put photographs into a scene's folder in a form that COLMAP reads, and leave out those that can't be read."""
+"""Put photographs into a scene's folder in a form that COLMAP reads, and leave out unreadable ones."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _FEWEST = 3
 _LEAST_READABLE = 0.5
 _MOST_NAMED = 5
 
-# What COLMAP's own reader gives the same pixels of as MGSR's; everything else is handed to it as PNG. A file that its
-# reader refuses can end the process.
+# The kinds of files that COLMAP's reader and MGSR's decode to the same pixels; all others are converted to PNG. A file
+# that COLMAP's reader refuses can end the process.
 _READ_BY_COLMAP = {
     "jpeg": (".jpg", ".jpeg", ".jfif"),
     "png": (".png",),
@@ -42,7 +42,7 @@ _HEIF_BRANDS = (b"mif1", b"msf1", b"mif2", b"avif", b"avis", b"miaf", b"jpeg", b
 
 @dataclass(frozen=True)
 class Gathered:
-    """The photographs in the scene's folder, and notes for the person on what is left out."""
+    """The photographs in the scene's folder, and notes for the user on omitted files."""
 
     shots: tuple[Shot, ...]
     notes: tuple[str, ...]
@@ -51,7 +51,7 @@ class Gathered:
 def find_photos(folder: Path, given: Path) -> list[Path]:
     """Find the photographs below a folder.
 
-    given: what the person gave, for messages. Raises SceneError, with what lies there instead, where they are too few.
+    given: the user's path, for messages. Raises SceneError, with what lies there instead, where they are too few.
     """
     images = images_below(folder)
     if len(images) < _FEWEST:
@@ -92,8 +92,8 @@ def _notes_of_lost(lost: Mapping[str, SceneError], total: int) -> tuple[str, ...
 def _hand_over(image: Path, name: Path, folder: Path, taken: set[str]) -> Shot:
     """Put one photograph into the folder under `name`, converted to PNG if need be.
 
-    taken: folded names in use; the name of a converted photograph is added. Raises SceneError for what is no
-    photograph.
+    taken: folded names in use; the name of a converted photograph is added. Raises SceneError for files that are not
+    photographs.
     """
     _require_photo(image)
     picture = read_picture(image, "mgsr poses")

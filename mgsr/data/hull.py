@@ -14,8 +14,8 @@ from mgsr.data.valid_mask import valid_at
 from mgsr.errors import SceneError
 from mgsr.parallel import map_ahead
 
-# A part of space is judged only if this share of the views tells whether it is the object's: what lies outside nearly
-# all images that may cut the object off is carved by nobody and would stay as a false block.
+# A voxel is classified only if this share of the views shows it: nothing carves a region outside nearly all images, so
+# it would remain as a false block.
 MIN_SEEN = 0.25
 
 # The field between voxel centres changes a little faster than distance (perspective, skewed pixels).
@@ -50,10 +50,10 @@ class Hull:
 def carve(
     outlines: Sequence[Silhouette], center: np.ndarray, half: float, resolution: int = 128, dissent: int = 0
 ) -> Hull:
-    """Return the hull inside the cube center +- half, from coarse to fine: only voxels near the surface are split.
+    """Carve the hull inside the cube center [3] +- half, from coarse to fine: only voxels near the surface are split.
 
-    resolution: voxels per side, a multiple of 16; 64 and 128 start from 32. dissent: how many views may have any place
-    outside their masks, though it is the object's.
+    resolution: voxels per side, a multiple of 16; 64 and 128 start from 32. dissent: the number of views whose masks
+    may exclude a point of the object.
     """
     size = resolution
     while size % 2 == 0 and size > 32:
@@ -127,7 +127,7 @@ def view_field(outline: Silhouette, points: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _beyond(camera: Camera, points: np.ndarray, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Return about how far points [P,3] that project outside an image lie from what it shows, in world units."""
+    """Return the approximate distance of points [P,3] outside an image from its field of view, in world units."""
     over = np.maximum(np.maximum(-pixels, pixels - [camera.width, camera.height]), 0)
     before = np.linalg.norm(over / camera.K.diagonal()[:2], axis=1) * depth
     distances: np.ndarray = np.where(depth > 0, before, np.linalg.norm(points - camera.center, axis=1))

@@ -16,7 +16,7 @@ from mgsr.errors import SceneError, in_short
 # No camera has more pixels in one picture; files that claim more would fill the memory.
 MAX_PIXELS = 1 << 28
 
-# Float TIFFs hold 0 to 1; where most of what is not black lies above this, they were meant otherwise.
+# Float TIFFs hold 0 to 1; where most values above 0 exceed this, the file has another range.
 _MOST_IN_FLOAT = 1.5
 
 _FLOATS = ("half", "float", "double")
@@ -62,7 +62,7 @@ def is_heif(path: Path) -> bool:
 
 
 def read_image(path: Path, source: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the colours and alpha of `read_picture`."""
+    """Return the colours [H,W,3] and alpha [H,W] of `read_picture`."""
     picture = read_picture(path, source)
     return picture.colors, picture.alpha
 
@@ -70,7 +70,7 @@ def read_image(path: Path, source: str) -> tuple[np.ndarray, np.ndarray | None]:
 def read_picture(path: Path, source: str) -> Picture:
     """Read the file's pixels as they are stored, not turned by their EXIF orientation.
 
-    Grey and CMYK images become RGB. Files that say they are linear, and float images that say nothing (EXR, HDR), get
+    Grey and CMYK images become RGB. Files that say they are linear, and float images without such a tag (EXR, HDR), get
     the sRGB curve. All others are taken as sRGB, whatever their depth. Premultiplied colours (EXR, TIFF) are divided by
     alpha before the curve. An EXR yields its display window, black and transparent where the file has no pixels. Raises
     SceneError naming the file.
@@ -120,29 +120,29 @@ def composite_on_white(colors: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def to_uint8(values: np.ndarray) -> np.ndarray:
-    """Return values, meant for 0..255, rounded and clipped to uint8."""
+    """Round values [...] to the nearest integer, and clip them to uint8."""
     rounded = np.rint(values)
     clipped: np.ndarray = np.clip(rounded, 0, 255, out=rounded).astype(np.uint8)
     return clipped
 
 
 def srgb_to_linear(colors: np.ndarray) -> np.ndarray:
-    """Return linear light 0..1 of sRGB values 0..1 (IEC 61966-2-1)."""
+    """Convert sRGB values [...], 0..1, to linear light 0..1 (IEC 61966-2-1)."""
     return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_rate(colors: np.ndarray) -> np.ndarray:
-    """Return the derivative of the sRGB curve with respect to linear light, at sRGB values 0..1."""
+    """Return the derivative of the sRGB curve with respect to linear light, at sRGB values [...], 0..1."""
     return np.where(colors <= 0.04045, 12.92, 1.055 / 2.4 * ((colors + 0.055) / 1.055) ** -1.4)
 
 
 def linear_to_srgb(light: np.ndarray) -> np.ndarray:
-    """Return sRGB values of linear light 0..1 (IEC 61966-2-1)."""
+    """Convert linear light [...], 0..1, to sRGB values 0..1 (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.power(light, 1 / 2.4) - 0.055)
 
 
 def _encode_srgb(linear: np.ndarray, has_alpha: bool) -> np.ndarray:
-    """Return 8-bit sRGB of linear light 0..1; alpha, the last channel where there is one, stays linear."""
+    """Convert linear light [H,W,C], 0..1, to 8-bit sRGB; an alpha channel, the last one, stays linear."""
     curve = linear_to_srgb(linear)
     if has_alpha:
         curve[..., -1] = linear[..., -1]
@@ -189,9 +189,9 @@ def _decoded(handle: Any, channels: Channels, path: Path, source: str) -> np.nda
 
 
 def _as_bytes(pixels: np.ndarray, channels: Channels, is_linear: bool) -> np.ndarray:
-    """Return float pixels as 8-bit sRGB, not premultiplied.
+    """Convert float pixels [H,W,C] to 8-bit sRGB, not premultiplied.
 
-    Alpha, the last channel where there is one, has no curve.
+    An alpha channel, the last one, stays linear.
     """
     pixels = np.clip(np.nan_to_num(_divided(pixels) if channels.multiplied else pixels), 0, 1)
     return _encode_srgb(pixels, channels.alpha is not None) if is_linear else to_uint8(pixels * 255)
@@ -207,9 +207,9 @@ def _check_range(path: Path, pixels: np.ndarray, source: str) -> None:
 
 
 def _divided(pixels: np.ndarray) -> np.ndarray:
-    """Return pixels whose premultiplied colours are divided by alpha, the last channel."""
+    """Divide premultiplied colours by alpha, the last channel of pixels [H,W,C]."""
     alpha = pixels[..., -1:]
-    with np.errstate(over="ignore"):  # of alpha next to nothing
+    with np.errstate(over="ignore"):  # for alpha near zero
         straight = pixels / np.where(alpha > 0, alpha, 1)
     straight[..., -1:] = alpha
     return straight
@@ -237,7 +237,7 @@ def _shown_window(handle: Any) -> _Window:
 
 
 def _in_window(pixels: np.ndarray, spec: Any, window: _Window) -> np.ndarray:
-    """Return the pixels inside the window, with 0 where the file has none."""
+    """Return the pixels [H,W,C] inside the window, with 0 where the file has no pixels."""
     if window == _Window(spec.x, spec.y, spec.width, spec.height):
         return pixels
     placed = np.zeros((window.height, window.width, pixels.shape[2]), pixels.dtype)
@@ -264,7 +264,7 @@ def _trouble(geterror: Callable[[], str]) -> str:
 
 
 def _open(path: Path, source: str) -> Any:
-    # Late, so that what has its images already (a training run on another machine) needs no OpenImageIO.
+    # A late import: a training run on another machine has its images already and needs no OpenImageIO.
     import OpenImageIO
 
     _check_there(path, source)
@@ -299,7 +299,7 @@ def _open_heif(path: Path, source: str) -> Any:
 
 
 def _read_heif(path: Path, source: str) -> Picture:
-    """Read a HEIC file, whose decoder turns the pixels upright, so that no orientation remains.
+    """Read a HEIC file. Its decoder turns the pixels upright, so the orientation is always 1.
 
     Raises SceneError for damaged files.
     """

@@ -1,6 +1,6 @@
-"""Lenses: where each kind of distortion puts a ray on the photograph.
+"""Lens models: the projection of rays with each kind of distortion.
 
-Every lens maps a ray (x, y, 1) to a place (x, y) that K then takes to pixels.
+Every lens maps a ray (x, y, 1) to a point (x, y) of the normalised image plane; K then maps it to pixels.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-# What formats call a camera that sees all around, in small letters.
+# The formats' names of panoramic cameras, in lower case.
 PANORAMAS = ("equirectangular", "spherical")
 PANORAMA_CURE = (
     "a panorama is no pinhole camera's image; cut perspective photographs out of it first (COLMAP's panorama_sfm.py or "
@@ -22,14 +22,17 @@ Coordinates = tuple[np.ndarray, np.ndarray]
 
 
 class AnyLens(Protocol):
-    """What all lenses have in common. They are frozen, so that equal lenses share their work."""
+    """The interface of all lenses. They are frozen, so that equal lenses share cached results."""
 
     @property
     def flat(self) -> bool:
         """Return whether this lens changes nothing."""
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return where the lens puts the rays (x, y, 1), arrays that broadcast; NaN for rays that it can't show."""
+        """Project the rays (x, y, 1) through the lens; NaN for rays that it can't show.
+
+        x, y [...]: arrays that broadcast. The results lie on the normalised image plane, as K expects.
+        """
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,9 @@ class Lens:
     """Brown's polynomial as OpenCV writes it, with more terms where files have them.
 
     k1, k2, then `higher`: factors of r^2, r^4, r^6...; p1, p2: tangential; divisor: the factors of r^2, r^4, r^6 in the
-    denominator (OpenCV's k4, k5, k6); prism: OpenCV's s1..s4; skew: what y adds to x at the end, both over the focal
-    length in x. fisheye: the polynomial acts on the ray's angle (Kannala and Brandt 2006) and not on its tangent.
+    denominator (OpenCV's k4, k5, k6); prism: OpenCV's s1..s4; skew: the factor by which y is added to x at the end,
+    divided by the focal length in x. fisheye: the polynomial acts on the ray's angle (Kannala and Brandt 2006) and not
+    on its tangent.
     """
 
     k1: float = 0.0
@@ -58,7 +62,7 @@ class Lens:
         return not self.fisheye and not any(terms)
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the distorted coordinates of the rays (x, y, 1), by OpenCV's model.
+        """Return the distorted coordinates [...] of the rays (x, y, 1), by OpenCV's model.
 
         Source: OpenCV's calib3d documentation, "Detailed Description"; for fisheyes its section "Fisheye camera model".
         """
@@ -85,7 +89,7 @@ class FieldOfViewLens:
     flat: bool = False
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the rays (x, y, 1) with their radius r mapped to atan(2 r tan(omega / 2)) / omega."""
+        """Map the radius r of the rays (x, y, 1), x and y [...], to atan(2 r tan(omega / 2)) / omega."""
         r = np.maximum(np.hypot(x, y), 1e-12)
         factor = np.arctan(2 * r * math.tan(self.omega / 2)) / (self.omega * r)
         return x * factor, y * factor
@@ -106,7 +110,7 @@ class DivisionLens:
         return self.k == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the distorted coordinates, from the root of the quadratic equation that becomes r at k = 0."""
+        """Return the distorted coordinates [...], from the root of a quadratic equation for the radius."""
         with np.errstate(invalid="ignore"):
             factor = 2 / (1 + np.sqrt(1 - 4 * self.k * (x * x + y * y)))
         return x * factor, y * factor
@@ -127,7 +131,9 @@ class InverseRadialLens:
         return self.k == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the distorted coordinates, from the root of the cubic equation that becomes r at k = 0.
+        """Return the distorted coordinates [...], from the root of a cubic equation for the radius.
+
+        Of its roots, the distorted radius is the one that tends to r as k goes to 0.
 
         A negative k has a largest undistorted radius; rays beyond it have no root and become NaN.
         """
@@ -154,7 +160,7 @@ class UnifiedLens:
         return self.alpha == 0
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the ray divided by alpha times its distance on the ellipsoid plus 1 - alpha times its depth."""
+        """Divide the ray by alpha d + (1 - alpha) z: d [...] is its distance on the ellipsoid, z its depth."""
         factor = 1 / (self.alpha * np.sqrt(self.beta * (x * x + y * y) + 1) + 1 - self.alpha)
         return x * factor, y * factor
 
@@ -169,7 +175,7 @@ class AriaLens:
     flat: bool = False
 
     def distort(self, x: np.ndarray, y: np.ndarray) -> Coordinates:
-        """Return the distorted coordinates: radial terms act on the ray's angle, the others on the result."""
+        """Return the distorted coordinates [...]: radial terms act on the ray's angle, the others on the result."""
         x, y = _by_angle(x, y)
         factor = 1 + _polynomial(x * x + y * y, self.radial)
         x, y = x * factor, y * factor

@@ -27,16 +27,16 @@ LoadProgress = Callable[[int, int], None]
 # Each holds a photograph as it is decoded, and its copies: some hundred megabytes where it is large.
 _MOST_THREADS = 16
 
-# Seconds between two calls of it.
+# Seconds between two calls.
 _REPORT_EVERY = 2.0
 
 
 @dataclass(frozen=True)
 class LoadedView:
-    """A view in the user's frame. Its alpha came with the colours, which mean nothing where alpha is zero.
+    """A view in the user's frame. Its alpha is the image's own; colours are meaningless where it is zero.
 
-    mask [H,W] uint8: from a file beside the photograph, white on the object or black on what is to be ignored. ignored
-    [H,W] uint8: from another file, white on what is to be ignored. Each is None where there is no such file.
+    mask [H,W] uint8: from a file beside the photograph, white on the object or black on the regions to ignore. ignored
+    [H,W] uint8: from another file, white on the regions to ignore. Each is None where there is no such file.
     """
 
     view: View
@@ -46,7 +46,7 @@ class LoadedView:
 
 @dataclass(frozen=True)
 class _Tools:
-    """What the loading of all photographs shares."""
+    """The tools that the loading of all photographs shares."""
 
     config: DataConfig
     undistort: Undistorter
@@ -56,17 +56,16 @@ class _Tools:
 def load_views(
     photos: Sequence[Photo], names: Sequence[str], config: DataConfig, progress: LoadProgress | None = None
 ) -> list[LoadedView | SceneError]:
-    """Decode every photograph once; return a view, or the reason why it can't be read, for each in the order given.
+    """Decode every photograph once; return its view, or the error of an unreadable one, in the given order.
 
-    At most as many photographs as there are threads are in work at a time, beside the finished ones. Raises the first
-    reason once most of the photographs have one.
+    Each thread decodes one photograph at a time. Raises the first error once most of the photographs have one.
     """
     pixels = PixelStore()
     tools = _Tools(config, Undistorter(pixels), pixels)
     loaded: list[LoadedView | SceneError] = []
     lost: list[SceneError] = []
     reported = time.monotonic()
-    # Decoding and resampling let go of the interpreter lock.
+    # Decoding and resampling release the GIL.
     with ThreadPoolExecutor(min(_MOST_THREADS, core_count(None))) as pool:
         try:
             for item in pool.map(lambda photo, name: _loaded(photo, name, tools), photos, names):
@@ -79,7 +78,7 @@ def load_views(
                     reported = time.monotonic()
                     progress(len(loaded), len(photos))
         except BaseException:
-            pool.shutdown(cancel_futures=True)  # else a useless capture is told of after all of it is decoded
+            pool.shutdown(cancel_futures=True)  # else a useless capture would be reported only after decoding all of it
             raise
     return loaded
 
@@ -107,10 +106,10 @@ def _load(photo: Photo, name: str, tools: _Tools) -> LoadedView:
 
 
 def _turned(picture: Picture, masks: list[np.ndarray | None], photo: Photo) -> tuple[Picture, list[np.ndarray | None]]:
-    """Return the photograph in the orientation that its camera was calibrated for, with its masks.
+    """Return the photograph and its masks [H,W] in the orientation that its camera was calibrated for.
 
-    It stays as stored, as in COLMAP, unless only its upright form has the camera's shape. Masks of the stored shape are
-    turned with it.
+    The photograph keeps its stored orientation, as in COLMAP, unless only its upright form has the camera's shape.
+    Masks of the stored shape turn with it.
     """
     height, width = picture.colors.shape[:2]
     if picture.orientation == 1 or _same_shape(photo.size, (width, height)):
@@ -156,9 +155,9 @@ def _same_shape(size: tuple[int, ...], copy: tuple[int, ...]) -> bool:
 def _resampled(
     view: View, masks: list[np.ndarray | None], photo: Photo, tools: _Tools
 ) -> tuple[View, list[np.ndarray | None]]:
-    """Return the view, undistorted and at most `max_side` large, and its masks.
+    """Undistort the view and its masks [H,W], and reduce them to at most `max_side` pixels a side.
 
-    Colours that come with alpha have no meaning where it is zero, so alpha weights them.
+    Colours are meaningless where alpha is zero, so alpha weights them.
     """
     premultiply = view.alpha is not None
     layers = [stack(view, premultiply), *[mask[..., None] for mask in masks if mask is not None]]

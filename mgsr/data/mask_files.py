@@ -13,8 +13,8 @@ from mgsr.data.photo_files import SceneFolder
 class MaskIndex:
     """The masks of a scene's photographs, by file name.
 
-    Masks lie in a folder masks/ or mask/ of the scene's root or of a folder that the photographs lie in, or beside the
-    photograph as RealityCapture has it.
+    Masks lie in a folder masks/ or mask/, at the scene's root or in a folder of photographs, or beside the photograph
+    as in RealityCapture.
 
     In such a folder a mask has the photograph's name, with an image extension in place of, or after, the photograph's
     own. The name may have _mask or .mask before that, or mask_ at the front (``0001.png``, ``0001.jpg.png``,
@@ -52,7 +52,7 @@ class MaskIndex:
         return self._beside(image, (IGNORED_PREFIX + image.stem,))
 
     def _homes(self, image: Path) -> list[Path]:
-        """Return the folders that may hold a mask folder for a photograph: the root, and those that it lies in."""
+        """Return the folders that may hold a mask folder for a photograph: the root, and the photograph's parents."""
         root = [self._folder.root] if image.is_relative_to(self._folder.root) else []
         return [*root, *(path for path in image.parents if path.is_relative_to(self._folder.top) and path not in root)]
 
@@ -80,7 +80,7 @@ class MaskIndex:
 def _by_name(folder: Path, images: Sequence[Path]) -> dict[str, Path]:
     """Return images by their folded paths in a folder, without extension.
 
-    Where two share a path, the one whose extension comes first in IMAGE_SUFFIXES wins.
+    Of two images with the same path, the one with the earlier extension in IMAGE_SUFFIXES wins.
     """
     known = [path for path in images if path.suffix.lower() in IMAGE_SUFFIXES]
     ordered = sorted(known, key=lambda path: IMAGE_SUFFIXES.index(path.suffix.lower()))

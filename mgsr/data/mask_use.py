@@ -1,4 +1,4 @@
-"""What the masks beside photographs mean: silhouettes of the object, or regions to ignore.
+"""The meaning of the masks beside photographs: silhouettes of the object, or regions to ignore.
 
 In COLMAP, nerfstudio and other programs, masks are black on passers-by, a tripod or a strip of the image, and white
 elsewhere. There, black means unknown, and not off the object.
@@ -16,21 +16,21 @@ from mgsr.data.masks import inverted_masks, leave_borders_free, white_borders
 from mgsr.data.normalise import unmasked_ball
 from mgsr.errors import SceneError
 
-# Points along each side of the cube in which the black parts of the masks are compared, and half its side over the
-# radius of the ball that the images show whole: their corners show what lies around that.
+# The black parts of masks are compared on a cube of points: their number along each side, and half the side over the
+# radius of the ball that the images show whole. The images' corners show more than that ball.
 _SIDE = 20
 _REACH = 1.25
 
-# The median share of an image that is black below which masks are no silhouettes: those of an object that fills the
-# image tell nothing, and what is left out of them is hardly missed.
+# The least median share of black pixels in silhouettes. Masks with less black give no information on the shape, as the
+# object fills the image.
 _NEXT_TO_NOTHING = 0.01
 
-# Where what is black in one view is black in this share of the others, beyond what chance gives, it lies at one place
-# in space. On the shared scenes, cut down to a half or a third of the image, the masks of objects have 0.09 to 0.23;
-# black rectangles at random places have at most 0.04, and with 6 views 0.08.
+# Black regions lie at one place in space where this share of the other views agrees, in excess of chance. On the shared
+# scenes, cut down to a half or a third of the image, the masks of objects have 0.09 to 0.23; black rectangles at random
+# places have at most 0.04, and with 6 views 0.08.
 _ELSEWHERE, _SAME_PLACE = 0.04, 0.06
 
-# Inverted silhouettes have more: 0.11 with 6 views, 0.15 to 0.19 on the shared scenes.
+# Inverted silhouettes agree better than this: 0.11 with 6 views, 0.15 to 0.19 on the shared scenes.
 _INVERTED = 0.1
 
 # The same for places in the image. With borders at least as white as this, masks that are black at the same pixels in
@@ -87,22 +87,22 @@ def find_mask_use(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> Mas
 
 
 def doubt(masks: Sequence[np.ndarray]) -> SceneError:
-    """Return the error that names the two meanings of masks."""
+    """Return the error that explains the two meanings of masks [H,W]."""
     white = float(np.mean([(mask >= 128).mean() for mask in masks]))
     return SceneError(f"the masks may show an object or what is to be ignored ({white:.0%} white); {_CHOICE}")
 
 
 def require_plausible_ball(radius: float, masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> None:
-    """Raise the doubt about masks where the object's ball would be many times larger than what the images show.
+    """Raise SceneError (`doubt`) where the object's ball would be many times larger than the images' field of view.
 
-    Masks that leave out the sky or the corners have no object.
+    masks [H,W] uint8. Masks that only leave out the sky or the corners show no object.
     """
     if radius > _LARGEST_BALL * unmasked_ball(cameras, None)[1]:
         raise doubt(masks)
 
 
 def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) -> float:
-    """Return how much the views agree about which places are black, on a grid around what the cameras look at."""
+    """Return how well the masks [H,W] agree on the black places of a grid around the cameras' focus."""
     center, radius = unmasked_ball(cameras, None)
     axis = np.linspace(-1, 1, _SIDE)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -113,7 +113,7 @@ def _agreement_in_space(masks: Sequence[np.ndarray], cameras: Sequence[Camera]) 
 
 
 def _agreement_in_image(masks: Sequence[np.ndarray]) -> float:
-    """Return how much the views agree about which parts of the image are black."""
+    """Return how well the masks [H,W] agree on the black parts of the image."""
     axis = (np.arange(_SIDE) + 0.5) / _SIDE
     rows = [mask[(axis * len(mask)).astype(int)][:, (axis * mask.shape[1]).astype(int)].ravel() for mask in masks]
     black = np.array(rows) < 128
@@ -126,7 +126,7 @@ def _black_corners(masks: Sequence[np.ndarray]) -> float:
 
 
 def _agreement(seen: np.ndarray, black: np.ndarray) -> float:
-    """Return how much more often other views find a place black where one view does than views do on average.
+    """Return how much likelier than average a place is black in one view if it is black in another.
 
     seen, black: [V,P] bool; black only where seen. It is the share of other views that agree, less the share of all
     seen places that are black.

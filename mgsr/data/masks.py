@@ -69,6 +69,7 @@ def inverted_masks(masks: Sequence[np.ndarray]) -> bool:
 
 
 def _looks_inverted(mask: np.ndarray) -> bool:
+    """Return whether a mask [H,W] uint8 is white along nearly the whole border and black around the middle."""
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
     if (border > 127).mean() < 0.95:
         return False

@@ -1,4 +1,4 @@
-"""Where a scene's unit ball lies: around the object that the masks show, or around what the cameras look at."""
+"""The place of a scene's unit ball: around the masks' object, or around the cameras' focus."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ MIN_POINTS = 50
 
 
 def normalisation(views: Sequence[View], points: PointCloud | None, outlines: Sequence[Silhouette]) -> Similarity:
-    """Return the similarity whose unit ball holds the object, from training views in the user's frame.
+    """Return the similarity that maps the unit ball to a ball around the object, from training views in the user's
+    frame.
 
     outlines: the views' silhouettes of OUTLINE_SIDE, from masks that are not empty; none without masks. With masks, the
-    ball is the smallest around the visual hull. Without, it lies around the point that the cameras look at and that
-    most of them have in view, moved and shrunk to the points that crowd in it. Cameras that look into one direction
-    have no such point: there the ball holds nine tenths of the points, or what the cameras see in common. Raises
-    SceneError if all cameras stand at one place, or if the masks exclude each other.
+    ball is the smallest around the visual hull. Without masks, it lies around the cameras' common focus, which most of
+    them have in view; it is then moved and shrunk to the densest points. Cameras that look in one direction have no
+    such focus. Their ball holds nine tenths of the points, or else the region that they see in common. Raises
+    SceneError if all cameras stand at one place, or if the masks have no common hull.
     """
     cameras = [view.camera for view in views]
     centers = np.array([camera.center for camera in cameras])
@@ -76,6 +77,10 @@ def smallest_ball(points: np.ndarray, steps: int = 2000) -> tuple[np.ndarray, fl
 
 
 def _masked_ball(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
+    """Return the centre [3] and radius of the smallest ball around the masks' visual hull.
+
+    Raises SceneError where the masks have no common hull.
+    """
     center, radii = ball_of_masks(views)
     radius = float(radii.max())
     for _ in range(8):
@@ -111,7 +116,7 @@ def ball_of_masks(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _box(view: View) -> tuple[np.ndarray, float]:
-    """Return the world direction to the middle of the mask's bounding box, and half its diagonal over depth.
+    """Return the world direction [3] to the centre of the mask's bounding box, and half its diagonal over depth.
 
     The mask must not be empty.
     """
@@ -126,14 +131,14 @@ def _box(view: View) -> tuple[np.ndarray, float]:
 
 
 def unmasked_ball(cameras: Sequence[Camera], points: PointCloud | None) -> tuple[np.ndarray, float]:
-    """Return centre [3] and radius of the ball around what the cameras look at, fitted to the points [P,3] in it."""
+    """Return the centre [3] and radius of the ball around the cameras' focus, fitted to the points [P,3] in it."""
     origins = np.array([camera.center for camera in cameras])
     directions = np.array([_view_direction(camera) for camera in cameras])
     positions = None if points is None else points.positions[np.isfinite(points.positions).all(axis=1)]
     center = focus(origins, directions)
     if center is None:
         return _one_sided_ball(cameras, origins, directions, positions)
-    # The median: a few cameras that came close must not shrink the ball to what they alone see.
+    # The median: a few close cameras must not shrink the ball to their own field of view.
     radius = float(np.median([_radius_in_view(camera, center) for camera in cameras]))
     return (center, radius) if positions is None else _ball_of_points(positions, center, radius)
 
@@ -150,10 +155,10 @@ def _view_direction(camera: Camera) -> np.ndarray:
 
 
 def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: float) -> tuple[np.ndarray, float]:
-    """Return the ball moved to where the points in it crowd, and shrunk to them.
+    """Return the centre [3] and radius of the ball, moved to the densest points in it and shrunk to them.
 
-    People aim beside the object, but its texture gets most of the points. The centre stays within the ball's own radius
-    of the focus.
+    Photographers aim beside the object, but its texture yields most of the points [P,3]. The centre stays within the
+    ball's radius of focus_point [3].
     """
     center = focus_point
     for _ in range(10):
@@ -174,6 +179,10 @@ def _ball_of_points(positions: np.ndarray, focus_point: np.ndarray, radius: floa
 def _one_sided_ball(
     cameras: Sequence[Camera], origins: np.ndarray, directions: np.ndarray, positions: np.ndarray | None
 ) -> tuple[np.ndarray, float]:
+    """Return the centre [3] and radius of the ball for cameras that look in one direction.
+
+    origins, directions [C,3]: the cameras' viewing rays; positions [P,3] or None: points of the surface.
+    """
     if positions is not None and len(positions) >= MIN_POINTS:
         center = np.median(positions, axis=0)
         return center, float(np.quantile(np.linalg.norm(positions - center, axis=1), 0.9))
@@ -192,7 +201,7 @@ def _common_point(origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def _radius_in_view(camera: Camera, center: np.ndarray) -> float:
-    """Return the radius of the ball around `center` that the camera's image shows whole.
+    """Return the radius of the largest ball around `center` [3] that lies wholly in the camera's image.
 
     It is at least a tenth of the distance to `center`.
     """

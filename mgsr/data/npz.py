@@ -28,9 +28,9 @@ DAMAGE = (
 
 
 def read_arrays(path: Path, largest: int = 1 << 31) -> dict[str, np.ndarray]:
-    """Read the file's arrays of numbers, by name.
+    """Read the file's numeric arrays [...] by name.
 
-    Raises ValueError for any damage, for arrays of anything but numbers, and for arrays larger than `largest` bytes, as
+    Raises ValueError for damaged files, for arrays that are not numeric, and for arrays larger than `largest` bytes, as
     in a file made to fill the memory.
     """
     try:

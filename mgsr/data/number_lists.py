@@ -15,9 +15,9 @@ _GREY = 128.0
 
 
 def numbers(words: Any, count: int, what: str, source: str) -> np.ndarray:
-    """Return `count` finite numbers, float64, of a list of numbers or texts, or of one text with blanks between them.
+    """Parse finite numbers [count], float64, from a list of numbers or strings, or from one blank-separated string.
 
-    Raises SceneError with `source` and `what` for anything else.
+    Raises SceneError, naming `source` and `what`, for anything else.
     """
     values = words.split() if isinstance(words, str) else words
     try:

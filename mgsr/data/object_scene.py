@@ -17,9 +17,9 @@ from mgsr.data.silhouettes import silhouettes
 def with_object(scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.ndarray]) -> Scene:
     """Return the scene with masks, in the frame in which the unit ball holds the object.
 
-    train, test: masks [H,W] uint8 of the views, in their order. Views whose mask is empty are left out, and so are the
-    few training views whose masks contradict the others'; a note says so. Raises SceneError if the masks exclude each
-    other.
+    train, test: masks [H,W] uint8 of the views, in their order. Views with an empty mask are left out. So are the few
+    training views with masks that contradict the others; a note names them. Raises SceneError if no object fits the
+    masks.
     """
     old = scene.user_from_scene
     views, tests = (
@@ -44,6 +44,6 @@ def with_object(scene: Scene, train: Sequence[np.ndarray], test: Sequence[np.nda
 
 
 def _masked(views: Sequence[View], masks: Sequence[np.ndarray]) -> list[View]:
-    """Return the views with their masks, without those whose mask is empty."""
+    """Return the views with their masks, except views with an empty mask."""
     pairs = zip(views, masks, strict=True)
     return [replace(view, alpha=mask) for view, mask in pairs if (mask > 127).any()]

@@ -20,7 +20,7 @@ _ANNEX = b"/annex/objects/"
 
 
 def what_instead(path: Path) -> str | None:
-    """Return what a file is instead of what its name says, and the cure; None where nothing is odd."""
+    """Return the real kind of a misnamed file, and the cure; None where nothing is odd."""
     try:
         with path.open("rb") as file:
             head = file.read(512)
@@ -39,11 +39,11 @@ def what_instead(path: Path) -> str | None:
 
 
 def require_content(path: Path) -> None:
-    """Raise SceneError where a file's content is not what its name says."""
+    """Raise SceneError where a file's content does not match its name."""
     if path.is_file() and (odd := what_instead(path)):
         raise SceneError(f"{path.name} {odd}")
 
 
 def is_video(path: Path) -> bool:
-    """Return whether a file's name is that of a video."""
+    """Return whether a file has the name of a video."""
     return path.suffix.lower() in VIDEO_SUFFIXES

@@ -13,28 +13,28 @@ from mgsr.data.scene import View
 from mgsr.data.silhouettes import Silhouette
 from mgsr.parallel import map_ahead
 
-# Few views differ much about where the object is, without a mistake.
+# With few views, correct masks also disagree much about the object's place.
 FEWEST = 6
 
-# A place is the object's where at most this share of the views, or one, has it outside their masks.
+# A point belongs to the object if at most this share of the views, or one view, has it outside its mask.
 DISSENT = 0.1
 
-# A mask that leaves out this share of such places contradicts. Of 6 good ones of the shared scenes none leaves out more
-# than 0.24, of 12 more than 0.05; inverted ones leave out 0.7 and more, those a third of the image beside the object
-# 0.55 and more of 12.
+# A mask contradicts the others if it excludes this share of such points. Of 6 good ones of the shared scenes none
+# leaves out more than 0.24, of 12 more than 0.05; inverted ones leave out 0.7 and more, those a third of the image
+# beside the object 0.55 and more of 12.
 MOST_LEFT_OUT = 0.5
 
-# Where more views than this share contradict, it is not known which are right.
+# Where more than this share of the views contradict, it is unknown which are right.
 MOST_ODD = 0.25
 
-# Points along each side of the cube around the object that are looked at.
+# Points along each side of the sampled cube around the object.
 _SIDE = 32
 
 
 def agreeing_masks(views: Sequence[View], outlines: Sequence[Silhouette]) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return which views to keep, [V] bool, and a note on the others.
 
-    The views left out are the few whose masks are off where nearly all others have the object. views: in the user's
+    The few views to leave out have masks that exclude points inside nearly all other masks. views: in the user's
     frame. outlines: their silhouettes, of masks that are not empty; none without masks.
     """
     agreeing = np.ones(len(views), dtype=bool)

@@ -19,7 +19,7 @@ from mgsr.data.files import IMAGE_SUFFIXES, LONGEST_NAME, LONGEST_PATH, folded, 
 from mgsr.data.odd_files import RAW_CURE, RAW_SUFFIXES
 from mgsr.errors import MissingPhotoError, SceneError
 
-# Folders of maps that programs write beside photographs, under the photographs' names.
+# Folders of maps (such as depth) that programs write under the photographs' names.
 _MAPS = re.compile("depth|normal|confidence|semantic|segment|mask|albedo|rough|metal|thumb|render", re.IGNORECASE)
 _REDUCED = re.compile(r"_(\d{1,2})$")
 
@@ -28,8 +28,8 @@ _REDUCED = re.compile(r"_(\d{1,2})$")
 class FoundPhotos:
     """Where photographs lie.
 
-    paths: for each name its file, or the SceneError that says why there is none (MissingPhotoError where it is
-    missing). file: the file that names them, for messages. notes: what the person should know.
+    paths: for each name its file, or a SceneError with the reason (MissingPhotoError for a missing file). file: the
+    file that names them, for messages. notes: messages to the user.
     """
 
     file: str
@@ -46,8 +46,8 @@ class FoundPhotos:
 class SceneFolder:
     """The folder of a scene.
 
-    root: where the format's own files lie. top: the folder that the person gave, which is the root or one above it.
-    Photographs that the root does not hold are looked for below it.
+    root: where the format's own files lie. top: the user's folder, which is the root or above it. Photographs that the
+    root does not hold are looked for below it.
     """
 
     root: Path
@@ -87,9 +87,9 @@ class SceneFolder:
     def find_file(self, name: Any, what: str) -> Path | None:
         """Find a file, other than a photograph, that a file of the scene names.
 
-        what: what the file is, for messages. It is looked for where the name says, below the root or the top and in any
-        case, and then by the path's last folders, as after a move. Returns None where it is missing. Raises SceneError
-        for what is no path.
+        what: the kind of file, for messages. The search tries the named path below the root and the top, ignoring case.
+        It then matches the path's last folders, as after a move. Returns None where the file is missing. Raises
+        SceneError for names that are not paths.
         """
         text = _path_text(name)
         if isinstance(text, SceneError):
@@ -107,7 +107,7 @@ class SceneFolder:
         return None
 
     def images_named(self, name: str) -> list[Path]:
-        """Return the images below the root, or else below the top, whose folded name or stem is `name`."""
+        """Return the images with the folded name or stem `name`, below the root or else below the top."""
         below_root = self._below_root.get(name, [])
         return below_root if below_root or self.top == self.root else self._below_top.get(name, [])
 
@@ -219,7 +219,7 @@ class _Search:
     def _stated(self) -> list[Path | None]:
         """Return the files that lie where the names say, None for the others.
 
-        Among several places, the one that holds most of the files comes first.
+        Of several places, the one with most of the files comes first.
         """
         columns = [[self._at(place, name) for name in self._names] for place in self._places]
         columns.sort(key=lambda column: -sum(path is not None for path in column))
@@ -329,7 +329,7 @@ def _note_of_reduction(moved: Sequence[tuple[str, Path]]) -> tuple[str, ...]:
 
 
 def _path_text(name: Any) -> str | SceneError:
-    """Return a name as a path with slashes, or the SceneError that says what is wrong with it."""
+    """Return a name as a path with slashes, or a SceneError with its mistake."""
     if not isinstance(name, str) or not name.strip():
         return SceneError(f"expected the path of an image, got {str(name)[:80]!r}")
     text = re.sub(r"^file://", "", name.strip()).replace("\\", "/")

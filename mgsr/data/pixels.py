@@ -7,13 +7,13 @@ import threading
 
 import numpy as np
 
-# Images up to this lie in memory, so that a run on 1,000 photographs of 2 megapixels, which take 8 GB with their masks,
-# has room in 12 GiB.
+# Images up to this total stay in memory. With it, a run on 1,000 photographs of 2 megapixels, which take 8 GB with
+# their masks, fits in 12 GiB.
 MEMORY_BYTES = 4 << 30
 
 # A file holds many images, so that a scene doesn't take a file for each.
 _FILE_BYTES = 1 << 30
-_ALIGNED = 64  # bytes at whose multiples arrays begin in a file
+_ALIGNED = 64  # alignment of arrays in a file, bytes
 
 
 class PixelStore:
@@ -26,7 +26,7 @@ class PixelStore:
         self._used = 0
 
     def hold(self, array: np.ndarray) -> np.ndarray:
-        """Return an array of any type itself while there is memory, else a copy in a file; both are writable."""
+        """Return the array [...] itself while memory remains, else a copy in a mapped file; both are writable."""
         with self._lock:
             if array.nbytes <= self._memory:
                 self._memory -= array.nbytes
@@ -41,5 +41,5 @@ class PixelStore:
 
 def _map_file(size: int) -> np.ndarray:
     with tempfile.TemporaryFile(prefix="mgsr-pixels-") as file:
-        file.truncate(size)  # takes no room on the disk before it is written to
+        file.truncate(size)  # a sparse file: it takes no disk space before it is written
         return np.asarray(np.memmap(file, np.uint8, "r+", shape=(size,)))

@@ -12,18 +12,18 @@ from mgsr.data.odd_files import require_content
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError, in_short
 
-# What programs call the colours of vertices: most of them; MeshLab's older releases; splats, by their constant
+# The property names of vertex colours: in most programs; in MeshLab's older releases; in splats, as the constant
 # spherical harmonic.
 _NAMES = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _HARMONIC = ("f_dc_0", "f_dc_1", "f_dc_2")
 _SH_C0 = 0.28209479177387814
 _GREY = 128.0
-# Floats up to this are light from 0 to 1, of which some is over-exposed.
+# Floats up to this are light from 0 to 1, partly over-exposed.
 _BRIGHTEST = 2.0
 
 
 def read_points(path: Path) -> PointCloud:
-    """Read the finite vertices of a PLY and their colours, grey where it has none.
+    """Read the finite vertices [P,3] of a PLY and their colours [P,3] uint8, grey where it has none.
 
     Colours are bytes, 16-bit numbers, or floats from 0 to 1, 255 or 65535, told apart by the largest. Raises SceneError
     naming the file.
@@ -56,6 +56,7 @@ def _colors(vertex: Any, count: int) -> np.ndarray:
 
 
 def _as_bytes(values: np.ndarray) -> np.ndarray:
+    """Convert colours [P,3] of any numeric type to uint8; values that are not finite become grey."""
     if values.dtype == np.uint8:
         return values
     colors = values.astype(np.float64)

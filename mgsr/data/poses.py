@@ -8,15 +8,15 @@ import numpy as np
 
 from mgsr.errors import SceneError
 
-# Rounding of what people write (four digits) passes; a scaled or sheared matrix does not.
+# Matrices rounded to four digits pass; scaled or sheared ones do not.
 RIGID_TOLERANCE = 2e-3
 SKEW_TOLERANCE = 1e-6
 
 # Pixels; and focal lengths in larger sides of the image. No camera lies beyond these.
 LARGEST_SIDE = 1_000_000
 LEAST_FOCAL, LARGEST_FOCAL = 0.003, 3000.0
-# How far the principal point may lie from the image's middle, in focal lengths: parts that are cut out of a larger
-# image lie beside the camera's axis, but nobody takes photographs at more than about 80 degrees to it.
+# How far the principal point may lie from the image's middle, in focal lengths: a crop of a larger image may lie beside
+# the optical axis, but not more than about 80 degrees from it.
 FARTHEST_PRINCIPAL_POINT = 5.0
 
 
@@ -109,8 +109,8 @@ def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 def check_intrinsics(K: np.ndarray, size: tuple[int, int], source: str) -> np.ndarray:
     """Return the intrinsics [3,3] for an image of `size`, scaled to a last row of 0 0 1.
 
-    The principal point may lie outside the image, as in a part that is cut out of a larger one. Raises SceneError for
-    what no pinhole camera has.
+    The principal point may lie outside the image, as after a crop. Raises SceneError for intrinsics that no pinhole
+    camera has.
     """
     if not np.isfinite(K).all():
         raise SceneError(
@@ -156,7 +156,7 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
 
 
 def cuts_out(K: np.ndarray, size: tuple[int, int]) -> bool:
-    """Return whether the principal point lies outside an image of `size`, as in one cut out of a larger image."""
+    """Return whether the principal point of K [3,3] lies outside an image of `size`, as after a crop."""
     return not (0 <= K[0, 2] <= size[0] and 0 <= K[1, 2] <= size[1])
 
 

@@ -29,7 +29,7 @@ from mgsr.data.silhouettes import silhouettes
 from mgsr.data.usable import usable_photos
 from mgsr.errors import ConfigError, SceneError
 
-# What files with cameras are called that people give in place of their folder.
+# The names of camera files that users pass instead of their folder.
 _CAMERA_SUFFIXES = (".json", ".xml", ".csv", ".txt", ".bin", ".npz", ".npy", ".nvm", ".out", ".sfm", ".log", ".ply")
 
 
@@ -41,10 +41,10 @@ def load_scene(
 ) -> Scene:
     """Load the scene at `path`, a folder or an archive of any supported format, and decode its images.
 
-    config: how it is read; None has the defaults. unpack_to: where an archive's files go; by default a folder that is
-    removed when the process ends. progress: told every few seconds how many photographs are decoded, of how many.
-    A name is unique within train and within test. `test` is empty where the files name no split and there are fewer
-    than `config.test_every` views.
+    config: the settings of the reading; None means the defaults. unpack_to: where an archive's files go; by default a
+    folder that is removed when the process ends. progress: called every few seconds with the numbers of decoded and of
+    all photographs. A name is unique within train and within test. `test` is empty where the files name no split and
+    there are fewer than `config.test_every` views.
 
     Raises SceneError, before anything is trained, naming the file and the cure.
     """
@@ -64,7 +64,7 @@ def load_scene(
     outlines = silhouettes(views.train, OUTLINE_SIDE)
     agreeing, odd = agreeing_masks(views.train, outlines)
     train_views = list(compress(views.train, agreeing))
-    # What is ignored is in view all the same.
+    # Ignored regions still lie within the view.
     in_view = (
         [replace(view, valid_mask=None) for view in train_views] if views.ignoring and not outlines else train_views
     )

@@ -10,11 +10,11 @@ from mgsr.errors import SceneError, in_short
 def check_share(
     kept: int, total: int, least: float, what: str, cure: str, missing: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """Return a note for the person if fewer than all photographs are used, else nothing.
+    """Return a note to the user if not all photographs are used, else none.
 
-    what: what the used ones have in common ("have a pose in cameras.xml"). missing: names of photographs that were
-    looked for but not found. Raises SceneError, with the cure and the first of those, where the share of the used ones
-    is under `least`.
+    what: the property of the used photographs ("have a pose in cameras.xml"). missing: names of photographs that were
+    not found. Raises SceneError, with the cure and the first missing name, where the share of used photographs is under
+    `least`.
     """
     if kept == total:
         return ()

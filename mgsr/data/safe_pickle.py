@@ -1,8 +1,8 @@
 """Read arrays from pickle files safely.
 
 A pickle is a program for a small machine, which may import and call whatever it names and ask for any amount of memory.
-This module allows only the instructions that arrays in tuples and lists need. It replaces each of numpy's constructors
-that the pickle names by a class of its own that only keeps its arguments.
+This module allows only the instructions that arrays in tuples and lists need. It replaces numpy's constructors in the
+pickle by its own classes, which only store their arguments.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _DAMAGE = (
 
 
 def read_pickled_arrays(path: Path, source: str) -> list[np.ndarray]:
-    """Read the arrays of numbers of a pickled tuple or list, float64. Nothing that the file names is called.
+    """Read the numeric arrays [...], float64, of a pickled tuple or list. The file's callables are never called.
 
-    Raises SceneError with `source` for anything else, also for files of more than 64 KiB.
+    Raises SceneError, naming `source`, for anything else and for files over 64 KiB.
     """
     require_content(path)
     try:
@@ -133,7 +133,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _array(item: Any) -> np.ndarray:
-    """Return the array of an item: an array's state, a scalar, a number, or numbers in lists.
+    """Return an item as an array [...]: the item is an array's state, a scalar, a number, or nested lists of numbers.
 
     Raises ValueError for others.
     """
@@ -152,9 +152,11 @@ def _array(item: Any) -> np.ndarray:
 
 
 def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
-    """Return the numbers in a list, or in lists in it, as float64; no deeper, as lists may hold themselves.
+    """Convert a list of numbers, or of lists of numbers, to an array [N] or [M,N], float64.
 
-    Raises ValueError for what is no number.
+    It goes no deeper, as a list may contain itself.
+
+    Raises ValueError for items that are not numbers.
     """
     for item in rows:
         for value in item if isinstance(item, (list, tuple)) else [item]:
@@ -164,6 +166,7 @@ def _from_list(rows: list[Any] | tuple[Any, ...]) -> np.ndarray:
 
 
 def _from_bytes(dtype: Any, shape: Any, by_columns: bool, data: Any) -> np.ndarray:
+    """Return an array of a shape, float64, from its raw bytes. Raises ValueError where their number is wrong."""
     if isinstance(data, _Bytes):
         data = data.arguments[0]
     content = data.encode("latin-1") if isinstance(data, str) else data

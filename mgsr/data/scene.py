@@ -1,4 +1,4 @@
-"""What a reader returns to the rest of MGSR: views with images and cameras, in one normalised frame."""
+"""A loaded scene: views with images and cameras, in one normalised frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mgsr.config import Background, DataConfig
 from mgsr.data.backdrop import BLACK, WHITE, Backdrop, Color, plain_backdrop
 from mgsr.data.camera import Camera
 
-PHOTOGRAPHS = 64  # views that are enough to tell of a surface; more tell little more
+PHOTOGRAPHS = 64  # views that suffice to examine a surface; more add little
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class View:
 
     name: unique, without extension. image [H,W,3] uint8 sRGB, not premultiplied. alpha [H,W] uint8: 255 is the object;
     None without a mask. valid_mask [H,W] bool: the pixels that the photograph shows; None where it shows all. Image and
-    alpha mean nothing at other pixels (see `valid_mask.py`). irradiance [H,W] uint8: the light that a flash on the
+    alpha are undefined at other pixels (see `valid_mask.py`). irradiance [H,W] uint8: the light that a flash on the
     camera throws on each pixel's surface, as 255 light^(1/2.4), light relative to its maximum; None where no flash is
     known.
     """
@@ -92,7 +92,7 @@ class PointCloud:
 
 @dataclass(frozen=True)
 class Exposures:
-    """How much more light photographs got than at the common exposure.
+    """The exposure factors of the photographs, relative to the common exposure.
 
     Each is a factor of each channel's linear light: of the training views [V,3] and of the test views [T,3].
     """
@@ -102,9 +102,9 @@ class Exposures:
 
     @property
     def largest_difference(self) -> float:
-        """Return the ratio of light between the brightest and the darkest exposure.
+        """Return the ratio of the brightest exposure to the darkest.
 
-        It is that of the geometric means of the channels.
+        It compares geometric means over the channels.
         """
         light = np.log(np.concatenate([self.train, self.test])).mean(axis=1)
         return float(np.exp(light.max() - light.min()))
@@ -112,14 +112,13 @@ class Exposures:
 
 @dataclass(frozen=True)
 class Scene:
-    """A capture in its normalised frame: the object (or what the cameras look at) lies in the unit ball.
+    """A capture in its normalised frame: the object (or the region that the cameras look at) lies in the unit ball.
 
     user_from_scene takes results back to the frame and scale of the input files. format names the reader. root is the
-    folder that was read; for an archive, its unpacked folder. notes tell the person what the reader left out. warning
-    is one of them: the surface will be a guess. exposures: what was divided out of the photographs where their
-    exposures differed; None where they are unchanged (see `exposure.py`). ignoring: whether masks that say what to
-    ignore make pixels unknown. source: the path that was given to be read, and read_with: the settings with which it
-    was read; None and the defaults where nothing was read.
+    folder that was read; for an archive, its unpacked folder. notes inform the user about omitted input. warning is one
+    of them: the surface will be a guess. exposures: the factors divided out of the photographs; None where they are
+    unchanged (see `exposure.py`). ignoring: whether masks of regions to ignore make pixels invalid. source and
+    read_with: the path and the settings of the reading; None and the defaults for a scene that was not read from files.
     """
 
     name: str
@@ -150,7 +149,7 @@ class Scene:
         return None if self.masked else plain_backdrop([(view.image, view.valid_mask) for view in self.train])
 
     def backdrop(self, kind: Background) -> Backdrop:
-        """Choose what is behind the splats from the background setting, the masks and the photographs."""
+        """Choose the background behind the splats from the background setting, the masks and the photographs."""
         if kind is Background.RANDOM or (kind is Background.AUTO and self.masked):
             return Backdrop(WHITE, random=True)
         if kind is Background.AUTO and self.plain_backdrop is not None:

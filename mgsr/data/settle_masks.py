@@ -20,10 +20,10 @@ from mgsr.errors import SceneError
 
 @dataclass(frozen=True)
 class SettledViews:
-    """Views of which all training views have a silhouette as alpha, or no view has.
+    """The views with settled masks: all training views have a silhouette as alpha, or no view has one.
 
-    notes: for the person, on what is left out. use: what masks beside the photographs mean, None without any. ignoring:
-    whether masks make pixels unknown.
+    notes: to the user, on omissions. use: the meaning of masks beside the photographs, None without any. ignoring:
+    whether masks make pixels invalid.
     """
 
     train: list[View]
@@ -36,13 +36,13 @@ class SettledViews:
 def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) -> SettledViews:
     """Return the views with their masks applied as the setting `masks` says.
 
-    Masks beside photographs are silhouettes or say what is to be ignored (`find_mask_use`, unless `masks` says it).
-    Ignored pixels are unknown in their view. Silhouettes are used if every training view has one, else none is. Alpha
-    that is 255 in all views is no mask. Views that lose the alpha of their own colours are composited on white. Views
-    whose silhouette is empty, or that are ignored whole, are left out.
+    Masks beside photographs are silhouettes or mark regions to ignore; the setting `masks` decides, or else
+    `find_mask_use`. Ignored pixels are invalid in their view. Silhouettes are used if every training view has one, else
+    none is. Alpha that is 255 in all views is no mask. Views that lose the alpha of their own colours are composited on
+    white. Views with an empty silhouette, or without any valid pixel, are left out.
 
-    Raises SceneError where masks are asked for and missing, for masks that are white around the object or whose meaning
-    is unclear, and where they show nothing in most training views.
+    Raises SceneError for requested masks that are missing, for inverted masks, for masks of unclear meaning, and for
+    masks that are empty in most training views.
     """
     if masks is Masks.OFF:
         return SettledViews([_bare(item.view, item) for item in train], [_bare(item.view, item) for item in test])
@@ -64,7 +64,7 @@ def settle_masks(train: list[LoadedView], test: list[LoadedView], masks: Masks) 
 
 
 def _use(train: Sequence[LoadedView], masks: Masks) -> MaskUse | None:
-    """Return what the masks beside the photographs mean; None where there are none, or all are white.
+    """Return the meaning of the masks beside the photographs; None where there are none, or all are white.
 
     Raises SceneError for masks=ignore without any mask.
     """
@@ -171,7 +171,8 @@ def _unused_masks(train: Sequence[View], beside: bool) -> tuple[str, ...]:
 
 
 def _with_an_object(train: list[View]) -> tuple[list[View], tuple[str, ...]]:
-    """Return the views whose masks are not empty, and a note on the others. Raises SceneError where most are empty."""
+    """Return the views with non-empty masks, and a note on the others. Raises SceneError where most are
+    empty."""
     shown = [view for view in train if not _empty(view)]
     if len(shown) == len(train):
         return train, ()

@@ -29,7 +29,7 @@ class Lens:
 
     @property
     def tags(self) -> CameraTags:
-        """Return what the photographs' EXIF says about their camera."""
+        """Return the EXIF data on the photographs' camera."""
         return self.shots[0].tags
 
     @property
@@ -42,9 +42,8 @@ def share_lenses(shots: Sequence[Shot]) -> list[Lens]:
     """Group photographs by camera, in the order in which the cameras first appear.
 
     Photographs of one size and of equal EXIF (maker, model, lens, body, focal lengths, digital zoom) share a lens. The
-    camera's orientation does not matter, as sizes are those of the stored pixels. Photographs without such EXIF (frames
-    of videos, pictures from messengers) share one where size and folder are equal, as rigs have a folder for each
-    camera.
+    camera's orientation does not matter, as sizes refer to the stored pixels. Photographs without such EXIF (frames of
+    videos, pictures from messengers) share one where size and folder are equal, as rigs have a folder for each camera.
     """
     groups: dict[tuple[CameraTags, tuple[int, int], str], list[Shot]] = {}
     for shot in shots:

@@ -19,10 +19,10 @@ _SIDE = 800
 # Pixels of the smaller side below which images are too small to tell.
 _SMALLEST = 48
 
-# Pixels of the Gaussian that the photograph is compared with itself after.
+# Standard deviation, pixels, of the Gaussian that blurs the photograph for comparison with itself.
 _SIGMA = 1.5
 
-# Powers of two by which a photograph's fine detail may be weaker than its sharp neighbours'. On the shared scenes sharp
+# The largest loss of fine detail, in powers of two, against sharp neighbours. On the shared scenes sharp
 # photographs lack at most 0.43; photographs moved by 5 pixels 0.5 to 1.2, by 9 pixels 0.9 to 1.6.
 _MUCH = 0.55
 
@@ -36,7 +36,7 @@ _NAMED = 3  # photographs that a note names
 def without_blurred(
     train: list[LoadedView], test: list[LoadedView], blurred: Blurred
 ) -> tuple[tuple[list[LoadedView], list[LoadedView]], tuple[str, ...]]:
-    """Return the training and test views, and a note on those that are much less sharp.
+    """Return the training and test views, and a note on the views that are much less sharp.
 
     Under `Blurred.DROP` the views come without these.
     """
@@ -89,7 +89,7 @@ def _sharpness(view: View) -> float:
 def _gradients(grey: np.ndarray) -> np.ndarray:
     """Return the mean outer product [2,2] of the gradients of an image [H,W].
 
-    That of faint noise is added, so that the matrix can be inverted.
+    The variance of faint noise is added, so that the matrix can be inverted.
     """
     down, right = np.gradient(grey)
     cross = (right * down).mean()
@@ -97,7 +97,7 @@ def _gradients(grey: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(views: Sequence[View]) -> list[np.ndarray]:
-    """Return for each view the indices of the views that show about the same."""
+    """Return, for each view, the indices [K] int64 of the views that show about the same."""
     centers = np.array([view.camera.center for view in views])
     axes = np.array([view.camera.cam_from_world[2, :3] for view in views])
     spread = np.linalg.norm(centers - centers.mean(axis=0), axis=1).mean() or 1.0

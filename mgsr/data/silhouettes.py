@@ -24,7 +24,7 @@ FREE_BORDER = 0.02
 class Silhouette:
     """A mask as signed distances [h,w] float32 in pixels to its outline, positive inside, with its camera.
 
-    valid_mask [h,w] bool: the pixels that say where the object is and isn't; None if all do.
+    valid_mask [h,w] bool: the pixels that separate the object from its surroundings; None if all do.
     """
 
     camera: Camera
@@ -67,6 +67,7 @@ def signed_distance(alpha: np.ndarray, valid: np.ndarray | None = None) -> np.nd
 
 
 def _silhouette(view: View, mask: np.ndarray, max_side: int) -> Silhouette:
+    """Return the silhouette of a mask [H,W] uint8, reduced to at most `max_side` pixels a side."""
     camera, alpha, valid = view.camera, mask.astype(np.float32)[..., None], view.valid_mask
     shrink = max_side / max(camera.width, camera.height)
     if shrink < 1:

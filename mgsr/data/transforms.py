@@ -30,7 +30,7 @@ def read_content(path: Path) -> dict[str, Any]:
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
         raise SceneError(f"{path.name}: expected an object with a list 'frames'; export it again")
-    # What is no frame names no photograph, and loses that alone.
+    # An invalid entry names no photograph, and is skipped alone.
     return {**content, "frames": [frame if isinstance(frame, dict) else {} for frame in frames]}
 
 
@@ -68,7 +68,7 @@ class Frame:
 
 
 def read_frames(folder: SceneFolder, file: str, frames: Sequence[Frame]) -> Capture:
-    """Read the photographs of frames whose paths are relative to the scene's root."""
+    """Read the photographs of frames; their paths are relative to the scene's root."""
     found = folder.find_photos(file, [frame.values.get("file_path") for frame in frames])
     return Capture.of(found, lambda i, path: _read_frame(folder, path, frames[i]))
 

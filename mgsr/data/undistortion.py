@@ -19,14 +19,13 @@ from mgsr.errors import SceneError
 # The maps of a 2-megapixel camera take 16 MB; captures with a camera for each photograph must not pile them up.
 _KEPT = 8
 
-# Rows that are worked at a time, so that all that is in work stays in the processor's cache: making maps takes an
-# eighth of the time of whole images.
+# Rows per block, so that the working set stays in the CPU's cache: maps take an eighth of the time of whole images.
 _BAND = 32
 
 
-# The half angle, degrees, that is kept of wide lenses: a pinhole spreads a fisheye's pixel at 60 degrees over 7 of its
-# own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image of 2.5 times as
-# many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
+# The half angle of view, degrees, to which wide lenses are cropped: a pinhole spreads a fisheye's pixel at 60 degrees
+# over 7 of its own, and at 70 over 15. Of an action camera's photograph 60 degrees hold 90 of 100 pixels, in an image
+# of 2.5 times as many, four fifths of them valid; 65 hold 96 in 3.3 times as many, and 70 hold 99 in 4.5 times as many.
 HALF_ANGLE = 60.0
 
 # A rectangle that every photograph fills is cheaper than a mask: nothing has to be left out in training. It is taken
@@ -34,10 +33,10 @@ HALF_ANGLE = 60.0
 # cameras 92 and with fisheyes 80.
 WHOLE_ENOUGH = 0.97
 
-# Undoing a lens makes an image at most this many times as large along each side, or it is a fisheye and wide.
+# Undistortion enlarges an image at most by this factor along each side; a lens beyond it counts as a wide fisheye.
 _LARGEST = 2.0
 
-# Columns and rows of the sketch that finds out which part of the plane a photograph shows.
+# Columns and rows of the coarse grid that finds the photograph's part of the image plane.
 _SKETCH = 128
 
 
@@ -47,7 +46,7 @@ class Undistortion:
 
     map_x, map_y [h,w] float32: each pixel's place in the photograph, counted from the middle of the first pixel as
     OpenCV does. K: the pinhole's, counted from the corner as everywhere in MGSR. valid_mask [h,w] bool: the pixels that
-    the photograph shows; None for all. The maps mean nothing at other pixels.
+    the photograph shows; None for all. The maps are undefined at other pixels.
     """
 
     map_x: np.ndarray
@@ -81,11 +80,11 @@ class _Frame:
 
 
 def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: str) -> Undistortion:
-    """Compute the pinhole image that keeps the photograph's focal lengths and all that it shows up to HALF_ANGLE.
+    """Compute a pinhole image with the photograph's focal lengths and its whole field of view up to HALF_ANGLE.
 
-    Where nearly all of that fills a rectangle, the image is the rectangle. Which pixels it shows is known exactly:
-    those whose ray the lens puts inside the photograph, before its polynomial folds back. Raises SceneError naming
-    `source` if nothing is left.
+    Where a rectangle holds nearly all of that field, the image is the rectangle. A pixel is valid exactly where the
+    lens projects its ray into the photograph, before its polynomial folds back. K [3,3] is in pixels. Raises SceneError
+    naming `source` if nothing is left.
     """
     photograph = _Photograph(lens, K, width, height)
     frame = _frame(photograph)
@@ -103,7 +102,7 @@ def undistortion(lens: AnyLens, K: np.ndarray, width: int, height: int, source: 
     map_x, map_y, valid = (np.ascontiguousarray(image[rows, cols]) for image in (map_x, map_y, valid))
     if valid.all():
         return Undistortion(map_x, map_y, pinhole)
-    map_x[~valid] = map_y[~valid] = 0  # they may be no numbers
+    map_x[~valid] = map_y[~valid] = 0  # they may be NaN
     return Undistortion(map_x, map_y, pinhole, valid)
 
 
@@ -129,7 +128,7 @@ class Undistorter:
         if mine:
             try:
                 result.set_result(self._held(undistortion(lens, K, width, height, source)))
-            except Exception as error:  # those who wait for it need the error too
+            except Exception as error:  # waiting threads need the error too
                 result.set_exception(error)
         return result.result()
 
@@ -175,7 +174,7 @@ def _frame(photograph: _Photograph) -> _Frame:
     rows, cols = (np.flatnonzero(shown.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         return _Frame(0, 0, photograph.width, photograph.height)
-    # What is shown may end up to a pixel of the sketch beside the last one whose middle is.
+    # The valid region may extend up to one grid cell beyond the last valid cell centre.
     first = np.floor([left + (cols[0] - 0.5) * step, top + (rows[0] - 0.5) * step])
     last = np.ceil([left + (cols[-1] + 1.5) * step, top + (rows[-1] + 1.5) * step])
     size = (last - first).astype(int).tolist()
@@ -189,7 +188,7 @@ def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.nda
     # With a border of one pixel, to see folds. float32 places a pixel to a thousandth.
     x = ((frame.left - cx + (np.arange(-1, frame.width + 1) + 0.5) * frame.step) / fx).astype(np.float32)
     y = ((frame.top - cy + (np.arange(rows.start - 1, rows.stop + 1) + 0.5) * frame.step) / fy).astype(np.float32)
-    with np.errstate(all="ignore"):  # what a senseless lens makes is not shown, and so refused
+    with np.errstate(all="ignore"):  # a senseless lens leaves no valid pixels, and so is refused
         bent_x, bent_y = photograph.lens.distort(x[None, :], y[:, None])
         map_x, map_y = bent_x * fx + (cx - 0.5), bent_y * fy + (cy - 0.5)
         inside = (map_x >= -0.5) & (map_x <= width - 0.5) & (map_y >= -0.5) & (map_y <= height - 0.5)
@@ -201,7 +200,7 @@ def _mapped(photograph: _Photograph, frame: _Frame, rows: slice) -> tuple[np.nda
 
 
 def _unfolded(map_x: np.ndarray, map_y: np.ndarray) -> np.ndarray:
-    """Return where the mapping keeps its orientation, without the border."""
+    """Return where the mapping [H,W] keeps its orientation, [H-2,W-2] bool without the border."""
     turn = (map_x[1:-1, 2:] - map_x[1:-1, :-2]) * (map_y[2:, 1:-1] - map_y[:-2, 1:-1])
     shear = (map_x[2:, 1:-1] - map_x[:-2, 1:-1]) * (map_y[1:-1, 2:] - map_y[1:-1, :-2])
     kept: np.ndarray = turn > shear
@@ -223,9 +222,9 @@ def _around(place: np.ndarray, shown: np.ndarray) -> np.ndarray:
 
 
 def _kept(valid: np.ndarray) -> tuple[slice, slice]:
-    """Return rows and columns of a rectangle without invalid pixels if it holds nearly all valid ones.
+    """Return the rows and columns of a rectangle of valid pixels [H,W] if it holds nearly all of them.
 
-    Otherwise they bound all valid pixels.
+    Otherwise return the bounding box of all valid pixels.
     """
     rows, columns = largest_rectangle(valid)
     inner = valid[rows, columns]

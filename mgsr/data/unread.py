@@ -26,7 +26,7 @@ class _Unread:
     """One program that MGSR does not read.
 
     files: patterns of the files that it writes, relative to the capture's folder, which must all be there; the first is
-    named in the message. contains: what the first kilobytes of the first file have, where its name alone is not enough.
+    named in the message. contains: text in the first kilobytes of the first file, where its name alone is ambiguous.
     cure: what to do.
     """
 

@@ -1,4 +1,4 @@
-"""Select the photographs of a capture that exist and whose camera is one that a photograph can have."""
+"""Select the photographs of a capture that exist and have a valid camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mgsr.errors import MissingPhotoError, SceneError, in_short
 
 
 def usable_photos(capture: Capture, folder: SceneFolder) -> tuple[list[Photo], tuple[str, ...]]:
-    """Return the photographs with checked intrinsics and rigid poses, and notes on what was left out or changed.
+    """Return the photographs with checked intrinsics and rigid poses, and notes on omissions and changes.
 
     Raises SceneError where fewer than the capture's `least_kept` of its photographs are left, with the reason of the
     first one.

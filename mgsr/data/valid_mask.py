@@ -1,7 +1,7 @@
 """Valid masks: undistorting a strong lens leaves corners or sides that no pixel of the photograph covers.
 
-A valid mask [H,W] bool says which pixels are shown; None means all. The others hold no meaning, and whoever reads a
-view leaves them out.
+A valid mask [H,W] bool marks the pixels that the photograph covers; None means all. Other pixels are undefined, and
+every user of a view ignores them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def valid_mean(
 def filled(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     """Return the image [H,W,...] with each invalid pixel set to the nearest valid one; all 0 if nothing is valid.
 
-    Windows and interpolation that reach over the edge of the valid region then see what they see at an image's border.
+    Windows and interpolation that cross the edge of the valid region then behave as at an image's border.
     """
     if valid is None:
         return pixels
@@ -72,7 +72,7 @@ def whole_part(view: View) -> View:
 
 
 def largest_rectangle(valid: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns of a large rectangle of valid pixels.
+    """Return the rows and columns of a large rectangle of valid pixels [H,W] bool.
 
     Each step cuts the side with the most invalid pixels. Where all borders are valid but the inside is not, it cuts all
     sides. The result is one pixel wide or high, valid or not, where no such rectangle exists.

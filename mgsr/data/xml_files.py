@@ -16,8 +16,8 @@ from mgsr.errors import SceneError, in_short
 def read_xml(path: Path, left_out: Collection[str] = ()) -> Element:
     """Return the root of an XML file, in any encoding that it declares.
 
-    left_out: tags of elements that stay empty, so that their content takes no memory. Raises SceneError for what is no
-    XML and for XML with a DOCTYPE, whose entities could fill the memory.
+    left_out: tags of elements that stay empty, so that their content takes no memory. Raises SceneError for files that
+    are not XML, and for XML with a DOCTYPE: its entities could fill the memory.
     """
     require_content(path)
     try:

@@ -19,7 +19,7 @@ _FEWEST_PHOTOS = 2
 def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
     """Return a note if several photographs that share a lens in a model would each need another focal length.
 
-    model: pycolmap.Reconstruction, whose points are held fixed. Zoomed or cropped photographs are of this kind.
+    model: a pycolmap.Reconstruction; its points are held fixed. Zoomed or cropped photographs are of this kind.
     """
     placed = [image for image in model.images.values() if image.has_pose]
     sharing = Counter(image.camera_id for image in placed)
@@ -34,7 +34,7 @@ def zoom_note(colmap: Any, model: Any) -> tuple[str, ...]:
 
 
 def _focal_ratio(colmap: Any, model: Any, image: Any) -> float:
-    """Return the focal length that a photograph alone would have, over that of its lens.
+    """Return the focal length fitted to a photograph alone, divided by its lens's.
 
     It is 1 where it can't be estimated.
     """

@@ -40,7 +40,7 @@ def adapt(
 ) -> Adaptation:
     """Return the next set of splats, from the stored parameters of either branch (`model.parameters()`).
 
-    extent: the scene's, in its unit. grow: off only prunes. Neither the parameters nor the state are changed. The two
+    extent: the scene's, in its unit. grow: off only prunes. Parameters and state remain unchanged. The two
     halves of a split are drawn from the splat itself by the generator. Deviation from 3DGS: what would pass
     config.max_count is left out, smallest gradients first; no limit on screen size.
     """
@@ -118,9 +118,9 @@ def _rows(parameters: Parameters, mask: Tensor) -> Parameters:
 
 
 def lowered_opacities(parameters: dict[str, Tensor], opacity: float) -> dict[str, Tensor]:
-    """Return the opacity logits of either branch, by name, lowered to at most that of `opacity` (3DGS, section 5.2).
+    """Return a branch's opacity logits [N] by name, clamped to the logit of `opacity` (3DGS, section 5.2).
 
-    What isn't needed stays faint then, and is pruned. `parameters` stay as they are.
+    Superfluous splats then remain faint and are pruned. `parameters` remain unchanged.
     """
     limit = math.log(opacity / (1 - opacity))
     return {name: parameters[name].detach().clamp(max=limit) for name in OPACITY_NAMES if name in parameters}

@@ -1,7 +1,7 @@
 """Empty space around cameras, which is kept free of splats where no mask does so.
 
 A splat close to a camera fills much of its photograph alone, and hangs as haze before the views of cameras nearby. The
-space between a camera and what it sees first is empty, so that no splat belongs there.
+space between a camera and the first visible surface is empty, so no splat belongs there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mgsr.data.camera import Camera
 
-NEAREST = 10  # of the starting points: those before it may be wrong
+NEAREST = 10  # rank of the starting point that is used; nearer ones may be outliers
 
 
 @dataclass(frozen=True)

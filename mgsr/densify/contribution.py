@@ -1,4 +1,4 @@
-"""Each splat's contribution to images: those that together contribute next to nothing can go."""
+"""Each splat's contribution to images, by which superfluous splats are pruned."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from mgsr.ops.surfels import rasterize_surfels
 def contributions(model: SurfelModel | GaussianModel, cameras: Sequence[Camera]) -> Tensor:
     """Return each splat's contribution [N]: its blending weights summed over all pixels of all cameras.
 
-    A weight is the opacity times the transmittance before it; of a reflected half, times what the pixel adds of that.
-    An image is linear in the splats' colours, so its derivatives with respect to them are these weights.
+    A weight is the splat's alpha times the transmittance before it; a reflected half's is also multiplied by the
+    pixel's reflection weight. An image is linear in the splats' colours, so its derivatives with respect to them are
+    these weights.
     """
     model = model.detached()
     total = torch.zeros_like(model.opacity_logits)

@@ -1,8 +1,8 @@
 """Error-driven growth of the 3D branch: Gaussians are added where renderings differ visibly from the photographs.
 
-Those that contribute least make room for as many more. A new Gaussian has a pixel's size and the photograph's colour,
-and lies on the pixel's ray at the rendered depth, as in ConeGS (Baranowski et al. 2025). The number of differing pixels
-that other views confirm, not a fixed count, says how many are added.
+They replace as many Gaussians of least contribution, and others are added. A new Gaussian has a pixel's size and the
+photograph's colour, and lies on the pixel's ray at the rendered depth, as in ConeGS (Baranowski et al. 2025). The
+number of differing pixels that other views confirm, not a fixed count, says how many are added.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from mgsr.data.camera import Camera
 from mgsr.densify.contribution import contributions
 from mgsr.gaussians.gaussians import GaussianModel
 
-SOLID = 0.3  # alpha from which a rendered depth is taken for a surface's
-HIDDEN = 3.0  # pixels' sizes by which a point may lie off the rendered surface of a view that sees it
-WINDOW = 3  # pixels along a side over which differences are averaged, so that sensor noise hardly counts
+SOLID = 0.3  # alpha from which a rendered depth counts as a surface
+HIDDEN = 3.0  # pixel sizes that a point may lie off the rendered surface of a view that sees it
+WINDOW = 3  # side of the averaging window, pixels; averaging suppresses sensor noise
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class RenderedView:
     """A training view beside its rendering.
 
     residual [H,W,3]: the photograph less the rendering, sRGB, on one background; base [H,W,3]:
-    what the Gaussians' own colours give, without reflected light and as under even light; depth [H,W]: camera z; alpha
-    [H,W]. Where the photograph is not valid, residual and alpha are 0.
+    the rendering of the Gaussians' own colours, without reflected light and under even light; depth [H,W]: camera z;
+    alpha [H,W]. Where the photograph is not valid, residual and alpha are 0.
     """
 
     camera: Camera
@@ -53,7 +53,7 @@ class NewPoints:
     residual: Tensor
 
     def rows(self, chosen: Tensor) -> NewPoints:
-        """Return some of the points, by a mask or indices."""
+        """Return a subset of the points, by a mask [N] bool or indices [M] int64."""
         return NewPoints(self.positions[chosen], self.sizes[chosen], self.colors[chosen], self.residual[chosen])
 
 
@@ -101,13 +101,13 @@ def new_points(
 
 
 def not_contradicted(points: NewPoints, views: Sequence[RenderedView]) -> NewPoints:
-    """Return the points whose residual agrees with that of the other views that see them.
+    """Return the points whose residual agrees among the views that see them.
 
-    Views disagree about a highlight, which one lacks and the others have too much of, and about noise half of the time.
+    Residuals of a highlight differ in sign between views, and those of noise do so half of the time.
     Points that no other view sees are left out, too.
     """
     agreed = sum((_agreement(points, view) for view in views), torch.zeros_like(points.sizes))
-    # A point's own view is among them, and agrees with itself.
+    # The point's own view is among the views, and agrees with itself.
     return points.rows(agreed > points.residual.square().sum(dim=1))
 
 

@@ -50,5 +50,5 @@ class DensifyState:
         return self.gradient_sum / self.seen.clamp(min=1)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return the tensors by name, for a checkpoint; `DensifyState(**tensors)` takes them back."""
+        """Return the tensors [N] by name for a checkpoint; `DensifyState(**tensors)` restores them."""
         return {"gradient_sum": self.gradient_sum, "seen": self.seen}

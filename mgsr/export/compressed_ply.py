@@ -27,14 +27,15 @@ _RANGES = {
 }
 _BITS = (11, 10, 11)
 _SH_C0 = 0.28209479177387814
-# Scales beyond these are as good as nothing or everything, and would coarsen their chunk.
+# Scales beyond these are invisible or fill the view, and would coarsen their chunk.
 _SCALE_LIMIT = 20.0
 
 
 def write_compressed_ply(path: Path, splats: Splats, origin: np.ndarray | None = None) -> None:
     """Write splats, as `write_splats` takes them, to a compressed PLY.
 
-    They must be finite but for opacity logits. They are ordered along a curve through space, so that chunks are small.
+    All values except opacity logits must be finite. Splats are sorted along a space-filling curve, so that chunks are
+    small.
     origin [3]: the origin of the positions, None for the frame's own.
     """
     ordered = {name: array[_along_curve(splats["means"])] for name, array in splats.items()}
@@ -122,9 +123,9 @@ def _within_chunks(values: np.ndarray, chunks: np.ndarray, kind: str) -> np.ndar
 
 
 def _from_chunks(shares: np.ndarray, chunks: np.ndarray, kind: str, which: np.ndarray) -> np.ndarray:
-    """Return the values of shares 0..1 of their chunk's range.
+    """Map shares [N,...], 0..1, to their chunks' ranges; which [N] gives each splat's chunk.
 
-    Files from before colours had ranges have colours in 0..1; they are returned unchanged.
+    Files without ranges for colours store colours in 0..1, which are returned unchanged.
     """
     if kind == "color" and "min_r" not in (chunks.dtype.names or ()):
         return shares
@@ -143,6 +144,7 @@ def _pack(shares: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
 
 
 def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """Unpack fields of `bits` bits, the highest first, from 32-bit numbers [N]; return [N,len(bits)], 0..1."""
     parts, left = [], 32
     for count in bits:
         left -= count
@@ -165,6 +167,7 @@ def _packed_rotations(quats: np.ndarray) -> np.ndarray:
 
 
 def _unpacked_rotations(packed: np.ndarray) -> np.ndarray:
+    """Unpack unit quaternions [N,4] wxyz from 32-bit numbers [N] (see `_packed_rotations`)."""
     largest = packed.astype(np.uint64) >> 30
     smaller = (_unpack(packed, (2, 10, 10, 10))[:, 1:] - 0.5) / np.sqrt(0.5)
     real = np.sqrt(np.maximum(0, 1 - (smaller**2).sum(axis=1)))
@@ -186,9 +189,10 @@ def _harmonics(rest: np.ndarray) -> np.ndarray:
 
 
 def _load_harmonics(data: PlyData, count: int) -> np.ndarray:
+    """Return the higher colour coefficients [N,K,3], float64, with K = 0 where the file has none."""
     if "sh" not in data:
         return np.zeros((count, 0, 3))
     table = data["sh"].data
     flat = np.stack([table[f"f_rest_{i}"] for i in range(len(table.dtype.names))], axis=1).astype(np.float64)
-    # A byte stands for the middle of its step.
+    # A byte encodes the centre of its quantisation step.
     return (((flat + 0.5) / 256 - 0.5) * 8).reshape(count, 3, flat.shape[1] // 3).transpose(0, 2, 1)

@@ -30,13 +30,13 @@ FILE_SUFFIXES = tuple(dict.fromkeys((*_SPLATS, *_MESHES)))
 
 
 def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = None) -> str:
-    """Write `target`, whose name tells the kind, from `source`, and return a line about what it holds.
+    """Convert `source` to `target`, of the kind that its name says, and return a one-line summary.
 
     Meshes: .ply, .glb, .obj. Splats: .ply, .compressed.ply, .spz. scale: factor of all lengths. up: which axis of a
     mesh's frame points up, for .glb, which wants y; y unless given.
 
-    Raises as `require_kinds`, ConfigError for a scale that is no number above 0, SceneError and MeshError for files
-    that can't be read and for what `target` can't hold.
+    Raises the errors of `require_kinds`, ConfigError for a scale that is not a number above 0, and SceneError and
+    MeshError for unreadable files and for content that `target` can't hold.
 
     Splats keep the origin that their file names; far from the frame's, they get one (`origin_near`).
     """
@@ -51,8 +51,8 @@ def convert(source: Path, target: Path, scale: float = 1.0, up: UpAxis | None = 
 def require_kinds(source: Path, target: Path, up: UpAxis | None = None) -> None:
     """Raise ConfigError where `source` can't be converted to `target`.
 
-    That is where `source` is no file, where it can't become what `target` is called, or where `target` can't take an up
-    axis.
+    It raises where `source` is not a file, where `target` is of another kind of content, or where `target` can't have
+    an up axis.
     """
     if not source.is_file():
         raise ConfigError(f"{source}: no such file")
@@ -115,7 +115,7 @@ def _read_origin(source: Path) -> np.ndarray:
 
 
 def _scaled(places: np.ndarray, scale: float) -> np.ndarray:
-    """Return places times `scale`, float64. Raises ConfigError where the file's floats can't hold them."""
+    """Return positions [P,3] times `scale`, float64. Raises ConfigError where float32 can't hold them."""
     with np.errstate(over="ignore"):
         scaled = places.astype(np.float64) * scale
     largest, limits = np.abs(scaled).max(initial=0), np.finfo(np.float32)

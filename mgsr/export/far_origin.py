@@ -1,8 +1,8 @@
 """Positions far from their frame's origin.
 
-A float32 number has about seven digits. In frames of maps (UTM) and of the whole earth (geocentric) most of them say
-where the scene lies, and few are left for its shape. Files with float32 positions are therefore written about an origin
-near the scene, which they name: the places of the frame are the positions in the file plus that origin.
+A float32 number has about seven digits. In map (UTM) and geocentric frames, most of these digits locate the scene, and
+few are left for its shape. Files with float32 positions therefore use an origin near the scene and name it: the frame's
+positions are those in the file plus that origin.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from mgsr.data.scene import Similarity
 from mgsr.errors import SceneError
 from mgsr.geometry.precision import float_is_too_coarse
 
-# Decimal digits that every float64 number keeps: such a text is read as the very number that was written.
+# Decimal digits that float64 preserves: the text and the number convert to each other exactly.
 _DIGITS = 15
 
 
 def no_origin() -> np.ndarray:
-    """Return the origin [3] of files whose positions are those of the frame."""
+    """Return the origin [3] of files with positions in the frame itself."""
     return np.zeros(3)
 
 
@@ -32,7 +32,7 @@ def origin_near(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     of its middle, rounded to a power of ten.
     """
     size = float((high - low).max())
-    # A single place has no shape that could be lost.
+    # A single position has no shape to lose.
     if not (0 < size < math.inf and float_is_too_coarse(low, high)):
         return no_origin()
     decimals = -math.floor(math.log10(size))

@@ -26,7 +26,7 @@ class UpAxis(StrEnum):
     MINUS_Z = "-z"
 
 
-# What points up in the mesh's frame: an axis by its name, or any direction [3] of length 1.
+# The up direction in the mesh's frame: an axis by its name, or any direction [3] of length 1.
 Up = UpAxis | np.ndarray
 _DIRECTIONS = {UpAxis.Y: (0, 1, 0), UpAxis.Z: (0, 0, 1), UpAxis.MINUS_Y: (0, -1, 0), UpAxis.MINUS_Z: (0, 0, -1)}
 
@@ -78,7 +78,7 @@ class _Body:
         return len(self.views) - 1
 
     def add_array(self, array: np.ndarray, target: int) -> int:
-        """Append the array, and return the index of its accessor."""
+        """Append the array [V,n] or [F,3], and return the index of its accessor."""
         view = self.add_bytes(array.tobytes())
         self.views[view]["target"] = target
         columns = 1 if array.ndim == 1 else array.shape[1]
@@ -98,7 +98,7 @@ def _picture(view: int) -> dict[str, Any]:
 
 
 def _node_matrix(middle: np.ndarray, up: Up) -> list[float]:
-    """Return the node's matrix as 16 numbers, column by column, as glTF has it."""
+    """Return the node's matrix as 16 numbers in column-major order, as in glTF; middle [3]."""
     matrix = np.eye(4)
     matrix[:3, :3] = _turn_upright(up)
     matrix[:3, 3] = matrix[:3, :3] @ middle

@@ -34,8 +34,8 @@ def write_ply(path: Path, mesh: Mesh, colors: np.ndarray, unit: float = 1.0) -> 
 
     mesh: with its normals. colors: [V,3] sRGB 0..1, stored as uchar. unit: the factor of the lengths, for the header.
 
-    Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as it does in frames
-    whose origin lies far away. Raises MeshError for arrays that don't fit together.
+    Positions are float, or double where float would lose more than a 100,000th of the mesh's size, as far from the
+    frame's origin. Raises MeshError for arrays that don't fit together.
     """
     check_mesh(mesh, colors=colors)
     vertices, faces = mesh.vertices, mesh.faces
@@ -66,8 +66,8 @@ def _ply_header(vertex_count: int, face_count: int, real: str, unit: float) -> b
 def write_glb(path: Path, mesh: Mesh, colors: np.ndarray, up: Up = UpAxis.Y) -> None:
     """Write a mesh with vertex colours as binary glTF 2.0.
 
-    glTF wants linear colours, so they are converted from sRGB. They are stored as float32: 8 linear bits would band in
-    dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors as of `write_ply`.
+    colors [V,3] sRGB 0..1 are converted to linear, as glTF requires. They are stored as float32: 8 linear bits would
+    band in dark scenes, and MeshLab reads 16 as noise. See `glb`; arguments and errors as of `write_ply`.
     """
     check_mesh(mesh, colors=colors)
     linear = np.ones((len(mesh.vertices), 4), "<f4")

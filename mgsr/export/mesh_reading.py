@@ -16,7 +16,7 @@ from mgsr.errors import MeshError, in_short
 from mgsr.export.gltf import glb_file
 from mgsr.geometry.mesh import Mesh
 
-# Those that change nothing of what is read here.
+# Extensions that do not affect the data read here.
 _KNOWN_EXTENSIONS = {"KHR_materials_unlit"}
 _FLOAT = 5126
 _GREY = 0.5
@@ -79,7 +79,7 @@ def _read_parts(path: Path) -> list[StoredMesh]:
 
 
 def _part(pose: np.ndarray, mesh: Any, path: Path, materials: list[_Material]) -> StoredMesh:
-    """Return one part of a file, placed by its node's pose. A mirroring pose flips the faces.
+    """Return one part of a file, transformed by its node's pose [4,4]. A mirroring pose flips the faces.
 
     Raises MeshError where vertices are NaN or infinite.
     """
@@ -115,7 +115,7 @@ def _colors(mesh: Any) -> np.ndarray:
 
 
 def _gltf_colors(mesh: Any, path: Path, materials: list[_Material]) -> np.ndarray:
-    """Return vertex colours [V,3], sRGB 0..1, of a part whose material's name is its number.
+    """Return the vertex colours [V,3], sRGB 0..1, of a part; its material's name is the part's number.
 
     Raises MeshError where its picture can't be read.
     """

@@ -16,7 +16,7 @@ def write_obj(path: Path, mesh: Mesh, colors: np.ndarray) -> None:
 
     mesh: with its normals. colors: [V,3] sRGB 0..1, written behind the vertices (an extension that MeshLab, Blender and
     others read). Positions have twelve digits, or fifteen where float32 would be too coarse. Colours are 8-bit levels,
-    written a bit above them, as some readers cut off what is behind the point.
+    written slightly above them, as some readers truncate instead of rounding.
 
     Raises MeshError for a mesh without faces, and for arrays that don't fit together.
     """

@@ -1,7 +1,7 @@
 """Numbers that MGSR keeps in the header of a PLY, so that later steps find them.
 
-They are the file's unit, what its splats must be drawn with, and the origin of its positions, where that is not the
-frame's (see `far_origin.py`).
+They are the file's unit, the low-pass of its splats, and the origin of its positions where it differs from the frame's
+(see `far_origin.py`).
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from mgsr.export.far_origin import no_origin, origin_text, read_origin_text
 
-UNIT = "unit"  # what the lengths are multiplied with against the capture's
+UNIT = "unit"  # factor of the lengths relative to the capture's
 LOW_PASS = "low_pass"  # px^2, see `GaussianModel`
-ORIGIN = "origin"  # what is added to positions for those of the frame, in the file's unit
-# What a file means that does not say: other programs' splats are drawn with 3DGS's low-pass.
+ORIGIN = "origin"  # added to positions to get the frame's, in the file's unit
+# The low-pass of a file without a note: other programs' splats use that of 3DGS.
 _UNSAID = {UNIT: 1.0, LOW_PASS: 0.3}
 _LONGEST_HEADER = 1 << 16
 

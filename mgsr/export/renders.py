@@ -94,7 +94,7 @@ def _bytes(image: np.ndarray) -> np.ndarray:
 
 
 def _write(path: Path, image: np.ndarray, depth_scale: str | None) -> Path:
-    # Late, so that what only computes renders needs no OpenImageIO.
+    # A late import: computing renders needs no OpenImageIO.
     import OpenImageIO
 
     height, width, channels = image.shape

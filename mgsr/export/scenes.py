@@ -29,8 +29,8 @@ def write_scene(folder: Path, scene: Scene, scale: float = 1.0) -> None:
     images/ holds the photographs as MGSR uses them (pinhole, reduced), named after their split where there is one.
     masks/ holds the same names, white on the object. sparse/0 is a COLMAP model of PINHOLE cameras with the scene's
     points. transforms.json has the same cameras with OpenGL's axes, as nerfstudio reads them, with the split;
-    sparse_pc.ply holds the points for it. Undistorted photographs that don't show all of their pixels are cropped to a
-    rectangle that they do show. Where masks say what to ignore, new masks are black on it.
+    sparse_pc.ply holds the points for it. Undistorted photographs with invalid pixels are cropped to a rectangle of
+    valid ones. Where masks mark regions to ignore, new masks are black there.
 
     Raises MgsrError where an image can't be written.
     """
@@ -67,7 +67,7 @@ def _file_names(scene: Scene) -> list[str]:
         plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name)
         stem = plain if plain.startswith(prefix) else prefix + plain
         tries = itertools.chain([stem], (f"{stem}_{number}" for number in itertools.count(2)))
-        # Some file systems take capitals and small letters for the same.
+        # Some file systems ignore case.
         names.append(next(text for text in tries if text.lower() not in taken))
         taken.add(names[-1].lower())
     return [f"{name}.png" for name in names]
@@ -114,7 +114,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 def _write_colmap(
     folder: Path, names: Sequence[str], cameras: Sequence[Camera], points: np.ndarray, colors: np.ndarray
 ) -> None:
-    """Write a COLMAP text model in which no photograph lists the points that it sees.
+    """Write a COLMAP text model without 2D observations; points [P,3] in the cameras' frame, colors [P,3] uint8.
 
     Source: COLMAP's documentation, "Output Format".
     """

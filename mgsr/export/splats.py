@@ -35,11 +35,11 @@ _SHAPES = {
     "refl_opacity_logits": (),
     "weight_logits": (),
 }
-# How the names of the colour coefficients begin, before "dc_" and "rest_".
+# Prefixes of the colour coefficients' names, before "dc_" and "rest_".
 _COLOR, _REFLECTED = "f_", "refl_"
 _SPLIT_FIELDS = ("refl_opacity", "refl_weight", "refl_dc_0", "refl_dc_1", "refl_dc_2")
 _SPLIT = ("refl_opacity_logits", "weight_logits", "refl_sh")
-# What a damaged PLY makes its reader raise: a ValueError is also text that can't be decoded.
+# The errors of plyfile's reader for a damaged PLY: a ValueError is also text that can't be decoded.
 DAMAGE = (KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError, OSError)
 
 
@@ -148,6 +148,7 @@ def _check_properties(names: set[str], path: Path) -> None:
 
 
 def _load_sh(vertex: PlyElement, names: set[str], prefix: str) -> np.ndarray:
+    """Return colour coefficients [N,K,3] float32: the constant term, then the rest."""
     rest = sum(name.startswith(f"{prefix}rest_") for name in names)
     dc = np.stack([np.asarray(vertex[f"{prefix}dc_{channel}"], np.float32) for channel in range(3)], axis=1)
     if rest == 0:
@@ -164,7 +165,7 @@ def _columns(splats: Splats, frame: Similarity) -> dict[str, np.ndarray]:
     columns = dict(zip(("x", "y", "z", "nx", "ny", "nz"), [*means.T, *normals.T], strict=True))
     columns |= _sh_columns(splats["sh"], _COLOR, FULL_SH)
     columns["opacity"] = splats["opacity_logits"]
-    # In float64, so that a unit scale returns the very bits that went in.
+    # In float64, so that a unit scale preserves every bit.
     scales = splats["log_scales"].astype(np.float64) + math.log(frame.scale)
     if flat:
         thin = np.full((len(scales), 1), math.log(SURFEL_THICKNESS * frame.scale))

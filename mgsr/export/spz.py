@@ -37,26 +37,26 @@ _MAGIC = 0x5053474E
 _WRITTEN, _READ = 2, (2, 3)
 _HEADER = struct.Struct("<IIIBBBB")
 _DEGREES = {1: 0, 4: 1, 9: 2, 16: 3}
-# What the constant colour coefficient is multiplied with, about the middle, for a byte.
+# The scale from the constant colour coefficient to a byte, about the middle of its range.
 _COLOR_SCALE = 0.15
-# What half a turn round x does to y and z, to a quaternion (wxyz), and to the colour coefficients after the first.
+# The signs of a half turn about x: of positions, of quaternions (wxyz), and of the colour coefficients after the first.
 _TURN = np.array([1.0, -1, -1])
 _QUAT_TURN = np.array([1.0, 1, -1, -1])
 _SH_TURN = np.array([-1.0, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1])[:, None]
 
-# What the bytes of scales can say.
+# The range of log scales that a byte can hold.
 _LOG_SCALES = (-10.0, 255 / 16 - 10)
-# The share of splats whose size may be cut off there: above it, the scene looks wrong.
+# The largest share of splats whose size may be clipped to that range; beyond it, the scene looks wrong.
 _MAX_CUT_OFF = 0.1
-# The most that programs are known to read right.
+# The largest number of fraction bits that programs are known to read correctly.
 _MAX_FRACTION_BITS = 20
 
-# The flags of a gzip header, and its length without what they add.
+# The flags of a gzip header, and the header's length without optional fields.
 _EXTRA, _NAME, _COMMENT = 4, 8, 16
 _GZIP_HEADER = 10
 _LONGEST_GZIP_HEADER = 1 << 17
 
-# A file of a hundred million splats would not fit a card; what claims more was made to fill the memory.
+# A hundred million splats would not fit a GPU; a file that claims more was made to fill the memory.
 _MAX_SPLATS = 100_000_000
 
 
@@ -108,7 +108,7 @@ def load_spz(path: Path) -> Splats:
     alpha = np.clip(opacity[:, 0] / 255, 0.5 / 255, 1 - 0.5 / 255)
     higher = (rest.reshape(count, coefficients - 1, 3) - 128.0) / 128 * _SH_TURN[: coefficients - 1]
     splats = {
-        # The bytes are the upper ones of 32 bits, so that the sign comes along.
+        # The bytes are the upper three of 32 bits, which extends the sign.
         "means": (whole.view("<i4")[..., 0] >> 8) / 2**fraction * _TURN,
         "quats": (_from_three_bytes(rotation) if version == 2 else _from_four_bytes(rotation)) * _QUAT_TURN,
         "log_scales": scales / 16 + _LOG_SCALES[0],
@@ -132,7 +132,7 @@ def read_spz_origin(path: Path) -> np.ndarray:
 
 
 def _with_comments(data: bytes, comments: list[str]) -> bytes:
-    """Return a gzip file, whose header has no optional fields, with comments added."""
+    """Add comments to a gzip file; its header must have no optional fields."""
     if not comments:
         return data
     text = "\n".join(comments).encode("latin-1")
@@ -204,7 +204,7 @@ def _from_four_bytes(rotation: np.ndarray) -> np.ndarray:
 
 
 def _check_sizes(log_scales: np.ndarray) -> None:
-    """Raise SceneError where many splats have a size that SPZ can't hold.
+    """Raise SceneError where many log_scales [N,3] are out of SPZ's range.
 
     One axis may be arbitrarily thin. Where two axes are out of the format's range, the splat's size is wrong.
     """
@@ -220,7 +220,7 @@ def _check_sizes(log_scales: np.ndarray) -> None:
 
 
 def _fraction_bits(means: np.ndarray) -> int:
-    """Return as many fraction bits as the farthest splat leaves of 23. Raises SceneError where it needs more."""
+    """Return the fraction bits that the farthest of means [N,3] leaves of 23. Raises SceneError beyond 23 bits."""
     farthest = float(np.abs(means).max(initial=0))
     bits = math.floor(math.log2((2**23 - 1) / farthest)) if farthest > 1 else _MAX_FRACTION_BITS
     if bits < 0:
@@ -231,13 +231,13 @@ def _fraction_bits(means: np.ndarray) -> int:
 def _least_turned(quats: np.ndarray, log_scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the same ellipsoids with axes relabelled so that |w| of their quaternions is at least 0.85.
 
-    quats: unit, [N,4] wxyz. log_scales: [N,3]. Of the 24 rotations that permute the axes, it applies the one that makes
-    |w| largest.
+    quats: unit, [N,4] wxyz. log_scales: [N,3]. It applies the axis permutation, of the 24 that are rotations, with the
+    largest |w|.
     """
     turns = Rotation.create_group("O")
     turned, scales = quats.copy(), log_scales.copy()
     w, x, y, z = turns.as_quat(scalar_first=True).T
-    # The product with a turn on the right, which is linear in the quaternion.
+    # The right product with a rotation, which is linear in the quaternion.
     products = np.array([[w, x, y, z], [-x, w, -z, y], [-y, z, w, -x], [-z, -y, x, w]])
     best = np.abs(quats @ products[:, 0]).argmax(axis=1)
     for index, matrix in enumerate(turns.as_matrix()):
@@ -258,7 +258,7 @@ def _quantised_harmonics(rest: np.ndarray) -> np.ndarray:
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """Return unit quaternions with w >= 0."""
+    """Normalise quaternions [N,4] wxyz, and choose the sign with w >= 0."""
     lengths = np.linalg.norm(quats.astype(np.float64), axis=1, keepdims=True)
     unit = quats / np.maximum(lengths, 1e-12)
     turned: np.ndarray = np.where(unit[:, :1] < 0, -unit, unit)

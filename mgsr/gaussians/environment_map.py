@@ -17,7 +17,7 @@ class RenderedMap:
     """An environment map as it is rendered, all values 0..1.
 
     texels [2,S,S,3]: the light from each direction, of the scene's map and of the camera's; bounce [1,3]: the share of
-    it that a second bounce leaves.
+    the light that a second bounce keeps.
     """
 
     texels: Tensor
@@ -28,12 +28,12 @@ class RenderedMap:
 class EnvironmentMap:
     """Two environment maps of the light from each direction.
 
-    One stands still in the scene (lamps, windows, the sky), one moves with the camera (a flash, the photographer).
+    One is fixed in the scene (lamps, windows, the sky); the other moves with the camera (a flash, the photographer).
 
-    logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours; the scene's map, then the camera's, row by
-    row; last, of the share of the light that a second bounce leaves. Each map unfolds the directions' octahedron into a
-    square (`octahedral` in `mgsr.renderers.environment_map`): in the scene's axes, z in the middle; in the camera's,
-    its middle the way back to the camera. reflector: the surface that reflects; None where the 2D branch does.
+    logits [2*S*S+1,3] float32: of the light, 0..1 in the images' colours. The scene's map comes first, then the
+    camera's, each row by row; the last row is the share of light that a second bounce keeps. Each map is octahedral
+    (`octahedral` in `mgsr.renderers.environment_map`). The centre of the scene's map is the scene's z axis; that of the
+    camera's map points back to the camera. reflector: the surface that reflects; None where the 2D branch does.
     """
 
     logits: Tensor
@@ -73,7 +73,7 @@ class EnvironmentMap:
         return self.rendered().bounce[0]
 
     def parameters(self) -> dict[str, Tensor]:
-        """Return every stored tensor by name."""
+        """Return the stored tensors by name: logits [2*S*S+1,3]."""
         return {"logits": self.logits}
 
     def detached(self) -> EnvironmentMap:

@@ -55,7 +55,7 @@ class GaussianModel:
         return self.refl_sh is not None
 
     def parameters(self) -> dict[str, Tensor]:
-        """Return every stored tensor by name; their first axis is the Gaussians."""
+        """Return the stored tensors [N,...] by name."""
         stored = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: tensor for name, tensor in stored.items() if isinstance(tensor, Tensor)}
 

@@ -1,8 +1,7 @@
 """The finished mesh as the reflecting surface: its normals in each pixel, and where it reflects itself.
 
-A normal that is off by a degree moves the reflection by two, and the mesh's normals are several times as accurate as
-those of blended splats. Where the reflected ray meets the mesh again, it is reflected once more: one bounce is
-followed.
+A normal error of one degree turns the reflection by two. The mesh's normals are several times more accurate than
+blended splat normals. A reflected ray that meets the mesh again is reflected once more.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from mgsr.data.camera import Camera
 from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import PixelHits
 
-KEPT = 256 * 2**20  # bytes of what cameras see that are kept
+KEPT = 256 * 2**20  # size of the cache of camera views, bytes
 GAP = 0.005  # of the mesh's longest side, at most
 BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
 
@@ -27,11 +26,10 @@ BESIDE = 4.0  # pixels; splats reach so far beyond the mesh, or less
 class ReflectorView:
     """The reflecting surface as a camera sees it.
 
-    normals [H,W,3] float16: unit, scene's frame. They are the surface's, or, where the reflected ray meets the surface
-    again, the normal that would reflect the line of sight to where the second bounce leads. Beside the surface they are
-    those of its nearest pixel, and zero where there is none.
-    near [N], bounced [P] int64: the pixels at most BESIDE off the surface, and those of the second bounce; row x W +
-    column.
+    normals [H,W,3] float16: unit, scene's frame. They are the surface's normals. Where the reflected ray meets the
+    surface again, they instead reflect the line of sight into the direction of the second bounce. Beside the surface
+    they are copied from its nearest pixel, and zero where there is none. near [N], bounced [P] int64: flat indices (row
+    x W + column) of the pixels at most BESIDE off the surface, and of those with a second bounce.
     """
 
     normals: Tensor
@@ -49,15 +47,16 @@ class Reflector:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
-        # How far from the surface reflected rays begin: facets bend away from the normals between their corners.
+        # Offset of reflected rays from the surface: between their corners, facets deviate from the interpolated
+        # normals.
         self._gap = min(mesh.edge_length, GAP * float(np.ptp(mesh.vertices, axis=0).max()))
         self._kept: dict[tuple[bytes, bytes, int, int, torch.device], ReflectorView] = {}
         self._size = 0
 
     def seen_by(self, camera: Camera, device: torch.device) -> ReflectorView:
-        """Return what a camera sees of the surface, on a device.
+        """Return the surface as a camera sees it, on a device.
 
-        Results are kept for the next call, up to KEPT bytes in all.
+        Results are cached, up to KEPT bytes in total.
         """
         key = (camera.K.tobytes(), camera.cam_from_world.tobytes(), camera.width, camera.height, device)
         seen = self._kept.get(key)
@@ -89,7 +88,7 @@ class Reflector:
         """Find the points whose reflected ray meets the surface again, and follow it one bounce further.
 
         points, normals, eye [P,3]: places, unit normals and unit directions to the eye. Returns the indices [Q] of
-        these points, and the unit vectors [Q,3] halfway between the eye and where the second bounce leads.
+        these points, and the unit vectors [Q,3] halfway between the eye and the direction of the second bounce.
         """
         first = _environment_map(eye, normals)
         hits = self.mesh.caster.cast_rays(points + self._gap * normals, first)

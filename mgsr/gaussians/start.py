@@ -25,7 +25,7 @@ def start_surfels(
     config: SurfelConfig,
     generator: torch.Generator,
 ) -> SurfelModel:
-    """Build surfels on points: flat along the normals, as wide as the points lie apart.
+    """Build surfels on points: flat along the normals, as wide as the points' spacing.
 
     positions [P,3] in the scene's frame; normals [P,3] or None (then from the neighbours' plane); colors [P,3] uint8 or
     float 0..1, sRGB. More than config.max_start points are thinned by the generator.
@@ -54,9 +54,9 @@ def start_gaussians(
     generator: torch.Generator,
     split: bool,
 ) -> GaussianModel:
-    """Build round Gaussians on points, as wide as the points lie apart.
+    """Build round Gaussians on points [P,3], as wide as the points' spacing.
 
-    split: whether they have a reflected half of their own. Other arguments and errors are as in `start_surfels`.
+    split: whether they have their own reflected half. Other arguments and errors are as in `start_surfels`.
     """
     positions, normals, colors = _thinned(positions, normals, colors, config.max_start, generator)
     spacing, _ = _neighbourhood(positions)
@@ -88,9 +88,9 @@ def round_gaussians(
 def new_gaussians(
     model: GaussianModel, positions: Tensor, sizes: Tensor, colors: Tensor, opacity: float, config: GaussianConfig
 ) -> dict[str, Tensor]:
-    """Return the stored tensors of round Gaussians that can join a model's.
+    """Return the stored tensors [N,...] of round Gaussians to append to a model.
 
-    They have the model's harmonics, and a reflected half where the model has one. Other arguments as in
+    They have the model's harmonic degrees, and a reflected half where the model has one. Other arguments as in
     `round_gaussians`.
     """
     tensors = round_gaussians(positions, sizes, colors, opacity, model.sh_degree)
@@ -100,7 +100,7 @@ def new_gaussians(
 
 
 def reflected_half(model: GaussianModel, config: GaussianConfig) -> dict[str, Tensor]:
-    """Return the tensors of an initial reflected half for Gaussians without one, by name."""
+    """Return by name the tensors [N,...] of an initial reflected half for Gaussians without one."""
     count, device = len(model), model.means.device
     reflected = torch.full((count, 3), config.start_reflected, device=device)
     return {
@@ -142,7 +142,7 @@ def _thinned(
     limit: int,
     generator: torch.Generator,
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """Draw at most `limit` of the points, and convert their colours to floats 0..1.
+    """Draw at most `limit` of the points [P,3], and convert their colours [P,3] to floats 0..1.
 
     Raises TrainingError for fewer than MIN_POINTS points or non-finite ones.
     """
@@ -167,7 +167,7 @@ def _neighbourhood(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     near = min(9, len(positions))
     distances, neighbours = cKDTree(positions).query(positions, k=near)
     spacing = distances[:, 1:4].mean(axis=1)
-    # Points that coincide would give splats of no size, a stray one a splat as large as the scene.
+    # Coincident points would give splats of size zero, and a stray point a splat as large as the scene.
     middle = max(float(np.median(spacing)), 1e-7)
     return np.clip(spacing, 0.05 * middle, 10 * middle), neighbours
 

@@ -16,7 +16,7 @@ from mgsr.ops.harmonics import harmonics_to_rgb
 class SurfelModel:
     """N surfels, as stored: float32, in the scene's frame.
 
-    means [N,3] centres; quats [N,4] wxyz, normalised where used, whose rotation's columns are the two tangents and
+    means [N,3] centres; quats [N,4] wxyz, normalised where used: the columns of the rotation are the two tangents and
     the normal; log_scales [N,2] along the tangents; opacity_logits [N]; sh [N,K,3] colour coefficients.
     """
 
@@ -30,7 +30,7 @@ class SurfelModel:
         return self.means.shape[0]
 
     def parameters(self) -> dict[str, Tensor]:
-        """Return every stored tensor by name; their first axis is the surfels."""
+        """Return the stored tensors [N,...] by name."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
     def check(self) -> None:

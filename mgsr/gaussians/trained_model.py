@@ -20,7 +20,7 @@ Splats = TypeVar("Splats", SurfelModel, GaussianModel)
 
 @dataclass(frozen=True)
 class TrainedModel:
-    """The trained branches, of which there is at least one, and the environment map, all in one frame.
+    """The trained branches, at least one, and the environment map, all in one frame.
 
     A branch is None where the method lacks it, and the environment map where it is not used.
     """
@@ -64,7 +64,7 @@ class TrainedModel:
 
     @property
     def reflection(self) -> Reflection | None:
-        """Return what the 3D branch adds to the transmitted light, None without that branch."""
+        """Return the 3D branch's reflection model; None without that branch."""
         if self.gaussians is None:
             return None
         if self.gaussians.split:

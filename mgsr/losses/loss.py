@@ -12,8 +12,8 @@ from torch import Tensor
 class Loss:
     """A sum of terms.
 
-    found [T]: the values of those that `evaluate` found, named in their order; others: terms [] that torch
-    differentiates, by name. The sum itself is found only when it is asked for.
+    found [T]: the values of the terms that `evaluate` computed, in the order of their names; others: terms [] that
+    torch differentiates, by name. The sum itself is found only when it is asked for.
     """
 
     def __init__(self, found: Tensor, names: Sequence[str], others: dict[str, Tensor]) -> None:

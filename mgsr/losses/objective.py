@@ -29,7 +29,8 @@ Terms = dict[str, Term | Tensor]  # a Tensor [] is a term that torch differentia
 
 
 def total(terms: Mapping[str, Term | Tensor]) -> Loss:
-    """Add up the terms."""
+    """Evaluate the terms by name, and return the loss that sums them; a Tensor [] is a term that torch
+    differentiates."""
     names = [name for name, term in terms.items() if isinstance(term, Term)]
     others = {name: term for name, term in terms.items() if isinstance(term, Tensor)}
     return Loss(evaluate([term for term in terms.values() if isinstance(term, Term)]), names, others)
@@ -155,9 +156,9 @@ def depth_agreement(
 def depth_unit(kind: DepthUnit, gaussian_depth: Tensor, distance: float) -> float | Tensor:
     """Return the unit that `depth_agreement` divides by: the camera's distance from the scene's centre.
 
-    As in the paper, it may be the largest depth instead (one for both, so that depths which agree still agree after
-    it). A distance under 0.1 counts as that: a camera in the middle of the scene, whose radius is 1, would else weigh
-    without bound.
+    As in the paper, it may instead be the largest value of gaussian_depth [H,W]. Both branches share it, so equal
+    depths remain equal after the division. A distance below 0.1 counts as 0.1, which bounds the weight of a camera in
+    the middle of the scene (radius 1).
     """
     return (
         max(distance, LEAST_DISTANCE) if kind is DepthUnit.DISTANCE else gaussian_depth.detach().max().clamp(min=1e-6)
@@ -172,7 +173,11 @@ def surface_depth(outputs: SurfelOutputs, config: TrainConfig) -> Tensor:
 def _photo(
     image: Tensor, other: Tensor, target: Target, config: TrainConfig, where: Tensor | None = None, clip: bool = False
 ) -> Term:
-    if clip and target.invalid is not None:  # what is put in at unknown pixels must be clipped too
+    """Return the photometric term of an image [H,W,3] against another, in the target's region.
+
+    where [H,W]: weights of the pixels, or None; clip: as for `image_loss`.
+    """
+    if clip and target.invalid is not None:  # values filled in at unknown pixels must be clipped too
         image = image.clamp(max=1)
     image, other = target.compared(image, other)
     known_sum = target.off_edge_sum if where is target.off_edge else None
@@ -187,6 +192,7 @@ def _rendered(depth: Tensor | None) -> Tensor:
 def _silhouette(
     branch: str, alpha: Tensor, target: Target, weight: float, config: TrainConfig, where: Tensor | None = None
 ) -> Terms:
+    """Return the silhouette term of alpha [H,W]; no term without a mask or a weight."""
     if target.alpha is None or not weight:
         return {}
     alpha, mask = target.compared(alpha, target.alpha)

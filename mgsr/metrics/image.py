@@ -1,4 +1,4 @@
-"""Image metrics: how close a rendered image comes to a photograph.
+"""Image metrics, which compare a rendered image with a photograph.
 
 Images are [H,W,3] float, sRGB 0..1.
 """
@@ -45,8 +45,8 @@ def psnr_after_gain(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> f
 def ssim(truth: np.ndarray, image: np.ndarray, valid: np.ndarray | None = None) -> float:
     """Return the mean structural similarity of two images [H,W,3] over the channels and the pixels.
 
-    The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. Only pixels count whose window
-    lies inside the image, on valid pixels [H,W] alone; NaN if there is none. Source: Wang et al. 2004.
+    The window is Gaussian, 11 x 11 with sigma 1.5, and the constants are 0.01 and 0.03. A pixel counts if its whole
+    window lies inside the image, on valid pixels [H,W]; the result is NaN if no pixel counts. Source: Wang et al. 2004.
     """
 
     def blur(values: np.ndarray) -> np.ndarray:
@@ -85,5 +85,5 @@ def image_metrics(
 
 
 def unit(image: np.ndarray) -> np.ndarray:
-    """Return the image as float 0..1, whether it came so or as uint8."""
+    """Convert an image [H,W,C], uint8 or float 0..1, to float 0..1."""
     return image / 255.0 if image.dtype == np.uint8 else image

@@ -21,7 +21,7 @@ class SplitScore:
 
     @property
     def split_gain(self) -> float:
-        """Return what the split gains, in dB; below zero it does harm."""
+        """Return the split's gain, in dB; below zero it does harm."""
         return self.split_psnr - self.split_photo
 
 

@@ -13,7 +13,7 @@ from mgsr.geometry.mesh import Mesh
 from mgsr.geometry.raycast import RayHits
 from mgsr.metrics.truth import DENSE, POINTS, Samples, TrueSurface, sample_surface
 
-CLIP = 0.1  # radii; what is farther off counts as this far
+CLIP = 0.1  # radii; larger distances are clipped to this
 F_LIMITS = {"f_005": 0.005, "f_010": 0.01, "f_020": 0.02}  # radii
 MIN_VIEWS = 2
 
@@ -21,12 +21,12 @@ MIN_VIEWS = 2
 def surface_metrics(mesh: Mesh, truth: TrueSurface) -> dict[str, float]:
     """Measure distances and normals of a mesh, in the truth's frame, against the truth; return them by name.
 
-    Distances are in the truth's bounding radius. accuracy: mean distance of area-uniform points of the mesh to the
-    truth, without those whose nearest labelled truth point fewer than two training views see. completeness: mean
-    distance of the truth points that two views or more see to the mesh. chamfer: the mean of both. f_005, f_010, f_020:
-    F-scores at 0.5, 1 and 2%. normal_consistency: mean |n . n'| over nearest points, both ways;
-    normal_consistency_signed: without the absolute value. What rests on no point at all, such as completeness where no
-    two views see the same of the truth, is NaN.
+    Distances are in the truth's bounding radius. accuracy: mean distance to the truth of points sampled uniformly by
+    area on the mesh. A point counts if two training views or more see its nearest labelled truth point. completeness:
+    mean distance of the truth points that two views or more see to the mesh. chamfer: the mean of both. f_005, f_010,
+    f_020: F-scores at 0.5, 1 and 2%. normal_consistency: mean |n . n'| over nearest points, both ways;
+    normal_consistency_signed: without the absolute value. A value without any points is NaN, such as completeness where
+    no two views overlap on the truth.
 
     Raises MeshError for a mesh without faces.
     """
@@ -37,7 +37,7 @@ def surface_metrics(mesh: Mesh, truth: TrueSurface) -> dict[str, float]:
     seen_truth = Samples(truth.labelled.points[seen], truth.labelled.normals[seen])
     nearest = cKDTree(truth.labelled.points).query(sparse.points, workers=-1)[1]
     kept, labels = Samples(sparse.points[seen[nearest]], sparse.normals[seen[nearest]]), nearest[seen[nearest]]
-    # Unbalanced trees give the same neighbours and are built in half the time, which is most of it.
+    # Unbalanced trees give the same neighbours, and halve the build time, which dominates.
     true_dense = sample_surface(truth.mesh, DENSE, seed=2)
     to_truth = cKDTree(true_dense.points, balanced_tree=False).query(kept.points, workers=-1)[0] / truth.radius
     to_mesh, index = cKDTree(dense.points, balanced_tree=False).query(seen_truth.points, workers=-1)
@@ -77,7 +77,8 @@ def compare_hits(hits: RayHits, true: RayHits, radius: float) -> dict[str, float
 
 
 def _distances(to_truth: np.ndarray, to_mesh: np.ndarray) -> dict[str, float]:
-    # A mesh that lies wholly where nobody looked has no accuracy of its own: it counts as far off.
+    """Return the scores of distances to the truth [P] and to the mesh [Q], in bounding radii, by name."""
+    # A mesh wholly outside the observed region has no accuracy; it counts as CLIP.
     accuracy = float(to_truth.clip(max=CLIP).mean()) if len(to_truth) else CLIP
     completeness = _mean(to_mesh.clip(max=CLIP))
     values = {"chamfer": (accuracy + completeness) / 2, "accuracy": accuracy, "completeness": completeness}

@@ -61,6 +61,10 @@ def load_truth(folder: Path, train_cameras: Sequence[Camera]) -> TrueSurface | N
 
 
 def _labels(path: Path, mesh: Mesh, cameras: Sequence[Camera], radius: float) -> tuple[Samples, np.ndarray]:
+    """Return samples of the surface and the number [P] of training views that see each.
+
+    They come from the file at `path`, or else from ray casting. radius: of the truth, the unit of the tolerance.
+    """
     if path.is_file():
         stored = np.load(path)
         points, normals = stored["points"].astype(np.float64), stored["normals"].astype(np.float64)

@@ -14,15 +14,15 @@ from mgsr.native.cuda.activations import activate as activate_on_card
 from mgsr.native.cuda.launcher import Launcher, launcher_for
 from mgsr.ops.arrays import once_differentiable, plain
 
-# exp of more comes near float32's largest number, and an infinite scale would make its own zero gradient a NaN.
+# exp of a larger number nears float32's maximum. An infinite scale would turn its zero gradient into NaN.
 LARGEST_LOG_SCALE = 80.0
 LARGEST_SCALE = (1 - 1e-6) * math.exp(LARGEST_LOG_SCALE)  # less than any rounding of that exponential
 
 
 def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
-    """Return exp of the log-scales, and the sigmoid of each of the logits; of any shapes, gradients flow.
+    """Return the exponential of the log-scales [...] and the sigmoid of each of the logits [...]; gradients flow.
 
-    The exponential is constant, and passes no gradient, over 80.
+    Above 80, the exponential is constant and passes no gradient.
     """
     kinds = (Activation.EXP, *(Activation.SIGMOID for _ in logits))
     used: tuple[Tensor, ...] = _Activate.apply(kinds, log_scales, *logits)
@@ -30,7 +30,7 @@ def activate(log_scales: Tensor, *logits: Tensor) -> tuple[Tensor, ...]:
 
 
 def shares(logits: Tensor) -> Tensor:
-    """Return the sigmoid of logits of any shape; gradients flow."""
+    """Return the sigmoid of logits [...]; gradients flow."""
     used: Tensor = _Activate.apply((Activation.SIGMOID,), logits)[0]
     return used
 
@@ -52,9 +52,9 @@ class _Activate(torch.autograd.Function):
 
 
 def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Sequence[Tensor]) -> list[Tensor]:
-    """Return the activated values of contiguous tensors, outside the graph.
+    """Return the activated values of contiguous tensors [...], outside the graph.
 
-    launcher: whose kernels to use, None on the processor.
+    launcher: of the GPU's kernels; None on the CPU.
     """
     if launcher is None:
         return [
@@ -69,7 +69,7 @@ def activated(launcher: Launcher | None, kinds: Sequence[Activation], stored: Se
 def activated_vjp(
     launcher: Launcher | None, kinds: Sequence[Activation], used: Sequence[Tensor], v_used: Sequence[Tensor | None]
 ) -> list[Tensor | None]:
-    """Return the gradients of the stored parameters from those of the activated values; None where there is none."""
+    """Return the stored parameters' gradients [...], given those of the activated values; None where there is none."""
     if launcher is None:
         return [_vjp(*each) for each in zip(kinds, used, v_used, strict=True)]
     v_stored = [torch.empty_like(each) for each in used]

@@ -15,22 +15,22 @@ from mgsr.ops.arrays import plain
 
 
 def any_bad(tensors: Sequence[torch.Tensor]) -> torch.Tensor:
-    """Return whether any number of the tensors is not finite, or is over 1e19, whose square float32 does not hold.
+    """Return whether any value is not finite or exceeds 1e19, beyond which squares overflow float32.
 
-    The result is [] bool on their device, which is not waited for.
+    The result is [] bool on the tensors' device; the call does not synchronise.
     """
     launcher = launcher_for(tensors[0])
     if launcher is not None:
         return judge(launcher, [plain(tensor) for tensor in tensors])
-    # A dot is one pass over the numbers, and one number that shows whether all are finite.
+    # A dot product reads the numbers once, and is finite only if all of them are.
     squares = [flat @ flat for flat in (tensor.detach().reshape(-1) for tensor in tensors)]
     return ~torch.isfinite(torch.stack(squares).sum())
 
 
 def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = None) -> None:
-    """Take a step of optimisers of one device, on a card in one launch.
+    """Take a step of all optimisers on one device, on a GPU in one launch.
 
-    bad [] bool, on a card: whether all gradients count as zero (see `any_bad`).
+    bad [] bool, on a GPU: whether all gradients count as zero (see `any_bad`).
     """
     launcher = launcher_for(next(iter(optimizers[0].params.values())))
     if launcher is None:
@@ -41,7 +41,7 @@ def step_together(optimizers: Sequence[FusedAdam], bad: torch.Tensor | None = No
 
 
 class FusedAdam:
-    """Adam (Kingma and Ba 2015) for parameters whose rows are splats, and whose rows come and go.
+    """Adam (Kingma and Ba 2015) for parameters with one row per splat, where splats come and go.
 
     params: name to leaf tensor [N, ...], float32, on one device; all have the same N. `params` of the object holds the
         current ones; `keep` and `extend` replace them by new leaves (shared with whoever reads `params`).
@@ -50,7 +50,7 @@ class FusedAdam:
         harmonics, [K, 3] with 1 for the first band and 1/20 for the others.
     betas, epsilon: as in the paper; 1e-15 suits gradients as small as those of splats.
 
-    A parameter without a gradient is left alone and its step count stands still. New rows start with zero moments and
+    A parameter without a gradient keeps its values and its step count. New rows start with zero moments and
     share the step count of the old ones. A NaN gradient makes its own number NaN. Same bytes for any thread count.
     """
 
@@ -97,7 +97,7 @@ class FusedAdam:
     def keep(self, rows: torch.Tensor) -> None:
         """Keep the rows of a mask [N] bool, or those of an index [M] int64 in its order (a row may come twice).
 
-        Parameters become new leaves without gradients; moments go along.
+        Parameters become new leaves without gradients; moments are selected alike.
         """
         for name, param in self.params.items():
             self._adopt(name, param.detach()[rows], self._first[name][rows], self._second[name][rows])
@@ -116,14 +116,14 @@ class FusedAdam:
             self._adopt(name, torch.cat([self.params[name].detach(), new]), *moments)
 
     def replace(self, name: str, values: torch.Tensor) -> None:
-        """Give one parameter new values of the same shape in place, and forget its moments (an opacity reset)."""
+        """Overwrite one parameter [N,...] in place, and zero its moments (for an opacity reset)."""
         with torch.no_grad():
             self.params[name].copy_(values)
         self._first[name].zero_()
         self._second[name].zero_()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return moments, step counts and rates: with `params`, all that the next step depends on.
+        """Return moments, step counts and rates: with `params`, the complete state of the optimiser.
 
         Tensors are not copied.
         """
@@ -152,6 +152,10 @@ class FusedAdam:
             self._pack(name)
 
     def _adopt(self, name: str, param: torch.Tensor, first: torch.Tensor, second: torch.Tensor) -> None:
+        """Take a parameter [N,...] with its moments under a name, as a contiguous float32 leaf.
+
+        Raises TensorError for another dtype, layout or number of dimensions.
+        """
         leaf = param if param.is_leaf and param.requires_grad else param.detach().requires_grad_()
         if leaf.dtype != torch.float32 or not leaf.is_contiguous() or leaf.ndim == 0:
             came = f"{leaf.dtype} {[*leaf.shape]}"
@@ -169,11 +173,11 @@ class FusedAdam:
         self._groups.pop(name, None)
 
     def due(self) -> list[tuple[str, torch.Tensor]]:
-        """Return the parameters that a step changes, by name, with their gradients."""
+        """Return the names of the parameters that a step changes, with their gradients [N,...]."""
         return [(name, p.grad.contiguous()) for name, p in self.params.items() if p.grad is not None and p.numel()]
 
     def step_on_processor(self, due: Sequence[tuple[str, torch.Tensor]]) -> None:
-        """Take one step on the processor along the gradients that are due."""
+        """Take one step on the CPU; due: names and gradients [N,...] (see `due`)."""
         batch = _adam.AdamBatch(*self.betas, self.epsilon)
         for name, gradients in due:
             self._steps[name] += 1
@@ -183,7 +187,7 @@ class FusedAdam:
         batch.update()
 
     def groups(self, due: Sequence[tuple[str, torch.Tensor]]) -> list[tuple[Group, torch.Tensor, float, int]]:
-        """Return what a card's kernel takes for one step along the gradients that are due, and count the step."""
+        """Count one step, and return the GPU kernel's arguments for it; due: names and gradients [N,...]."""
         for name, _ in due:
             self._steps[name] += 1
         return [(self._group(name), gradients, self.lrs[name], self._steps[name]) for name, gradients in due]

@@ -13,20 +13,20 @@ from mgsr.native.cuda.launcher import launcher_for
 
 
 def plain(tensor: torch.Tensor) -> torch.Tensor:
-    """Return the tensor as a kernel reads it: contiguous and outside the graph (no copy where it already is)."""
+    """Return the tensor [...] as kernels read it: contiguous and detached (no copy where it already is)."""
     tensor = tensor.detach() if tensor.requires_grad else tensor
     return tensor if tensor.is_contiguous() else tensor.contiguous()
 
 
 def on_card(tensor: torch.Tensor) -> bool:
-    """Return whether a card's kernels work on the tensor, so that to read it is to wait for them."""
+    """Return whether the tensor [...] is on a GPU, so that reading its values synchronises."""
     return launcher_for(tensor) is not None
 
 
 def once_differentiable(backward: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a Function's backward refuse to be differentiated itself, with a TensorError.
+    """Make a Function's backward raise TensorError when it is itself differentiated.
 
-    Torch's decorator of the name costs ten times as much in each call.
+    Torch's decorator of the same name takes ten times as long per call.
     """
 
     @wraps(backward)

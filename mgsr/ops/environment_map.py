@@ -20,12 +20,13 @@ def look_up_environment_map(
 ) -> torch.Tensor:
     """Return the light [H, W, 3] that each pixel's surface reflects towards the camera: the sum of both maps.
 
-    maps: [2, S, S, 3], light by direction, row by row; gradients flow. Each is the octahedron |x| + |y| + |z| = 1 seen
-    from +z, its far half folded out over the corners: the first in the world's axes, the second in the camera's, its
-    middle the way back to the camera. Read bilinearly between the texels' centres, outside them as at them.
-    normals: [H, W, 3], world frame, of any length; gradients flow. One that is zero gives some light and no gradient.
-    pixels: [P] int64, which to look at, row x W + column, each once; elsewhere light and gradients are 0. By default
-    all.
+    maps: [2, S, S, 3], light by direction, row by row; gradients flow. Each is octahedral: the octahedron |x| + |y| +
+    |z| = 1 seen from +z, with its far half unfolded over the corners. The first is in the world's axes. The second is
+    in the camera's axes, and its centre points back to the camera. Lookups are bilinear between texel centres and
+    clamped outside them.
+    normals: [H, W, 3], world frame, of any length; gradients flow. A zero normal gives undefined light and no gradient.
+    pixels: [P] int64, unique flat indices (row x W + column) of the pixels to compute; elsewhere light and gradients
+    are 0. By default all.
 
     The same bytes come out for any thread count.
 

@@ -31,7 +31,7 @@ class GaussianOptions:
     """The options of the rasterizer of 3D Gaussians.
 
     near: camera units, splats nearer are left out; low_pass: px^2 added to each projected covariance; compensate: lower
-    the opacity by what the low-pass adds, so that zooming out keeps the energy; depth: whether to render depth.
+    the opacity to compensate for the low-pass, so that zooming out preserves energy; depth: whether to render depth.
     """
 
     near: float = 0.01
@@ -138,11 +138,11 @@ class GaussianPass:
     def backward(
         self, splats: Sequence[Tensor | None], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor | None]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images.
+        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
 
-        Each of the images' is contiguous or None.
+        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
         """
-        # A card's kernels write all of it.
+        # The CUDA kernels write every element.
         new_like = torch.zeros_like if self._kernels is _gaussians else torch.empty_like
         v_splats = [t if t is None else new_like(t) for t in splats[:-1]]
         assert splats[0] is not None

@@ -68,7 +68,7 @@ def harmonics(
 ) -> torch.Tensor:
     """Return the colours [N,3] of contiguous tensors, outside the graph.
 
-    launcher: whose kernels to use, None on the processor. Other arguments as of `harmonics_to_rgb`.
+    launcher: of the GPU's kernels; None on the CPU. Other arguments as of `harmonics_to_rgb`.
     """
     rgb = torch.empty_like(means)
     kernels = _harmonics if launcher is None else HarmonicsKernels(launcher)

@@ -42,11 +42,11 @@ def image_loss_term(
     l1_weight: 0..1.
     mask: [H, W] weights >= 0 or None; both terms become sum(mask * x) / sum(mask). SSIM windows still read the pixels
     that the mask leaves out. A mask of zeros gives a loss of zero.
-    clip: count what is over 1 in the image as 1, and pass it no gradient: photographs clip, so where one is white, a
-    brighter rendering is as right as a white one.
-    mask_sum: the mask's sum, where it is known: a card need not find it then.
+    clip: clip image values above 1 to 1, without gradient. Photographs clip, so where one is white, any brighter
+    rendering is equally right.
+    mask_sum: the mask's sum, if known, which saves a reduction on the GPU.
     region: (y0, y1, x0, x1), ends excluded: a promise that image and target are equal outside. Costs only the region's
-    pixels; the loss is that of the whole image, the gradient outside the region is zero.
+    pixels; the loss still covers the whole image, and the gradient outside the region is zero.
 
     SSIM: window of 11 taps, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2 (Wang et al. 2004). At equal pixels L1
     passes no gradient. A NaN pixel makes the loss NaN, and the gradient within 10 pixels of it. The same bytes come out

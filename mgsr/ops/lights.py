@@ -1,7 +1,8 @@
 """Light added to rendered images before they are compared: reflected light, and a flash's.
 
-Forward and back, outside the graph, on contiguous tensors. launcher: whose kernels to use, None on the processor. There
-it goes channel by channel: torch's broadcast over, and sum along, an axis of three is several times slower.
+Forward and backward functions work outside the graph, on contiguous tensors. launcher: of the GPU's kernels; None on
+the CPU. On the CPU they go channel by channel, as torch broadcasts and sums an axis of length three several times more
+slowly.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def apply_shading(
         return image
     lost = shading - 1
     for channel in range(3):
-        # The object's light^(1/2.4), but for a factor: what lies behind is taken off, and the offset put on.
+        # The object's light^(1/2.4) up to a factor: subtract the background, and add the offset.
         own = unlit[..., channel] + alpha * (background[channel] + OFFSET) - background[channel]
         torch.addcmul(unlit[..., channel], lost, own, out=image[..., channel])
     return image
@@ -39,9 +40,9 @@ def apply_shading(
 def apply_shading_vjp(
     launcher: Launcher | None, v_image: Tensor, background: Tensor, shading: Tensor, v_alpha: Tensor | None
 ) -> tuple[Tensor, Tensor]:
-    """Return the gradients of unlit [H,W,3] and alpha [H,W], from that of the image, v_image [H,W,3].
+    """Return the gradients of unlit [H,W,3] and alpha [H,W], given that of the image, v_image [H,W,3].
 
-    v_alpha [H,W]: what is added to the latter.
+    v_alpha [H,W]: a gradient to add to that of alpha.
     """
     v_unlit = torch.empty_like(v_image)
     if launcher is not None:
@@ -66,7 +67,7 @@ def with_reflection(
         LightKernels(launcher).add_reflection(transmitted, weight, own, environment, color, reflected)
         return color, reflected
     parts = [each for each in (own, environment) if each is not None]
-    reflected = parts[0] + parts[1] if len(parts) == 2 else parts[0].detach()  # a tensor of its own, for the graph
+    reflected = parts[0] + parts[1] if len(parts) == 2 else parts[0].detach()  # a new tensor for the graph
     color = torch.empty_like(transmitted)
     for channel in range(3):
         torch.addcmul(transmitted[..., channel], weight, reflected[..., channel], out=color[..., channel])
@@ -80,9 +81,9 @@ def with_reflection_vjp(
     weight: Tensor,
     before: tuple[Tensor | None, Tensor | None, Tensor | None],
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return the gradients of transmitted, weight, own and environment, from that of the image, v_color [H,W,3].
+    """Return the gradients of transmitted, weight, own and environment, given that of the image, v_color [H,W,3].
 
-    before: what is added to the first three.
+    before: gradients to add to the first three.
     """
     if launcher is not None:
         v_transmitted, v_own, v_environment = (torch.empty_like(v_color) for _ in range(3))

@@ -32,7 +32,7 @@ def composite(
         edge = None if off_edge is None else plain(off_edge)
         TermKernels(launcher).composite(plain(image), plain(mask), edge, plain(background), color, alpha, weights)
         return color, alpha, weights
-    # Whole rows at once, then only what the mask touches, takes less time than compositing every pixel.
+    # Filling whole rows and then compositing only the mask's pixels is faster than compositing every pixel.
     color = background.repeat(width).expand(height, -1).contiguous().view(height, width, 3)
     alpha = mask / 255
     y0, y1, x0, x1 = region or (0, height, 0, width)
@@ -99,7 +99,7 @@ def squares_term(
         differences = torch.empty_like(own)
         number, divisor = (1.0, by) if isinstance(by, Tensor) else (by, None)
         sums = TermKernels(launcher).squares(own, other, (first, second), offset, number, divisor, differences)
-    # Weights are 0 or 1, and where one is 0 so is the difference: it need not be multiplied by them again.
+    # Weights are 0 or 1 and the differences already contain them, so no second multiplication is needed.
     slopes = [Slope(a, differences, 2.0)] if of_a else []
     return Term(sums, (*slopes, *([Slope(b, differences, -2.0)] if b is not None and of_b else [])))
 
@@ -157,6 +157,7 @@ def _cross_entropy(alpha: Tensor, mask: Tensor) -> tuple[float, Tensor]:
 def _squares(
     a: Tensor, b: Tensor | None, weights: tuple[Tensor | None, Tensor | None], offset: float, by: float | Tensor
 ) -> tuple[Total, Tensor]:
+    """Return the sum of squares with its divisor, and the differences [...] of a's shape (see `squares_term`)."""
     differences = a if b is None else a - b
     for weight in weights:
         differences = differences if weight is None else differences * weight
@@ -166,6 +167,7 @@ def _squares(
 
 
 def _steps(maps: Tensor) -> tuple[float, Tensor]:
+    """Return the sum of the squared steps of maps [M,S,S,C], and its gradient of the same shape."""
     down, right = maps[:, 1:] - maps[:, :-1], maps[:, :, 1:] - maps[:, :, :-1]
     v_maps = torch.zeros_like(maps)
     v_maps[:, 1:].add_(down, alpha=2)

@@ -36,14 +36,14 @@ class RasterPass(Protocol):
     """
 
     def forward(self, splats: Sequence[Any]) -> tuple[Tensor | None, ...]:
-        """Return the images: colour and alpha, then others."""
+        """Return the images, [H,W] or [H,W,3]: colour and alpha, then others."""
 
     def backward(
         self, splats: Sequence[Any], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> Sequence[Tensor | None]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images.
+        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
 
-        Each of the images' is contiguous or None.
+        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
         """
 
 

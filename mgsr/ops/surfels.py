@@ -23,12 +23,12 @@ from mgsr.ops.raster import Rasterize, SplatStats
 class SurfelOptions:
     """The options of the surfel rasterizer.
 
-    near: camera units, splats whose centre is nearer are left out, and so are hits that are nearer; far: camera units,
-    with near the unit of distortion's depths, nothing is cut there; low_pass: px^2, variance of the floor around the
-    projected centre; distortion: whether to render it.
+    near: camera units; nearer splat centres and nearer hits are culled; far: camera units; near and far normalise the
+    distortion's depths, and far culls nothing; low_pass: px^2, variance of the floor around the projected centre;
+    distortion: whether to render it.
 
-    2DGS's low-pass is 0.5 px^2. It fattens silhouettes, and training answers with a smaller object: the default is near
-    a pixel's own variance of 1/12.
+    The low-pass of 2DGS is 0.5 px^2. It widens silhouettes, and training compensates by a smaller object. The default
+    is close to a pixel's own variance of 1/12.
     """
 
     near: float = 0.01
@@ -71,7 +71,7 @@ def rasterize_surfels(
 
     means [N,3] world; quats [N,4] wxyz, any length but zero: the first two columns of their rotation are the surfel's
     tangents, the third its normal; scales [N,2] world units, linear, > 0; opacities [N] in [0,1]; colors [N,3];
-    background [3]. A splat with a non-finite value is left out. The order is that of the centres' camera z.
+    background [3]. A splat with a non-finite value is left out. Splats are sorted by the camera z of their centres.
 
     The weight is the larger of exp(-(u^2 + v^2) / 2), at the point (u, v) where a pixel's ray meets the splat's plane
     beyond `near`, and exp(-d^2 / (2 low_pass)) at d pixels from the projected centre, which has the centre's depth. A
@@ -139,11 +139,11 @@ class SurfelPass:
     def backward(
         self, splats: Sequence[Tensor], images: Sequence[Tensor | None], v_images: Sequence[Tensor | None]
     ) -> list[Tensor]:
-        """Return the gradients of the splats' tensors without the background's, from those of the images.
+        """Return the splat tensors' gradients [N,...], except the background's, given those of the images.
 
-        Each of the images' is contiguous or None.
+        Each image's gradient, [H,W] or [H,W,3], is contiguous or None.
         """
-        # A card's kernels write all of it.
+        # The CUDA kernels write every element.
         new_like = torch.zeros_like if self._kernels is _surfels else torch.empty_like
         v_splats = [new_like(t) for t in splats[:-1]]
         v_means2d = new_like(splats[0][:, :2], memory_format=torch.contiguous_format)

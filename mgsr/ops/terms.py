@@ -1,4 +1,4 @@
-"""Loss terms that bring their derivatives along, and their values as one node of the graph.
+"""Loss terms with their derivatives, evaluated as one node of the graph.
 
 A term's kernel finds its value and its derivative for each image in one pass. They are scaled and added up only once,
 for all terms together: an image that five terms look at gets its gradient in one pass over it, and a training step has
@@ -21,7 +21,7 @@ from mgsr.ops.arrays import once_differentiable
 
 @dataclass(slots=True)
 class Total:
-    """A term's sum and what it is divided by, as the processor's kernels give them; 0 over 0 counts as 0."""
+    """A term's sum and its divisor, as the CPU's kernels return them; 0 over 0 counts as 0."""
 
     total: float
     by: float
@@ -66,7 +66,7 @@ def wanted(*tensors: Tensor) -> list[bool]:
 
 
 def scalar(term: Term) -> Tensor:
-    """Return the term's value, weighted; gradients flow to its images."""
+    """Return the term's weighted value []; gradients flow to its images."""
     return evaluate([term])[0]
 
 
@@ -118,6 +118,7 @@ def _values(terms: Sequence[Term]) -> tuple[TermKernels | None, Tensor, Any]:
 
 
 def _added_up(image: Image, scales: list[float]) -> Tensor:
+    """Return the gradient [...] of an image: the sum of its parts, each times the scale of its term."""
     gradient = None
     for part in image.parts:
         assert part.region is None, "on the processor slopes are whole images"

@@ -15,8 +15,8 @@ from mgsr.errors import ConfigError
 def atomic_write(target: Path) -> Iterator[Path]:
     """Yield a path beside `target` with the same endings, for a file or a folder to be written atomically.
 
-    It is moved to `target` when the block ends well, replacing a file by a file and a folder by a folder, and removed
-    when it does not. Where `target` is a link, what it leads to is replaced.
+    If the block succeeds, the path replaces `target`: a file replaces a file, a folder a folder. If it fails, the path
+    is removed. Where `target` is a link, the link's destination is replaced.
 
     Raises ConfigError where a file would take a folder's place or the other way round, and for places that can't be
     replaced: devices, and the folder that the program runs in.
@@ -48,7 +48,7 @@ def require_file_place(target: Path) -> None:
 
 
 def _place(target: Path) -> Path:
-    """Resolve what `target` leads to through links, `.` and `..`.
+    """Resolve links, `.` and `..` in `target`.
 
     Raises ConfigError for places that must not be replaced.
     """

@@ -20,7 +20,7 @@ EXPANDABLE = "expandable_segments:True"
 class Device(StrEnum):
     """The device of a run.
 
-    auto: a card where there is a usable one, else the processor.
+    auto: a usable GPU, else the CPU.
     """
 
     AUTO = "auto"
@@ -31,7 +31,7 @@ class Device(StrEnum):
     def torch(self) -> torch.device:
         """Return the device for tensors.
 
-        Of several cards it is torch's current one (CUDA_VISIBLE_DEVICES chooses among them).
+        Of several GPUs it is torch's current one (CUDA_VISIBLE_DEVICES chooses among them).
         """
         return torch.device(self.value)
 
@@ -64,9 +64,9 @@ def pick_device(name: str) -> Device:
 def prefer_expandable_segments(launcher: CudaLauncher) -> None:
     """Let torch's allocator extend the memory that it holds instead of adding pieces to it.
 
-    The splats' tensors change their sizes at each densification, so that no later one fits exactly into the pieces that
-    earlier ones leave. Nothing is done where the user has set the allocator, and where the card or the system can't map
-    memory piece by piece. Call it before the first tensor on the card: what lies there already keeps its piece.
+    Each densification changes the sizes of the splats' tensors, so a new tensor does not fit the freed blocks of
+    earlier ones. The function does nothing where the user has set the allocator, or where the GPU or the system does
+    not support expandable segments. Call it before the first tensor on the GPU; existing tensors keep their blocks.
     """
     if any(name in os.environ for name in OF_USER) or _under_windows() or not launcher.maps_memory():
         return
@@ -74,7 +74,7 @@ def prefer_expandable_segments(launcher: CudaLauncher) -> None:
 
 
 def _under_windows() -> bool:
-    """Return whether the driver is that of Windows, also below WSL."""
+    """Return whether the GPU's driver is the Windows driver, as also under WSL."""
     return sys.platform == "win32" or "microsoft" in platform.release().lower()
 
 

@@ -25,8 +25,8 @@ MATTE_FOLDER = "test_matte"
 def image_scores(rendered: Sequence[ViewImages], scene: Scene, background: Color = WHITE) -> dict[str, Any]:
     """Score the test renders against the photographs, over all pixels that the photographs show.
 
-    psnr_test and ssim_test are on the background, None without test views; psnr_fg_test and psnr_fg_gain_test come
-    where there are masks; views: each view's values; split comes where the scene has matte test views.
+    psnr_test and ssim_test are on the background, None without test views. psnr_fg_test and psnr_fg_gain_test are
+    present where there are masks. views: each view's values. split is present where the scene has matte test views.
     """
     views = {
         image.name: image_metrics(photograph(view), rendering(image), view.valid_mask, background)
@@ -82,8 +82,8 @@ def _split(rendered: Sequence[ViewImages], scene: Scene) -> dict[str, float] | N
 def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | None:
     """Score the light split of a view.
 
-    Returns None without a light split, without a matte picture of the view's size, and where the photograph has unknown
-    pixels, since the matte picture's lens is not undone.
+    Returns None without a light split or without a matte picture of the view's size. It also returns None where the
+    photograph has invalid pixels, since the matte picture is not undistorted.
     """
     path = scene.root / MATTE_FOLDER / f"{view.name}.png"
     if image.transmitted is None or view.valid_mask is not None or not path.is_file():
@@ -96,9 +96,9 @@ def _split_view(image: ViewImages, view: View, scene: Scene) -> SplitScore | Non
 
 
 def off_white(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Take white off an image [H,W,3] that lies on it as alpha [H,W] says, both uint8: straight colours, float 0..1.
+    """Remove a white background from an image [H,W,3] with alpha [H,W], both uint8: straight colours, float 0..1.
 
-    For photographs whose masks were put aside, so that their silhouettes count as they do with masks.
+    It serves photographs without their masks, so that their silhouettes are scored as with masks.
     """
     cover = alpha[..., None] / 255.0
     return np.clip((image / 255.0 - (1 - cover)) / np.maximum(cover, 1 / 255), 0, 1)

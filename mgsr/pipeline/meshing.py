@@ -26,7 +26,7 @@ def make_mesh(
     """Extract the surface, in the user's frame.
 
     go_on: whether there is time for another round of refinement; start: as for `extract_mesh`. Raises MeshError, with
-    the reason, where none comes out.
+    the reason, where no surface is found.
     """
     views = surface_views(model, scene, config)
     outlined = outlined_scene(model, scene, config)

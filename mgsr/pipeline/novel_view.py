@@ -19,14 +19,14 @@ _RIGID = 1e-4
 
 @dataclass(frozen=True)
 class Rendering:
-    """The images of one camera, float32, of which each pixel is sampled at its centre.
+    """The images of one camera, float32; each pixel is sampled at its centre.
 
-    color [H,W,3] sRGB 0..1, straight: as it is where alpha is 1, not multiplied by it. alpha [H,W] 0..1. depth [H,W]
-    camera z in the capture's unit, 0 where nothing is. normal [H,W,3] unit, in the capture's axes and towards the
-    camera, zeros where nothing is. With a light split, color is transmitted + weight * reflected before it is made
-    straight: transmitted [H,W,3] straight, without gloss; reflected [H,W,3] sRGB; weight [H,W] 0..1; None without one.
-    unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known: where one
-    is, the other colours are those under a flash on this camera.
+    color [H,W,3] sRGB 0..1, straight (not multiplied by alpha). alpha [H,W] 0..1. depth [H,W] camera z in the capture's
+    unit, 0 where nothing is. normal [H,W,3] unit, in the capture's axes and towards the camera, zeros where nothing is.
+    With a light split, color is transmitted + weight * reflected, then divided by alpha. transmitted [H,W,3], straight,
+    has no gloss; reflected [H,W,3] is sRGB, weight [H,W] 0..1. All three are None without a light split.
+    unlit [H,W,3]: the transmitted colour, or the only one, under even light; None where no flash is known. With a
+    flash, the other colours show the scene under a flash on this camera.
     """
 
     color: np.ndarray
@@ -42,11 +42,11 @@ class Rendering:
 def render(result: Reconstruction, camera: Camera | View) -> Rendering:
     """Render the splats of a reconstruction on the device where they are (see `Reconstruction.to`).
 
-    camera: in the capture's frame and unit, at any size. Or a View of the scene that was reconstructed, whose own
-    camera is in the scene's normalised frame: as its photograph was taken.
+    camera: a camera in the capture's frame and unit, at any size, or a View of the reconstructed scene. A View is
+    rendered as its photograph was taken; its camera is in the scene's normalised frame.
 
-    Raises ConfigError for another kind of argument and for a View where an object was found, and TensorError for a
-    camera that is none: a pose that is not rigid, numbers that are not finite, an empty image.
+    Raises ConfigError for another kind of argument and for a View where an object was found, and TensorError for an
+    invalid camera: a pose that is not rigid, numbers that are not finite, an empty image.
     """
     if not isinstance(result, Reconstruction):
         raise ConfigError(f"result: expected a Reconstruction, got {type(result).__name__}")

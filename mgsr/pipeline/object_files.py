@@ -41,7 +41,7 @@ def require_place_for_masks(out: Path) -> None:
 
 
 def clear_object(out: Path) -> None:
-    """Remove what an earlier run found of an object; masks that are no run's stay."""
+    """Remove an earlier run's files of an object; masks that are no run's stay."""
     if (out / OBJECT).is_file():
         shutil.rmtree(out / MASKS, ignore_errors=True)
         (out / OBJECT).unlink()
@@ -61,7 +61,7 @@ def with_found_object(out: Path, scene: Scene) -> Scene:
 def _names(scene: Scene) -> Iterator[tuple[View, str]]:
     """Yield each view, the training views first, and the name of its mask's file.
 
-    Test views that are called as a training view have their masks in a folder of their own.
+    A test view with the name of a training view has its mask in a separate folder.
     """
     taken = {view.name for view in scene.train}
     for view in scene.train:
@@ -71,6 +71,7 @@ def _names(scene: Scene) -> Iterator[tuple[View, str]]:
 
 
 def _read(path: Path, view: View, out: Path) -> np.ndarray:
+    """Read a mask [H,W] uint8 of the view's size. Raises MgsrError where it is missing or of another size."""
     mask = read_mask(path, path.name) if path.is_file() else None
     if mask is None or mask.shape != view.image.shape[:2]:
         height, width = view.image.shape[:2]

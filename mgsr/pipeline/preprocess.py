@@ -29,7 +29,7 @@ from mgsr.start.starting_points import StartingPoints, starting_points
 from mgsr.training.exposure import find_exposures
 from mgsr.training.outlines import learned_outlines
 
-LATER = ("exposure", "object", "object_box")  # settings of DataConfig that count after the reading
+LATER = ("exposure", "object", "object_box")  # settings of DataConfig that take effect after the reading
 
 
 def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> Scene:
@@ -47,10 +47,10 @@ def take_scene(given: Path | Scene, out: Path, config: Config, step: Steps) -> S
 
 
 def as_read(scene: Scene, config: Config) -> Config:
-    """Return the settings with those that a scene was read with.
+    """Return the settings, with the reading settings of an already loaded scene.
 
     Settings that work after the reading (LATER) are the caller's own unless they are left at their defaults. Raises
-    ConfigError where the others ask for another way of reading.
+    ConfigError where the caller's other settings differ from the scene's.
     """
     chosen = {}
     for item in fields(DataConfig):
@@ -76,9 +76,8 @@ def preprocess(
 ) -> tuple[Scene, StartingPoints]:
     """Preprocess a scene: even its exposures, find its object and its light, and choose the starting points.
 
-    Returns the scene with its photographs at a common exposure, where theirs differ, with masks where an object is
-    asked for and found, and with a flash's irradiance, where there is one; and the points to start from. What is found
-    is left in `out`.
+    Returns the scene and its starting points. The scene has its photographs at a common exposure, masks where an object
+    is requested and found, and a flash's irradiance where there is one. The findings are written to `out`.
     """
     searched = searches_object(scene, config)
     if searched:
@@ -108,7 +107,9 @@ def _at_one_exposure(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints] | None,
 ) -> tuple[Scene, StartingPoints]:
-    """Bring the photographs to a common exposure, and choose the starting points anew; both stay where exposures agree.
+    """Bring the photographs to a common exposure, and choose the starting points again.
+
+    Where exposures agree, both stay unchanged.
 
     points: chooses the starting points during a step; None leaves them as they are.
     """
@@ -131,7 +132,9 @@ def _object_alone(
     step: Steps,
     points: Callable[[Scene, str, str], StartingPoints],
 ) -> tuple[Scene, StartingPoints]:
-    """Return the scene with masks of its object, and starting points on that; the whole scene, with a note, without.
+    """Return the scene with masks of its object, and starting points on the object.
+
+    Without an object, return the whole scene with a note.
 
     points: chooses the starting points during a step.
     """

@@ -12,9 +12,9 @@ from mgsr.training.progress import Progress
 class Event:
     """One event of a run.
 
-    step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for a person; training:
-    where training is, in events of the training itself; done: the share of the step that is done, 0..1, in events that
-    come on the way through a long step.
+    step: load, start, plan, train, export, mesh, evaluate, render or report; text: one line for the user; training: the
+    training's progress, in events of the training; done: the completed share 0..1 of a long step, in events during that
+    step.
     """
 
     step: str

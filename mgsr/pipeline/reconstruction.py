@@ -37,13 +37,12 @@ from mgsr.shading.lighting import Lighting
 class Reconstruction:
     """A finished run's results, in the capture's frame and unit.
 
-    mesh: the surface, whose `textured` is None here: `paths.mesh_textured` has the picture. model: the 2D and the 3D
-    branch, and the environment map that a shiny surface reflects, None for each that there is not. Means and the
-    reflector are about `origin` [3] float64, which is zero unless the capture lies far from its frame's origin: the
-    places in the frame are `means + origin`. flash: the lamp beside the lens and the surface that it lights; None where
-    the photographs show none. report: what report.json says. paths: the files. normalisation: frame = scale *
-    normalised + offset, the way from the frame in which the splats were trained and are rendered, where the object lies
-    in the unit ball.
+    mesh: the surface. Its `textured` is None; `paths.mesh_textured` has the texture. model: the 2D branch, the 3D
+    branch, and the environment map that a shiny surface reflects; each may be None. Means and the reflector are
+    relative to `origin` [3] float64, so positions in the frame are `means + origin`. The origin is zero unless the
+    capture lies far from its frame's origin. flash: the lamp beside the lens and the surface that it lights; None where
+    the photographs show no flash. report: the content of report.json. paths: the files. normalisation: frame = scale *
+    normalised + offset. In the normalised frame the object lies in the unit ball, and splats are trained and rendered.
     """
 
     mesh: ReconstructedMesh
@@ -111,11 +110,11 @@ def reconstruct(
     """Reconstruct a capture into the folder `out`, as `mgsr run` does, and return the results.
 
     scene: what `load_scene` gave, or the path of a folder or an archive. preset: draft, standard or high; method:
-    mgsr, 2dgs or 3dgs; device: auto, cpu or cuda. The same seed gives the same files. time_budget: seconds near which
-    all ends, from this call on; it takes the preset's place. overrides: settings by name or path, such as
-    {"mesh.max_faces": 50_000, "output.obj": True}, or as texts "key=value"; None is "none". Those of `data`, but for
-    `exposure`, `object` and `object_box`, work while a scene is read: for one that is read already they have to be its
-    own.
+    mgsr, 2dgs or 3dgs; device: auto, cpu or cuda. The same seed gives the same files. time_budget: seconds from this
+    call after which the run should end; it replaces the preset. overrides: settings by name or path, such as
+    {"mesh.max_faces": 50_000, "output.obj": True}, or as texts "key=value"; None is "none". Those of `data`, except
+    `exposure`, `object` and `object_box`, take effect while a scene is read; for an already loaded scene they must
+    equal its own.
 
     resume: go on from the checkpoint in `out`, if there is one. progress: called with an `Event` at each step and every
     some iterations. should_stop: asked between iterations; once it says so, a checkpoint is written and Cancelled
@@ -143,7 +142,7 @@ def reconstruct(
 def load_result(out: str | os.PathLike[str]) -> Reconstruction:
     """Read the results that a finished run left in the folder `out`.
 
-    Raises MgsrError where the folder has no report, which is written last, and for files that are not those of a run;
+    Raises MgsrError where the folder has no report, which a run writes last, and for files that no run wrote;
     SceneError for a flash that is damaged.
     """
     folder = _path("out", out)
@@ -170,7 +169,7 @@ def load_result(out: str | os.PathLike[str]) -> Reconstruction:
 
 
 def _path(name: str, given: object, besides: str = "") -> Path:
-    """Return an argument as a path. Raises ConfigError for what is none."""
+    """Return an argument as a path. Raises ConfigError for anything else."""
     if not isinstance(given, str | os.PathLike):
         raise ConfigError(f"{name}: expected {besides}a path, got {type(given).__name__}")
     return Path(given)

@@ -65,9 +65,10 @@ def render_views(model: TrainedModel, views: Sequence[View], config: Config) -> 
 def render_camera(
     model: TrainedModel, camera: Camera, depth: SurfaceDepth, shading: np.ndarray | None = None, name: str = ""
 ) -> ViewImages:
-    """Render what the branches show to any camera of their frame.
+    """Render the branches from any camera in their frame.
 
-    depth: which one of the 2D branch is the surface; shading [H,W] uint8: what a flash makes of the view (see `View`).
+    depth: which of the 2D branch's depths is the surface; shading [H,W] uint8: the flash's shading of the view (see
+    `View`).
     """
     light = None if shading is None else torch.from_numpy(shading).to(model.device) / 255
     flat, full = _see(model, camera, depth=True, shading=light)
@@ -85,8 +86,8 @@ def render_camera(
 def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[SurfaceView]:
     """Render the views for surface extraction.
 
-    They are those of the training cameras, and of those between them that `config.mesh` asks for. What a photograph
-    does not show, no loss has seen from there: such pixels are left out.
+    The cameras are the training cameras and the intermediate ones that `config.mesh` asks for. Pixels that a photograph
+    does not show are left out, since no loss supervised them.
     """
     cameras = surface_cameras([view.camera for view in scene.train], config.mesh)
     valid = [view.valid_mask for view in scene.train] + [None] * (len(cameras) - len(scene.train))
@@ -100,7 +101,7 @@ def surface_views(model: TrainedModel, scene: Scene, config: Config) -> list[Sur
 def rendered_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
     """Return the scene with renders in place of its photographs, and of its masks if it has any.
 
-    They show the transmitted colour, so without highlights, where there is a light split and `mesh.color` asks for it.
+    With a light split, and where `mesh.color` asks for it, they show the transmitted colour, without highlights.
     """
     behind = scene.backdrop(config.train.background).color
     return replace(
@@ -122,10 +123,10 @@ def _as_photograph(model: TrainedModel, view: View, config: Config, behind: Colo
 
 
 def outlined_scene(model: TrainedModel, scene: Scene, config: Config) -> Scene:
-    """Return the scene with masks: its own, or those that the branches have learned before a plain backdrop.
+    """Return the scene with masks: its own, or the branches' opacity before a plain backdrop.
 
-    There the branches' opacity needs to cover nothing but the object. Without masks and backdrop, the scene stays as it
-    is.
+    Before such a backdrop, opacity needs to cover only the object. Without masks and backdrop, the scene is returned
+    unchanged.
     """
     if not scene.backdrop(config.train.background).plain:
         return scene
@@ -175,7 +176,7 @@ def _see(
 def _surface(
     flat: SurfelOutputs | None, full: GaussianOutputs | None, camera: Camera, kind: SurfaceDepth
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it stands alone."""
+    """Return depth [H,W] and normal [H,W,3] of the 2D branch; of the 3D branch's depth where it is the only branch."""
     if flat is not None:
         median = kind is SurfaceDepth.MEDIAN
         return _numpy(flat.median_depth if median else flat.depth), _numpy(flat.normal)

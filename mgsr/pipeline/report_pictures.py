@@ -33,7 +33,7 @@ from mgsr.report.shading import MeshPainter, PaintedMesh, surface_pictures, up_d
 class SurfaceDrawings:
     """The drawings of a surface for the report.
 
-    They are from its sides, and shaded [H,W,4] uint8 as each of the first test views sees it.
+    They show its sides and, shaded [H,W,4] uint8, each of the first test views.
     """
 
     sides: SurfacePictures
@@ -61,7 +61,7 @@ def report_pictures(
 ) -> ReportPictures:
     """Collect the pictures of the report: the first test views, the surface, and the environment map that it reflects.
 
-    psnr: of the test views, dB; background: what lies behind views without masks.
+    psnr: of the test views, dB; background: the colour behind views without masks.
     """
     views = [
         _view_pictures(images, view, value, shaded, background)
@@ -76,7 +76,7 @@ def _up(scene: Scene) -> np.ndarray:
 
 
 def _shown(view: View) -> np.ndarray:
-    """Return the photograph, transparent where it shows nothing."""
+    """Return the photograph [H,W,3] or [H,W,4] uint8, transparent at invalid pixels."""
     pixels = photograph(view)
     if view.valid_mask is None:
         return pixels

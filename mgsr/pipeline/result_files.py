@@ -62,7 +62,7 @@ def clear_reports(out: Path) -> None:
 
 
 def clear_findings(out: Path) -> None:
-    """Remove what an earlier run found of its photographs."""
+    """Remove an earlier run's findings on its photographs."""
     for name in (EXPOSURES, FLASH):
         (out / name).unlink(missing_ok=True)
 
@@ -126,8 +126,8 @@ def read_lighting(out: Path) -> Lighting | None:
 def write_models(out: Path, model: TrainedModel, scene: Scene, output: OutputConfig) -> None:
     """Write the branches as splat files, and the environment maps.
 
-    What is not there leaves no file, also none of an earlier run. Splats are in the output's unit and about the frame's
-    origin or one near the scene (see `origin_of_frame`).
+    For a missing branch or map, an earlier run's file is removed. Splats are in the output's unit, relative to the
+    frame's origin or to one near the scene (see `origin_of_frame`).
     """
     origin = origin_of_frame(scene.user_from_scene, output.scale)
     file_from_scene = about_origin(scene.user_from_scene, output.scale, origin)
@@ -204,7 +204,7 @@ def write_mesh(out: Path, mesh: ReconstructedMesh, scene: Scene, output: OutputC
 
 
 def _up(scene: Scene, output: OutputConfig) -> UpDirection:
-    """Return the direction that points up in the user's frame, whose axes are the scene's."""
+    """Return the up axis or direction [3] in the user's frame, which has the scene's axes."""
     if output.up is not Up.AUTO:
         return UpAxis(output.up.value)
     return up_direction([view.camera for view in scene.train])
@@ -247,7 +247,7 @@ def write_reports(out: Path, report: ReportData, pictures: ReportPictures) -> No
 
 
 def straight_view(view: ViewImages, unit: float) -> RenderedView:
-    """Return a view's images with straight colours, and depth in the files' unit, of which the scene's is `unit`."""
+    """Return a view's images with straight colours, and depth in the files' unit; `unit` converts from the scene's."""
     transmitted, unlit = (
         None if color is None else straight_color(color, view.alpha) for color in (view.transmitted, view.unlit)
     )
@@ -268,7 +268,7 @@ def read_report(out: Path) -> ReportData:
 
 
 def _read_tensors(path: Path, user_from_scene: Similarity) -> dict[str, torch.Tensor]:
-    """Read a splat file's arrays, taken from the file's unit and origin to the scene's frame."""
+    """Read a splat file's arrays [N,...], converted from the file's unit and origin to the scene's frame."""
     arrays, unit, origin = load_splats(path), read_number(path, UNIT), read_origin(path)
     file_from_scene = about_origin(user_from_scene, unit, origin)
     arrays["means"] = file_from_scene.to_scene(arrays["means"].astype(np.float64))

@@ -25,7 +25,7 @@ CHECKPOINT = "checkpoint"
 
 @dataclass(frozen=True)
 class ResultPaths:
-    """Where the files of a folder of results are (docs/outputs.md). Those that a run has not written are not there:
+    """The paths of the files in a folder of results (docs/outputs.md). Files that a run has not written do not exist:
     without a flash there is no `flash.npz`."""
 
     folder: Path

@@ -47,11 +47,11 @@ def run_scene(
     """Reconstruct a scene into the folder `out`; return the path of report.json, which is written last.
 
     given: the scene, or the path that `load_scene` takes. resume: go on from the checkpoint in `out`, if there is one.
-    should_stop: looked at between iterations and between steps. started_at: what time.perf_counter() said when the
-    caller began, from where a time budget counts (config.time_budget); None is now.
+    should_stop: called between iterations and between steps. started_at: the value of time.perf_counter() from which a
+    time budget counts (config.time_budget); None is now.
 
     Raises ConfigError, SceneError, TrainingError, MeshError, CheckpointError, GpuError, and Cancelled once should_stop
-    says so (the checkpoint then holds what was trained).
+    says so (the checkpoint then holds the training's state).
     """
     if config.output.texture is not None:
         require_unfolding()
@@ -104,7 +104,7 @@ def train_only(
 
 @dataclass(frozen=True)
 class _Run:
-    """What the steps of a run share once it is planned."""
+    """The objects that the steps of a planned run share."""
 
     scene: Scene
     start: StartingPoints
@@ -143,7 +143,7 @@ def _make_surface(run: _Run, trained: TrainResult) -> _Surface:
 def _set_reflector(run: _Run, training: _Training, trained: TrainResult, mesh: ReconstructedMesh) -> bool:
     """Let the finished mesh reflect the environment map, where that is of use; return whether the map is to be learned
     anew for it."""
-    # A mesh of few faces, or too little time to learn the map anew, would reflect worse than the splats.
+    # With a mesh of few faces, or too little time to relearn the map, reflections would be worse than the splats'.
     fit = run.config.mesh.max_faces is None
     if run.budget is not None:
         fit = fit and run.budget.room(run.model(trained).counts) >= run.config.train.environment_map.iterations
@@ -214,7 +214,7 @@ class _Training:
         return self._training.set_reflector(mesh)
 
     def run(self, before_surface: bool = False) -> TrainResult:
-        """Return the branches after all stages, or with `before_surface` after those that the surface is made from."""
+        """Return the branches after all stages, or with `before_surface` after the stages before the surface."""
         run = self._run
         with run.step("train", self._text):
             trained = self._training.run(finish=not before_surface)

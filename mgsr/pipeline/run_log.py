@@ -16,12 +16,12 @@ from mgsr.training.progress import Progress
 class RunLog:
     """Write the events of a run to a file. Use it in a `with` block, which closes the file.
 
-    What is told while the scene is read goes to the log once it is read, or where that ends otherwise than by a
-    refusal: a scene that is refused leaves no folder, and no log in the place of an earlier one.
+    Events from the reading of the scene are held back until the reading ends. A refused scene leaves no folder and no
+    log, and an earlier log remains; every other end writes the events.
     """
 
     def __init__(self, path: Path, append: bool) -> None:
-        """append: whether the lines follow those of an earlier run, or take their place."""
+        """append: whether to append to an earlier run's log instead of replacing it."""
         self._open = ExitStack()
         self._log: IO[str] | None = None
         self._path, self._mode = path, ("a" if append else "w")

@@ -1,4 +1,4 @@
-"""The metadata of a run in report.json: what was run, on what, how long it took, and what came of it."""
+"""The metadata of a run in report.json: the run's settings, machine, input, times and results."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from mgsr.start.starting_points import StartingPoints
 from mgsr.training.progress import TrainResult
 
 PACKAGES = ("torch", "numpy", "scipy", "OpenImageIO", "open3d-cpu", "open3d")
-# What modules are called as programs.
+# The names of modules as programs.
 _PROGRAMS = {"mgsr.cli.main": "mgsr", "program.__main__": "mgsr", "program.worker": "mgsr-worker"}
 
 
@@ -41,9 +41,9 @@ def run_report(
     clock: StepClock,
     time_budget: dict[str, Any] | None = None,
 ) -> ReportData:
-    """Build everything that report.json says.
+    """Build the content of report.json.
 
-    scores: psnr_test, ssim_test, gt and whatever else was measured.
+    scores: psnr_test, ssim_test, gt and any other measurements.
     """
     known = {name: scores[name] for name in ("psnr_test", "ssim_test", "gt")}
     counts = topology(mesh)
@@ -83,11 +83,11 @@ def run_report(
 
 
 def scene_facts(scene: Scene, unit: float = 1.0) -> dict[str, Any]:
-    """Return what was read: format, views, sizes, masks, points, and the way back to the user's frame.
+    """Return the facts of the scene: format, views, sizes, masks, points, and the transform to the user's frame.
 
-    splats_origin: what positions in splat files are about, where the frame's origin lies far away; shown: the share of
-    the pixels that photographs show, where it is not all; backdrop: the colour, sRGB 0..1, of a plain one behind
-    photographs without masks. unit: what lengths are multiplied with.
+    splats_origin: the origin of positions in splat files, where the frame's own lies far away; shown: the share of
+    valid pixels, where not all are valid; backdrop: the colour, sRGB 0..1, of a plain backdrop behind photographs
+    without masks. unit: the factor on lengths.
     """
     camera, frame = scene.train[0].camera, scene.user_from_scene
     shown, plain = shown_share(scene), scene.plain_backdrop
@@ -130,7 +130,7 @@ def _input(scene: Scene, start: StartingPoints, unit: float) -> dict[str, Any]:
 
 
 def scene_line(scene: Scene) -> str:
-    """Return what was read, in one line."""
+    """Summarise the scene in one line."""
     camera = scene.train[0].camera
     masks = "with masks" if scene.masked else "without masks"
     points = "no points" if scene.points is None else f"{len(scene.points.positions)} points"

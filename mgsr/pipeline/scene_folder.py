@@ -31,7 +31,7 @@ def write_scene_folder(target: Path, scene: Scene, scale: float) -> None:
 
 
 def convert_scene(source: Path, target: Path, scale: float, up: UpAxis | None) -> str:
-    """Write the scene at `source` as a new folder, with all lengths times `scale`; return what it holds, in one line.
+    """Write the scene at `source` as a new folder, with all lengths times `scale`; return a one-line summary.
 
     up: refused, as a scene keeps its frame. Raises ConfigError where the arguments do not fit, and SceneError.
     """

@@ -1,4 +1,4 @@
-"""The steps of a run singly, each from what the one before left in the folder of results."""
+"""Single steps of a run; each reads the results of the step before from the folder of results."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
     """
     chosen = pick_device(device)
     scene = with_found_object(out, at_known_exposures(out, load_scene(path, config.data)))
-    # The run held its surface against the one that it began on, which its seed gives again.
+    # The run compared its surface with the starting surface, which the same seed reproduces.
     begun_on = starting_points(scene, 1, config.seed).surface if scene.masked else None
     mesh = make_mesh(read_models(out, scene.user_from_scene).to(chosen.torch), scene, config, start=begun_on)
     write_mesh(out, mesh, scene, config.output)
@@ -45,8 +45,8 @@ def mesh_again(path: Path, out: Path, config: Config, device: str = "auto") -> R
 def render_again(path: Path, out: Path, config: Config, device: str = "auto", as_scene: Path | None = None) -> Scene:
     """Render the test views from the splats in `out`, write their pictures there, and return the scene.
 
-    as_scene: a new folder that all views' renders are written to, with their cameras, as a scene of their own. Raises
-    ConfigError where it is not empty, SceneError, GpuError, and MgsrError where there are no splats.
+    as_scene: a new folder for the renders and cameras of all views, as a separate scene. Raises ConfigError where it is
+    not empty, SceneError, GpuError, and MgsrError where there are no splats.
     """
     chosen = pick_device(device)
     if as_scene is not None:

@@ -11,7 +11,7 @@ from mgsr.pipeline.progress import Event, EventCallback
 
 StopCheck = Callable[[], bool]
 
-# Seconds between two words of how far a long step is.
+# Seconds between two progress events of a long step.
 SELDOM = 2.0
 
 
@@ -65,7 +65,7 @@ class Steps:
     def share(self, step: str, text: str) -> Callable[[float], None]:
         """Return a callback by which a long step reports the share of it that is done, 0..1.
 
-        It is passed on now and then. The callback raises Cancelled where a stop is asked for.
+        Events are sent at intervals. The callback raises Cancelled where a stop is asked for.
         """
         told = time.monotonic()
 

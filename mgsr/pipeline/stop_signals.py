@@ -1,6 +1,6 @@
-"""Handling of signals: Ctrl-C and SIGTERM as a wish to stop, and signals as an ordinary end.
+"""Signal handling: Ctrl-C and SIGTERM as a stop request, and signals as an ordinary exit.
 
-The work heeds the wish between two iterations.
+A run checks for the request between two iterations.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class StopWish:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopWish]:
-    """Yield a wish to stop, which the first SIGINT or SIGTERM inside sets.
+    """Yield a stop request, which the first SIGINT or SIGTERM inside the block sets.
 
-    A second one stops at once (KeyboardInterrupt).
+    A second signal stops at once (KeyboardInterrupt).
     """
     wish = StopWish()
 
@@ -50,10 +50,10 @@ def stop_on_signals() -> Iterator[StopWish]:
 
 @contextmanager
 def cleaned_up_after_signals() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP inside end the program as SystemExit does, so that temporary files go.
+    """Turn SIGTERM and SIGHUP inside the block into SystemExit, so that temporary files are removed.
 
-    The exit code is the shell's for them; by themselves they would leave temporary files. A signal that is ignored
-    (nohup) stays so, and in other threads than the main one, which alone may do this, nothing changes.
+    The exit code is the shell's code for the signal. An ignored signal (nohup) stays ignored. Only the main thread may
+    set handlers; in other threads the block changes nothing.
     """
 
     def end(number: int, frame: FrameType | None) -> None:

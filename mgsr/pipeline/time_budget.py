@@ -1,4 +1,4 @@
-"""The time budget in a run: what it asks of `TimeBudget`, and when."""
+"""The use of `TimeBudget` by a run."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def make_budget(
 
 
 def facts_of(scene: Scene, config: Config, start: StartingPoints | None = None) -> Facts:
-    """Return what the costs of a scene depend on.
+    """Return the cost factors of a scene.
 
-    What only its starting points tell is taken for the costlier case without them.
+    Without starting points, the factors that depend on them assume the costlier case.
     """
     cameras = [view.camera for view in scene.train]
     pixels = sum(camera.width * camera.height for camera in cameras) / max(1, len(cameras))
@@ -56,9 +56,9 @@ def searches_object(scene: Scene, config: Config) -> bool:
 
 
 def fitted_scene(scene: Scene, budget: TimeBudget, config: Config, clock: StepClock) -> Scene:
-    """Reduce the training views of a scene to the size that the budget allows; the test views stay as they are.
+    """Reduce the training views of a scene to the size that the budget allows; the test views are unchanged.
 
-    clock: says how long the photographs took to read.
+    clock: gives the reading time of the photographs.
     """
     facts = facts_of(scene, config)
     if "load" in clock.steps:
@@ -80,7 +80,7 @@ def planned_config(
 ) -> Config:
     """Choose the settings that fit the time that is left.
 
-    clock: says how long the starting points took. Raises what training does.
+    clock: gives the time of the starting points. Raises the errors of training.
     """
     facts = replace(facts_of(scene, config, start), searched="object" in clock.steps)
     budget.learn(start_cost(facts), sum(clock.steps.get(name, 0.0) for name in ("start", "outlines", "object")))
@@ -93,7 +93,7 @@ def planned_config(
 
 
 def plan_line(budget: TimeBudget) -> str:
-    """Say in one line what was planned."""
+    """Summarise the plan in one line."""
     assert budget.place is not None
     words = f"{budget.seconds:g} s: settings {place_words(budget.place)}"
     if budget.scale != 1:

@@ -1,4 +1,4 @@
-"""Rendering of both branches from one camera, the 3D branch with what the surface reflects of the environment map."""
+"""Rendering of both branches from one camera, the 3D branch with the environment map's reflection in the surface."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def render_both(
 ) -> tuple[SurfelOutputs | None, GaussianOutputs | None]:
     """Render each branch of a model from one camera; None for one that is not there.
 
-    depth: of the 3D branch; off saves its time; shading: as for `render_gaussians`.
+    depth: whether to render the 3D branch's depth; shading [H,W]: as for `render_gaussians`.
     """
     flat = None if model.surfels is None else render_surfels(model.surfels, camera, background, shading=shading)
     if model.gaussians is None:

@@ -1,8 +1,8 @@
 """The environment map in each pixel, looked up where the normal reflects the line of sight.
 
 Deferred shading: the line of sight is reflected once a pixel, at the 2D branch's blended normals, or at the mesh once
-there is one. Highlights so follow the shape, also in views and places where no photograph saw them; and where
-photographs show them, they shape the 2D branch's normals.
+there is one. Highlights thus follow the shape, also in views and places without a photograph of them. Where photographs
+show highlights, they improve the 2D branch's normals.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def reflected_environment(
     """Return the light [H,W,3] that each pixel's surface reflects towards the camera.
 
     normal [H,W,3]: the 2D branch's, world frame, of any length, for a map without a reflector; where it is zero, the
-    result means nothing. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by
-    default all, or those at the reflector. rendered: what `EnvironmentMap.rendered` gives, where that is at hand.
+    result is undefined. pixels [P] int64: which to look at, row x W + column, each once; elsewhere the result is 0; by
+    default all, or those at the reflector. rendered: the result of `EnvironmentMap.rendered`, if already computed.
     Gradients flow to the map and to the normals.
     """
     rendered = environment_map.rendered() if rendered is None else rendered

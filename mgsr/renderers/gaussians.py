@@ -35,12 +35,12 @@ def render_gaussians(
     """Render the Gaussians from any camera, at its size.
 
     background [3] colour behind them, black by default; degree and refl_degree: SH degrees of the transmitted and the
-    reflected colours, by default all that is stored; depth: off saves its time; environment [H,W,3]: light that is
-    added to the reflected colour (see `mgsr.renderers.environment_map`); shading [H,W]: what a flash makes of the
-    transmitted colour (see `mgsr.ops.lights`), which without it is that under even light. Gradients flow to the model's
-    tensors, and to what is reflected, where these ask for them; from `reflected` and `unlit` none flow.
+    reflected colours, by default all that is stored; depth: whether to render it; environment [H,W,3]: light that is
+    added to the reflected colour (see `mgsr.renderers.environment_map`); shading [H,W]: the flash's shading of the
+    transmitted colour (see `mgsr.ops.lights`); None is even light. Gradients flow to the model's tensors and to
+    environment where these require them; none flow from `reflected` and `unlit`.
 
-    Raises TensorError for a model whose tensors don't fit together.
+    Raises TensorError for a model with inconsistent tensors.
     """
     model.check()
     degree = model.sh_degree if degree is None else degree
@@ -74,7 +74,7 @@ def render_gaussians(
 
 @dataclass
 class _Rendering:
-    """What a rendering is made with, beside the Gaussians; degrees: of the transmitted and the reflected colours."""
+    """The inputs of a rendering beside the Gaussians; degrees: of the transmitted and the reflected colours."""
 
     raster: GaussianPass
     launcher: Launcher | None
@@ -87,7 +87,7 @@ class _Rendering:
 class _RenderGaussians(torch.autograd.Function):
     """The rendering from stored parameters to images, in one node.
 
-    It has scales and shares, colours, the raster, the flash and the reflected light.
+    It covers activations, colours, rasterization, flash and reflected light.
     """
 
     @staticmethod
@@ -148,7 +148,7 @@ class _RenderGaussians(torch.autograd.Function):
 def _to_stored(
     r: _Rendering, sh: Tensor, refl_sh: Tensor | None, splats: list[Any], v_splats: list[Any]
 ) -> tuple[Tensor | None, ...]:
-    """Propagate the gradients of what the raster takes back to the stored parameters."""
+    """Propagate the gradients of the rasterized splats [N,...] to the stored parameters."""
     means, _, scales, opacities, rgb, refl_opacities, refl_rgb, weights, _ = splats
     v_means, v_quats, v_scales, v_opacities, v_rgb, v_refl_opacities, v_refl_rgb, v_weights = v_splats
     v_sh = harmonics_vjp(r.launcher, sh, means, r.center, r.degrees[0], rgb, v_rgb, v_means)

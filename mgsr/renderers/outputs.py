@@ -17,7 +17,7 @@ class SurfelOutputs:
     """The 2D branch's images of one camera.
 
     color [H,W,3] with the background; alpha [H,W]; depth [H,W] the blend's mean and median_depth [H,W], camera z, 0
-    where nothing is; normal [H,W,3] world frame, towards the camera, as long as alpha; distortion [H,W] where asked
+    where nothing is; normal [H,W,3] world frame, towards the camera, of length alpha; distortion [H,W] where asked
     for; stats: screen-space figures of each surfel (see mgsr/ops); unlit [H,W,3]: the colour as it is under even light,
     None where no flash lit it.
     """

@@ -33,10 +33,10 @@ def render_surfels(
     """Render the surfels from any camera, at its size.
 
     background [3] colour behind them, black by default; degree: SH degree of the colours, by default all that is
-    stored; shading [H,W]: what a flash makes of the colour (see `mgsr.ops.lights`), which without it is that under even
-    light. Gradients flow to the model's tensors where these ask for them.
+    stored; shading [H,W]: the flash's shading of the colour (see `mgsr.ops.lights`); None is even light. Gradients flow
+    to the model's tensors where these ask for them.
 
-    Raises TensorError for a model whose tensors don't fit together.
+    Raises TensorError for a model with inconsistent tensors.
     """
     model.check()
     degree = model.sh_degree if degree is None else degree
@@ -71,7 +71,7 @@ class _Rendering:
 class _RenderSurfels(torch.autograd.Function):
     """The rendering from stored parameters to images, in one node.
 
-    It has scales and opacities, colours, the raster and the flash.
+    It covers activations, colours, rasterization and flash.
     """
 
     @staticmethod

@@ -52,7 +52,7 @@ class MeshFacts:
 
 @dataclass(frozen=True)
 class Decision:
-    """A choice that was made for the person: what, what it came to, and the reason."""
+    """An automatic choice: its subject, its outcome, and the reason."""
 
     what: str
     choice: str
@@ -64,8 +64,8 @@ class ReportData:
     """A whole run.
 
     seconds: by step and stage, with `total`. gaussians: splats by branch. gt: scores against the true surface by
-    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. other: what the writer of
-    report.json adds beyond these; it is written out at the top level and read back from there.
+    name, in the units of `mgsr.metrics`; None where no truth lies beside the scene. other: further fields from the
+    writer of report.json; it is written out at the top level and read back from there.
     """
 
     scene: str
@@ -88,7 +88,7 @@ class ReportData:
     other: dict[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the object of report.json: only plain types, and None for what is not a finite number."""
+        """Return the object of report.json: only plain types, with None for numbers that are not finite."""
         plain = asdict(self)
         other = plain.pop("other")
         written: dict[str, Any] = finite(other | plain)
@@ -96,10 +96,10 @@ class ReportData:
 
     @staticmethod
     def from_json(report: Mapping[str, Any]) -> ReportData:
-        """Return the run that such an object tells of.
+        """Build the run from the JSON object of a report.
 
-        psnr_test, ssim_test, mesh and gt may lack, which is None. Raises KeyError, with the name, where another field
-        without default lacks.
+        psnr_test, ssim_test, mesh and gt may be missing, which means None. Raises KeyError, with the name, where
+        another field without default is missing.
         """
         names = {each.name for each in fields(ReportData)} - {"other"}
         known: dict[str, Any] = dict.fromkeys(("psnr_test", "ssim_test", "mesh", "gt"))

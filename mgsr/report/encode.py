@@ -21,9 +21,9 @@ def data_address(pixels: np.ndarray, max_side: int) -> str:
 
 
 def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
-    """Reduce a picture so that no side is longer than max_side.
+    """Reduce a picture [H,W,3] or [H,W,4] uint8 so that no side is longer than max_side.
 
-    Colours are weighted by alpha, so that no rim appears.
+    Colours are weighted by alpha, so that no fringe appears.
     """
     height, width = pixels.shape[:2]
     factor = max_side / max(height, width)
@@ -39,7 +39,7 @@ def shrunk(pixels: np.ndarray, max_side: int) -> np.ndarray:
 
 
 def webp(pixels: np.ndarray) -> bytes:
-    """Encode a picture as a WebP file.
+    """Encode a picture [H,W,3] or [H,W,4] uint8 as a WebP file.
 
     Raises MgsrError where OpenImageIO can't write one.
     """

@@ -1,4 +1,4 @@
-"""Pictures of the environment maps that the surface reflects: the scene's all around, and what is at the camera."""
+"""Pictures of the environment maps that the surface reflects: the scene's as a panorama, and the camera's."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ DARK = 0.1  # of the other map's brightness, under which a map is not worth a pi
 def environment_map_pictures(environment_map: EnvironmentMap, up: np.ndarray) -> list[Picture]:
     """Draw the environment maps, brightened alike until lamps are white.
 
-    The one that stands still in the scene is unrolled all around, `up` [3] at the top; of the other, the half towards
-    the camera is shown, whose place is the middle. One that is dark beside the other is left out.
+    The scene's map becomes a panorama with `up` [3] at the top. The camera's map shows the half towards the camera,
+    with the camera in the middle. A map that is dark beside the other is left out.
     """
     still, held = environment_map.maps().detach()
     around = _looked_up(still, _around(np.asarray(up, np.float64)))
@@ -35,7 +35,7 @@ def environment_map_pictures(environment_map: EnvironmentMap, up: np.ndarray) ->
 
 
 def _around(up: np.ndarray) -> np.ndarray:
-    """Return the directions [H,2H,3] of a picture whose columns are longitudes and whose rows are latitudes."""
+    """Return the directions [H,2H,3] of an equirectangular picture: columns are longitudes, rows latitudes."""
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     rows, columns = (np.mgrid[:HEIGHT, : 2 * HEIGHT] + 0.5) / HEIGHT * np.pi

@@ -39,7 +39,7 @@ STEPS = (
 def write_report_html(path: Path, data: ReportData, pictures: ReportPictures) -> None:
     """Write the page to `path`.
 
-    It asks for nothing outside itself; all text from the run is escaped.
+    The page is self-contained; all text from the run is escaped.
     """
     path.write_text(report_page(data, pictures), encoding="utf-8")
 

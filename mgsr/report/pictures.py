@@ -53,8 +53,8 @@ class Picture:
 class SurfacePictures:
     """The pictures of the surface from several sides.
 
-    It is shaded, with its own colours, and coloured by the distance to the truth, whose scale ends at `limit` of the
-    truth's bounding radius. Empty lists where there is nothing to show.
+    They show it shaded, in its own colours, and coloured by the distance to the truth. The colour scale ends at `limit`
+    times the truth's bounding radius. Empty lists where there is nothing to show.
     """
 
     shaded: list[Picture] = field(default_factory=list)
@@ -67,7 +67,7 @@ class SurfacePictures:
 class ReportPictures:
     """All pictures of a report; the first view is the one at the top.
 
-    environment_maps: those that the surface reflects, where they were learnt.
+    environment_maps: the learned maps that the surface reflects, if any.
     """
 
     views: Sequence[TestViewPictures] = ()

@@ -26,10 +26,10 @@ OCCLUSION_REACH = 0.35  # of the mesh's radius: what lies farther darkens nothin
 OCCLUSION_SPREAD = 4  # samples to either side that lend each other their rays, where the surface goes on evenly
 EVEN_NORMAL, EVEN_STEP = 0.9, 0.01  # there: the least cosine between normals, and the most of the mesh's radius off
 
-# What tells which direction is up.
-NEAR_AXIS = 20.0  # degrees within which an axis is taken
-CANCELLED = 0.1  # length of the mean of the cameras' upper sides under which it means nothing
-LYING = 0.9  # length of the mean of their right sides from which all lie on their side
+# Thresholds of the search for the up direction.
+NEAR_AXIS = 20.0  # degrees within which the up direction snaps to an axis
+CANCELLED = 0.1  # length of the mean of the cameras' up vectors below which it is unreliable
+LYING = 0.9  # length of the mean of their right vectors above which all lie on their side
 LEVEL = 0.14  # root mean square of the sines by which level cameras lean to a side: 8 degrees
 ROUND = 0.1  # mean square of the cameras' right sides across their main direction from which they look round
 
@@ -72,7 +72,7 @@ class MeshPainter:
         return self.look(camera).clay()
 
     def look(self, camera: Camera) -> MeshLook:
-        """Cast the camera's rays, and return what it sees, to be painted in several ways."""
+        """Cast the camera's rays, and return the view for painting."""
         camera = _limited(camera)
         # Four samples a pixel, for smooth outlines.
         hits = self._cast(camera.resized(2 * camera.width, 2 * camera.height))
@@ -93,7 +93,7 @@ class MeshPainter:
         colors = None if self._mesh.colors is None else (self._mesh.colors[corners] * weights).sum(1)
         unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
         points = origins[hit] + depth[hit][:, None] * rays[hit]
-        # The facet says which side is seen: at an outline the smooth normal already points away.
+        # The face normal decides which side is visible: at an outline the smooth normal already points away.
         return _Hits(hit, points, facets, _facing(unit, facets), colors)
 
     def _openness(self, hits: _Hits) -> np.ndarray:
@@ -108,7 +108,7 @@ class MeshPainter:
         for _ in range(OCCLUSION_RAYS if len(starts) else 0):
             spread = random.standard_normal(starts.shape, np.float32)
             spread /= np.maximum(np.linalg.norm(spread, axis=1, keepdims=True), 1e-9)
-            # A point on the unit sphere that touches the surface: directions as dense as their cosine.
+            # A point on the unit sphere tangent to the surface gives cosine-weighted directions.
             rays = np.concatenate([starts, hits.normals + 0.999 * spread], axis=1)
             blocked += self._rays.test_occlusions(_tensor(rays), 0.0, OCCLUSION_REACH * self.radius).numpy()
         return _evened(1 - blocked / OCCLUSION_RAYS, hits, EVEN_STEP * self.radius)
@@ -125,15 +125,15 @@ class MeshLook:
     light: np.ndarray
 
     def clay(self) -> np.ndarray:
-        """Paint the mesh in one pale colour, which shows the shape best."""
+        """Paint the mesh in one pale colour, which shows the shape best; [H,W,4] uint8."""
         return _picture(CLAY * self.light, self.hits.hit)
 
     def colored(self) -> np.ndarray:
-        """Paint the mesh in its own colours; pale where it has none."""
+        """Paint the mesh in its own colours, pale where it has none; [H,W,4] uint8."""
         return _picture((CLAY if self.hits.colors is None else self.hits.colors) * self.light, self.hits.hit)
 
     def distances(self, truth: Mesh, limit: float) -> np.ndarray:
-        """Paint the mesh by its distance to `truth`, in the same frame; the darkest is `limit` and more."""
+        """Paint the mesh by its distance to `truth`, in the same frame, darkest from `limit` on; [H,W,4] uint8."""
         gap = _raycaster(truth).compute_distance(_tensor(self.hits.points)).numpy()
         return _picture(ramp(gap / limit) * (0.6 + 0.4 * self.light), self.hits.hit)
 
@@ -164,7 +164,7 @@ def surface_pictures(
 
 
 def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: float, size: int) -> Camera:
-    """Return a camera, size x size, that sees the whole mesh from `angle` degrees round `up`, beginning at `front`."""
+    """Return a camera, size x size, that sees the whole mesh, `angle` degrees around up [3] from front [3]."""
     up = up / np.linalg.norm(up)
     ahead = front - (front @ up) * up
     if np.linalg.norm(ahead) < 1e-6:
@@ -179,10 +179,10 @@ def side_camera(painter: MeshPainter, up: np.ndarray, front: np.ndarray, angle: 
 def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
     """Return the direction [3] that points up in the cameras' frame, of length 1.
 
-    It is where most cameras have their upper side. An axis is taken where that is within NEAR_AXIS degrees of it, and
-    where it is the nearest and the cameras are level under it. In other frames it is the direction under which the
-    cameras are most nearly level, if they look round far enough to tell: the mean of their upper sides leans where
-    they look down from one side more than from the others.
+    It starts from the mean of the cameras' up vectors. It snaps to an axis within NEAR_AXIS degrees, or to the nearest
+    axis if the cameras are level under it. Otherwise it is the direction under which the cameras are most nearly level,
+    if their directions vary enough: the mean itself tilts where cameras look down from one side more than from the
+    others.
     """
     rows = np.array([camera.cam_from_world[:2, :3] for camera in cameras])
     rights = rows[:, 0]
@@ -202,9 +202,9 @@ def up_direction(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _side_up(rights: np.ndarray) -> np.ndarray:
-    """Return the axis that points up where the cameras' upper sides point everywhere.
+    """Return the up axis [3] of cameras without a common up vector; rights [C,3]: their right vectors.
 
-    It is the one to their right, if all lie on their side, as beside a turntable; else z.
+    It is the axis to their right if all lie on their side, as beside a turntable; else z.
     """
     mean = rights.mean(axis=0)
     return _nearest_axis(mean) if np.linalg.norm(mean) > LYING else np.array((0.0, 0.0, 1.0))
@@ -226,7 +226,7 @@ def bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _look_at(eye: np.ndarray, toward: np.ndarray, up: np.ndarray, focal: float, size: int) -> Camera:
-    """Return a square camera at `eye` that looks along -toward; focal in halves of the image's side."""
+    """Return a square camera at eye [3] that looks along -toward [3]; focal in units of half the image's side."""
     right = np.cross(up, toward)
     right = right / np.linalg.norm(right)
     rotation = np.stack([right, -np.cross(toward, right), -toward])

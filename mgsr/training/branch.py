@@ -19,8 +19,8 @@ from mgsr.training.schedule import SH_NAMES, rates_at, rest_scale
 from mgsr.training.trainable import Trainable
 
 Splats = TypeVar("Splats", bound=SurfelModel | GaussianModel)
-# Steps after which splats on a card are put in order again, at the next densification: neighbours in memory are read
-# together there.
+# Steps after which the next densification sorts splats on a GPU again: neighbours in space should be neighbours in
+# memory, for coalesced reads.
 ORDER_EVERY = 2000
 
 
@@ -66,7 +66,7 @@ class Branch(Trainable[Splats]):
             self.densify_state.gather(stats.v_means2d, stats.radii, width, height, weight, bad)
 
     def adapt(self, grow: bool = True) -> None:
-        """Clone, split and prune, and begin to gather anew.
+        """Clone, split and prune splats, and reset the gathered statistics.
 
         Raises TrainingError when no splat is left.
         """
@@ -89,7 +89,7 @@ class Branch(Trainable[Splats]):
         self.adopt()
 
     def exchange(self, kept: Tensor, added: dict[str, Tensor]) -> None:
-        """Keep some splats, append new ones, and begin to gather anew.
+        """Keep some splats, append new ones, and reset the gathered statistics.
 
         kept [M] int64: the ascending indices to keep; added: the new splats' tensors, by name, as the model's.
         """
@@ -99,7 +99,7 @@ class Branch(Trainable[Splats]):
         self.densify_state = DensifyState.empty(len(self.model), self.device)
 
     def keep(self, rows: Tensor) -> None:
-        """Drop all splats but those of ascending indices [M] int64, and begin to gather anew."""
+        """Keep only the splats of ascending indices [M] int64, and reset the gathered statistics."""
         self.optimizer.keep(rows)
         self.adopt()
         self.densify_state = DensifyState.empty(len(self.model), self.device)

@@ -21,9 +21,9 @@ FORMAT = 7
 
 
 def fingerprint(scene: Scene, config: Config) -> dict[str, str]:
-    """Return hashes of what a checkpoint must share with a run.
+    """Return the hashes by which a checkpoint must match a run.
 
-    They are of the training images and cameras, and of the settings that change the result.
+    They cover the training images and cameras, and the settings that change the result.
     """
     digest = hashlib.sha256()
     for view in scene.train:
@@ -72,7 +72,7 @@ def read_schedule(path: Path) -> dict[str, Any] | None:
     try:
         content = torch.load(path, weights_only=True, map_location="cpu")
     except (OSError, EOFError, RuntimeError, ValueError, KeyError, pickle.UnpicklingError):
-        return None  # who goes on from it says what is wrong
+        return None  # resuming from it reports the error
     schedule = content.get("scheduler") if isinstance(content, dict) else None
     return schedule if isinstance(schedule, dict) else None
 

@@ -1,6 +1,6 @@
 """Tests for whether a warm-up has converged.
 
-They compare like with like; the paper's own rule is there too.
+They include the paper's own rule.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def make_convergence(
 ) -> Convergence | None:
     """Return the convergence test that the settings name for a warm-up of at most `iterations`, or None for none.
 
-    validation_psnr measures the branch on the views that it is not trained on.
+    validation_psnr measures the branch on held-out views.
     """
     earliest = int(warmup.stop_after * iterations)
     if paper.stop_rule is StopRule.EPOCH:
@@ -44,8 +44,8 @@ def make_convergence(
 class EpochMeans:
     """The test that compares mean losses over whole epochs.
 
-    It has converged when the mean loss over `span` epochs lies less than `gain` (relative) under that of the `span`
-    epochs before. Whole epochs hold the same views, so only the model's change is measured.
+    Training has converged when the mean loss of the last `span` epochs is less than a fraction `gain` below the mean of
+    the preceding `span` epochs. Whole epochs hold the same views, so only the model's change is measured.
     """
 
     def __init__(self, earliest: int, span: int, gain: float) -> None:
@@ -74,10 +74,10 @@ class EpochMeans:
 
 
 class Validation:
-    """The test that looks at views which are kept from training.
+    """The test on held-out views.
 
-    It has converged when their PSNR has not risen by `validation_gain` dB over its best for `validation_patience` looks
-    in a row.
+    Training has converged when `validation_patience` consecutive checks have not improved the best PSNR by
+    `validation_gain` dB.
     """
 
     def __init__(self, earliest: int, config: PaperConfig, measure: Callable[[], float]) -> None:

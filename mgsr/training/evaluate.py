@@ -30,7 +30,7 @@ def surfel_picture(model: SurfelModel) -> Picture:
 
 
 def gaussian_picture(model: TrainedModel) -> Picture:
-    """Return a function that renders the 3D branch, with what the surface reflects of the environment map.
+    """Return a function that renders the 3D branch, including the environment map's reflection in the surface.
 
     The 2D branch is rendered only where it is that surface.
     """

@@ -1,11 +1,11 @@
 """Exposure differences between photographs, estimated with a small 3D branch that is trained for it.
 
-Where most surfaces look the same from all sides, the points that they show tell the factors more exactly than the
-branch does (see `point_exposures`): on matte objects, and in photographs of a whole room.
+Matte surfaces, as in photographs of a whole room, look the same from all sides. There, the starting points give more
+exact factors than the branch (see `point_exposures`).
 
-The branch can't follow a photograph's own factor in views that it has not seen, so those tell: where a factor that is
-fitted to one half of such a view makes the other half better, too, exposures differ. What light does to a view (a
-flash, gloss) the branch explains by direction, and what is left of that seldom is the same in both halves.
+The branch can't reproduce the exposure factor of a held-out view. A factor is therefore fitted to one half of each
+held-out view and tested on the other half: if it improves that half too, exposures differ. The branch explains a flash
+or gloss by direction, and the remaining error is rarely the same in both halves.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from mgsr.training.evaluate import gaussian_picture
 from mgsr.training.proxy_model import small_view, train_proxy_model
 from mgsr.training.train_state import StartingPoints
 
-DEGREES = 0, 2  # of their harmonics, of which one is chosen: a matte scene is told apart better without
-ITERATIONS, ROUNDS = 150, 3  # of training from the start, and how often with the factors found so far
-HELD_BACK = 4  # every so many-th view is kept from a training
-JUDGED = 12  # views that are kept from one training or another at least; nothing is looked for in fewer views
-JUMPS = 0.07  # of brightness from view to view under which exposures are taken as even (see `brightness_jumps`)
-PAYS = 0.5  # dB that a factor must gain on the other half of views that are kept from training
-FAINT = 0.3  # of the median light; fainter pixels tell little
+DEGREES = 0, 2  # candidate harmonic degrees; a matte scene is fitted better without harmonics
+ITERATIONS, ROUNDS = 150, 3  # iterations of each training, and rounds that reuse the factors found so far
+HELD_BACK = 4  # one view in this many is held out from a training
+JUDGED = 12  # the least number of views; with fewer, exposures are not estimated
+JUMPS = 0.07  # brightness change between neighbours below which exposures count as equal (see `brightness_jumps`)
+PAYS = 0.5  # dB that a factor must gain on the other half of the held-out views
+FAINT = 0.3  # fraction of the median light; fainter pixels are ignored
 ENOUGH = 20  # pixels to fit a factor to
 CLIPPED = 250  # of 255; brighter pixels hide how bright they were
 DIGITS = 5  # of a factor
-WHITE = 0.9  # light of a rendering times its factor over which the photograph may be clipped
+WHITE = 0.9  # rendered light times factor above which the photograph may be clipped
 
 
 def find_exposures(
@@ -44,7 +44,7 @@ def find_exposures(
 ) -> Exposures | None:
     """Estimate each photograph's exposure, with a geometric mean of 1 over the training views.
 
-    Returns None where exposures don't differ, or can't be told from what light does. The same seed gives the same
+    Returns None where exposures are equal, or can't be separated from lighting effects. The same seed gives the same
     factors, on any number of cores.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
@@ -84,9 +84,10 @@ def _rounded(factors: np.ndarray, train: int) -> Exposures:
 def _kept_errors(
     scene: Scene, start: StartingPoints, small: list[View], degree: int, seed: int, should_stop: Callable[[], bool]
 ) -> np.ndarray:
-    """Return the mean `_errors` [2] of views that are kept from training.
+    """Return the mean `_errors` [2] of held-out views.
 
-    Every HELD_BACK-th view is kept, then others in the same way until JUDGED were kept, as few tell too little.
+    Every HELD_BACK-th view is held out, then others in the same way, until at least JUDGED views were held out: a mean
+    over fewer is unreliable.
     """
     errors: list[tuple[float, float]] = []
     for first in (1, 2, 3, 0):

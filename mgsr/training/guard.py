@@ -21,18 +21,19 @@ log = logging.getLogger("mgsr.training")
 # A loss blows up when its mean over a stretch is this many times the usual one, and this much more: a loss of
 # images within 0..1 starts near 0.3 and ends near 0.03.
 BLOW_UP_FACTOR, BLOW_UP_RISE = 5.0, 0.1
-# Steps in a row that may be bad before the branches go back, and goings back in a row before the training ends.
+# Consecutive bad steps before the branches are restored, and consecutive restorations before training fails.
 MOST_BAD_STEPS, MOST_RETURNS = 3, 3
-MOST_INCIDENTS = 100  # that are kept for the report; all are logged
+MOST_INCIDENTS = 100  # kept for the report; all are logged
 
 
 class Guard:
     """A guard that watches one stage's steps.
 
-    A step is bad when its loss or a gradient is not finite or over 1e19 (whose square float32 does not hold, nor Adam's
-    memory of it). It is not taken, and the next view comes. Every `every` steps the guard looks back: where a parameter
-    is not finite, or the loss has blown up, the branches return to how they were at the last good look. On a card
-    nothing is read between two looks: there a bad step's gradients count as zero.
+    A step is bad when its loss or a gradient is not finite or exceeds 1e19. The square of a larger number overflows
+    float32, and with it Adam's second moment. Such a step is skipped, and training goes on with the next view. Every
+    `every` steps the guard checks the branches. Where a parameter is not finite, or the loss has blown up, it restores
+    their state of the last good check. On a GPU nothing is read between two checks; a bad step's gradients count as
+    zero there.
     """
 
     def __init__(self, stage: Stage, every: int, incidents: list[str]) -> None:
@@ -41,7 +42,7 @@ class Guard:
         self.incidents = incidents
         self._losses: list[Tensor] = []
         self._dropped: list[Tensor] = []
-        self.bad: Tensor | None = None  # [] bool, of a step on a card: whether its gradients count as zero
+        self.bad: Tensor | None = None  # [] bool, on a GPU: whether the step's gradients count as zero
         self._bad_steps = self._returns = 0
         self._usual: float | None = None
         self._kept = self._copies()
@@ -49,10 +50,11 @@ class Guard:
     def admits(self, step: Step, view: str) -> bool:
         """Return whether the step may be taken.
 
-        On a card the answer is always yes, and `bad` tells those who take the step whether its gradients count as zero.
-        Raises TrainingError where going back did not help.
+        On a GPU the answer is always yes; the optimiser then reads `bad` and treats the gradients of a bad step as
+        zero. Raises TrainingError where going back did not help.
         """
-        # Without those of the colours, most of the numbers: what spoils them spoils the opacities' and centres' too.
+        # The colours' gradients, most of the numbers, are skipped: whatever spoils them also spoils those of opacities
+        # and centres.
         bad = any_bad([step.loss.values, *_tensors(self.stage.trainables, "grad", without=SH_NAMES)])
         if on_card(bad):
             self._dropped.append(bad)
@@ -68,9 +70,9 @@ class Guard:
         return False
 
     def look_back(self, values: Tensor) -> None:
-        """Note the loss of a step that was taken, and look back where it is time.
+        """Record the loss of a completed step, and check the recent steps when a check is due.
 
-        values, of any shape: of its loss's terms. Raises TrainingError where going back did not help.
+        values [...]: the terms of the loss, of any shape. Raises TrainingError where going back did not help.
         """
         self._losses.append(values)
         if len(self._losses) < self.every:
@@ -89,7 +91,7 @@ class Guard:
         self._usual, self._losses, self._kept = None, [], self._copies()
 
     def state(self) -> dict[str, Any]:
-        """Return what the guard's next judgements depend on, with the copy of the last good look, for a checkpoint."""
+        """Return the guard's state for a checkpoint, including the copy from the last good check."""
         return {
             "losses": list(self._losses),
             "dropped": list(self._dropped),

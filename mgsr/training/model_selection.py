@@ -1,6 +1,6 @@
 """Model selection of the 3D branch: a part must earn its place on photographs that training did not see.
 
-It decides what the branch adds to the transmitted light, and how far that light's colour may change with direction.
+It chooses the branch's reflection model and the harmonic degree of the transmitted light.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from mgsr.training.environment_map import EnvironmentMapTrainer
 from mgsr.training.stages import Stage
 from mgsr.training.trainable import copied
 
-# From the simplest to the one with the most parameters. Both is none of them: a reflected half of each splat's own
-# gains less on shiny objects than the shared light alone, and on matte ones it gains by being more parameters.
+# From the simplest to the one with the most parameters. `Reflection.BOTH` is no candidate: on shiny objects it gains
+# less than the shared light alone, and on matte ones only by its additional parameters.
 CANDIDATES = (Reflection.OFF, Reflection.SHARED)
 CANDIDATES_ALONE = (Reflection.OFF, Reflection.OWN)  # without a surface that reflects
 
-Train = Callable[[str, int], None]  # trains the stage on, under a candidate's name, for so many iterations
+Train = Callable[[str, int], None]  # trains the stage further, under a candidate's name, for a number of iterations
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Candidate:
 
 
 class ReflectionSelection:
-    """Trains each candidate on from one state, on the same views, and leaves the best in place.
+    """Trains each candidate from the same state and on the same views, and keeps the best.
 
-    First the reflections are tried, with all degrees of the transmitted colour's harmonics; then fewer degrees, one by
-    one, while that is no worse. environment_map: None where no surface reflects it. measure: the 3D branch's PSNR, dB,
-    on the photographs that the stage is not trained on. all_views: how many of the stage's views, which begin with
-    those it is trained on, it may see once the selection is over.
+    It first tries the reflections, with all degrees of the transmitted colour's harmonics. It then lowers the degree
+    step by step while the result is no worse. environment_map: None where no surface reflects it. measure: the 3D
+    branch's PSNR, dB, on the photographs that the stage is not trained on. all_views: the number of the stage's views
+    that training may use after the selection; they begin with its training views.
 
-    psnr and degrees: what each reflection, and each lower degree, reached; empty before.
+    psnr and degrees: the PSNR, dB, of each reflection and of each lower degree; empty before the selection.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class ReflectionSelection:
         lower: list[Candidate] = []
         for degree in reversed(range(best.sh_degree)):
             lower.append(self._try(stage, train, before, best.reflection, degree))
-            # Fewer numbers are learnt faster: what is a little behind here would be more so in the end.
+            # Fewer parameters train faster: a model that is slightly behind here would be further behind in the end.
             if lower[-1].psnr < best.psnr:
                 break
             best = lower[-1]
@@ -88,7 +88,7 @@ class ReflectionSelection:
         self._decide(stage, best.reflection)
 
     def state(self) -> dict[str, Any]:
-        """Return what was decided, for a checkpoint."""
+        """Return the decisions for a checkpoint."""
         chosen = None if self.chosen is None else str(self.chosen)
         return {"chosen": chosen, "psnr": self.psnr, "degrees": self.degrees}
 
@@ -115,7 +115,7 @@ class ReflectionSelection:
         stage.cycle.count = self.all_views
 
     def _add(self, reflection: Reflection) -> None:
-        """Add to the models what the candidate has and they lack."""
+        """Add the candidate's missing parameters to the models."""
         if self.environment_map is not None:
             self.environment_map.used = reflection is not Reflection.OFF
         if reflection in (Reflection.OWN, Reflection.BOTH):

@@ -1,12 +1,12 @@
 """Masks of photographs before a plain backdrop that come without masks, learned by small 3D branches.
 
-The backdrop's colour lies behind the splats and needs none, so what they come to cover is the object. No pixel is
-compared with that colour: splats have to explain all photographs at once, so a highlight or a patch that looks like the
-backdrop makes no hole, as it would in a mask by colour.
+The backdrop's colour lies behind the splats, so the splats need to cover only the object. No pixel is
+compared with that colour: splats must explain all photographs at once. A highlight or a patch in the backdrop's colour
+therefore makes no hole, as it would in a colour key.
 
-A first branch begins anywhere in the ball. Its splats that show nothing have the backdrop's colour, which no photograph
-tells from being transparent, so opacity costs something there, and its contours are rough. A second begins on the hull
-of these, where no splat is idle, and opacity is free.
+A first branch begins anywhere in the ball. Superfluous splats take the backdrop's colour, which no photograph
+distinguishes from transparency. A loss on opacity removes them. The contours remain rough. A second branch begins on
+the hull of these contours. There, no splat is superfluous, and opacity has no loss.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from mgsr.start.starting_points import StartingPoints, ball_points, hull_points
 from mgsr.training.proxy_model import POINTS, SIDE, small_view, train_proxy_model
 
 DEGREE = 2  # of the colours' harmonics
-ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # of the first branch and of the second
-ROUGH_SIDE = 64  # pixels of the first branch's photographs
-OPACITY_COST = 0.4  # there: half of it leaves fog about a shiny object, twice as much eats what is thin
+ROUGH_ITERATIONS, ITERATIONS = 800, 1600  # first and second branch
+ROUGH_SIDE = 64  # pixels a side of the first branch's photographs
+OPACITY_COST = 0.4  # first branch: half of it leaves fog around shiny objects, twice as much erodes thin parts
 VOXELS = 64  # a side, of the rough hull
 
 
@@ -42,8 +42,8 @@ def learned_outlines(
 ) -> list[np.ndarray] | None:
     """Learn masks [H,W] uint8 of the training views of a scene that has a plain backdrop and no masks.
 
-    Returns None where what splats cover is no object: nothing that all views show, or all that they show. The same seed
-    gives the same masks, on any number of cores. progress: told of the share that is done, 0..1.
+    Returns None where the splats outline no object: their masks have no common hull, or cover the images' borders. The
+    same seed gives the same masks, on any number of cores. progress: called with the completed share, 0..1.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """

@@ -42,8 +42,8 @@ T = TypeVar("T")
 class Plan:
     """A run before its first iteration.
 
-    train_state: what it trains; stages; curve_views: the views that only its curve looks at; backdrop: what lies behind
-    the splats.
+    train_state: the branches and maps to train; stages: in order; curve_views: the views that only the error curve
+    uses; backdrop: the background behind the splats.
     """
 
     train_state: TrainState
@@ -59,7 +59,7 @@ class Plan:
     def set_reflector(self, reflector: Reflector) -> bool:
         """Let a mesh reflect the environment map from the stage FINISH on, and return whether it does.
 
-        It does where there is such light, and masks tell the object.
+        It does so where the map is used and masks outline the object.
         """
         finish, light = self.stages[-1], self.train_state.environment_map
         if finish.name != FINISH or light is None or not (light.used and light.settings.iterations):
@@ -100,8 +100,8 @@ def make_plan(
 ) -> Plan:
     """Build the branches on the starting points, all on `device`, and the stages that the settings ask for.
 
-    With `finish`, or where a mesh may reflect the environment map in the end, there is one more stage, of no iterations
-    yet, in which the branch that renders goes on alone.
+    With `finish`, or where a mesh may reflect the environment map, one more stage follows. It trains the rendering
+    branch alone, and its length is zero until it is set.
 
     Raises TrainingError for too few training views.
     """
@@ -141,7 +141,7 @@ def mutual_iterations(config: Config) -> int:
 
 
 def _first_reflection(config: Config, shiny: bool | None, views: int) -> tuple[Reflection, bool]:
-    """Return what the 3D branch adds to the transmitted light at first, and whether model selection decides on more."""
+    """Return the 3D branch's initial reflection model, and whether model selection may change it."""
     asked, alone = config.train.gaussians.reflection, config.train.branches is Branches.GAUSSIANS
     if asked is not Reflection.AUTO:
         return asked, False
@@ -194,7 +194,7 @@ def _gaussian_warmup(
 def _pruning(branch: Branch[Any], views: list[TrainingView]) -> Callable[[], int]:
     """Return a function that prunes a branch's splats of least contribution, and returns their number.
 
-    Those go that together contribute less than the share that the branch's settings allow.
+    The pruned splats together contribute less than the share in the branch's settings.
     """
     share = branch.densify.prune_contribution
 
@@ -243,7 +243,7 @@ def _warmup(
 
 
 def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list[Stage], config: Config) -> Stage:
-    """Build the stage of the mutual phase; for one branch alone, of as many more iterations of its own.
+    """Build the stage of the mutual phase; a single branch trains alone for the same number of iterations.
 
     stages: those of the run, which may be filled in later.
     """
@@ -282,7 +282,7 @@ def _last_stage(train_state: TrainState, views: list[TrainingView], stages: list
 
 
 def _finish(train_state: TrainState, views: list[TrainingView], config: Config) -> Stage:
-    """Build the stage in which the branch that renders goes on alone, at the last learning rates; it may end anywhere.
+    """Build the stage that trains the rendering branch alone, at the final learning rates; it may end at any iteration.
 
     Once a mesh reflects the environment map, the rates begin at those of the middle of training instead.
     """

@@ -15,8 +15,8 @@ from mgsr.training.views import color_tensor
 def preview_pictures(plan: Plan) -> dict[str, np.ndarray]:
     """Render pictures uint8 [H,W,3] of the first view that the curve looks at, or else the first to train on.
 
-    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey where nothing
-    is; transmitted and reflected: the halves of the light, where it is split.
+    render: of the rendering branch, or the only one; normals: of the surface, world axes as colours, grey off the
+    surface; transmitted and reflected: the halves of the light, where it is split.
     """
     view = (plan.curve_views or plan.stages[-1].views)[0]
     color = color_tensor(plan.backdrop.color, plan.train_state.branches[0].device)

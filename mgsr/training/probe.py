@@ -40,7 +40,7 @@ def probe(scene: Scene, start: StartingPoints, config: Config, device: torch.dev
     """
     timer = _Timer(device)
     with one_torch_thread():
-        whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # small photographs tell nothing
+        whole = replace(config.train, warmup=replace(config.train.warmup, coarse=0.0))  # reduced photographs are faster
         plan = replace(make_plan(scene, start, replace(config, train=whole), device), curve_views=[])
         splats = {branch.name: len(branch.model) for branch in plan.train_state.branches}
         Trainer(plan, config.train, {}, scheduler=timer).run(before=FINISH)

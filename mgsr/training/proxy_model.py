@@ -20,7 +20,7 @@ from mgsr.training.trainer import Trainer
 from mgsr.training.views import CPU, TrainingView, ViewCycle, prepare_views
 
 SIDE, POINTS = 128, 4000  # pixels of the photographs, unless asked otherwise, and Gaussians
-RATES = 0.2  # where on the way from a warm-up's first to its last learning rates it stays
+RATES = 0.2  # constant position 0..1 between a warm-up's first and last learning rates
 
 
 def small_view(view: View, side: int = SIDE) -> View:
@@ -42,9 +42,9 @@ def train_proxy_model(
 ) -> GaussianModel:
     """Train a proxy model: some of the starting points as Gaussians, on small views of the scene.
 
-    None are added or dropped. degree: of their harmonics; name: what its stage is called; progress: told of the share
-    that is done; opacity_cost: weight of their mean opacity in the loss, so that those that show nothing vanish. The
-    same seed gives the same Gaussians.
+    None are added or dropped. degree: of their harmonics; name: of the stage; progress: called with the completed
+    share, 0..1; opacity_cost: weight of the mean opacity in the loss, which removes superfluous Gaussians. The same
+    seed gives the same Gaussians.
 
     Raises Cancelled once should_stop says so, and TrainingError where training goes bad.
     """

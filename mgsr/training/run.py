@@ -49,11 +49,11 @@ class Training:
 
     progress is called now and then (config.train.watch); should_stop before every iteration: once it returns True,
     a checkpoint is written and Cancelled raised. checkpoint_path: one file, written now and then and at the end.
-    resume: go on from it where it exists; on the CPU the result is bit for bit that of a run that was not stopped.
-    deadline: seconds after which training ends where it is (the reports say so). device: a card makes it faster by
-    much; images, masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
-    scheduler: sets the lengths of all stages, of which there then is one more, FINISH; so is there for an environment
-    map that the finished mesh may reflect (`set_reflector`).
+    resume: go on from it where it exists; on the CPU the result equals that of an uninterrupted run bit for bit.
+    deadline: seconds after which training ends where it is (the reports say so). device: a GPU is much faster; images,
+    masks and splats are kept there. The result is on the CPU, and a checkpoint serves any device.
+    scheduler: sets the lengths of all stages. With a scheduler, or with an environment map that the finished mesh may
+    reflect (`set_reflector`), the run has one more stage, FINISH.
 
     Raises, here or in `run`, TrainingError (too few views or points, numbers that are not finite, nothing left of a
     branch), Cancelled, CheckpointError (damaged, or of another scene or other settings), GpuError (a card that can't be

@@ -9,7 +9,7 @@ FINISH = "finish"  # the stage after the surface was made
 
 
 class StageLength(Protocol):
-    """A stage as a scheduler sees it: its name, the iterations that it has done, and those that it shall do."""
+    """A stage as a scheduler sees it: its name, its completed iterations, and its planned iterations."""
 
     @property
     def name(self) -> str: ...
@@ -31,4 +31,4 @@ class StageScheduler(Protocol):
         """
 
     def state(self) -> dict[str, Any]:
-        """Return what the scheduler needs to go on, for a checkpoint: plain values."""
+        """Return the scheduler's state for a checkpoint: plain values."""

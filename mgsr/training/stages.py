@@ -1,4 +1,4 @@
-"""The stages of a run: what each iteration renders, and by what it is judged.
+"""The stages of a run: the renderings and the losses of each iteration.
 
 The loop in `trainer.py` runs any of them.
 """
@@ -57,7 +57,7 @@ class Step:
 class Coarse:
     """A stage's views made smaller, for the first `share` of its iterations.
 
-    While splats find their places, small images say as much, in less time.
+    Small images suffice while splats still move far, and take less time.
     """
 
     views: list[TrainingView]
@@ -90,13 +90,13 @@ class ModelSelection(Protocol):
 
 @dataclass
 class Stage:
-    """A stretch of training and where it stands; a scheduler may change its iterations on the way.
+    """A stage of training and its progress; a scheduler may change its number of iterations during training.
 
-    branches: those that it trains; environment_map: what it trains beside them. compute renders one view on a
-    background and returns its Step, given the iteration (from 0); window gives the first and last iteration of a
-    branch's densification; progress 0..1 of the whole run, for one of its trainables. selection: the choice of a model
-    on the way; coarse: how it begins; prune: how it ends, by dropping splats, whose number it returns; growth: what
-    adapts the splats of a branch that does not go by the gradient; clearance: where no splats may be.
+    branches and environment_map: the models to train. compute renders one view on a background and returns its Step,
+    given the iteration (from 0); window gives the first and last iteration of a branch's densification; progress 0..1
+    of the whole run, for one of its trainables. selection: chooses a model during the stage; coarse: the smaller views
+    at the start; prune: drops splats at the end, and returns their number; growth: adapts the splats of a branch
+    without gradient-based densification; clearance: the regions to keep free of splats.
     """
 
     name: str
@@ -126,7 +126,7 @@ class Stage:
         ]
 
     def next_view(self) -> TrainingView:
-        """Return the view whose turn it is."""
+        """Return the next training view."""
         return self._current_views()[self.cycle.next()]
 
     def adapt(self, branch: Branch[Any]) -> None:
@@ -144,7 +144,7 @@ class Stage:
         return self.views
 
     def state(self) -> dict[str, Any]:
-        """Return where the stage stands, for a checkpoint."""
+        """Return the stage's progress for a checkpoint."""
         return {
             "iteration": self.iteration,
             "iterations": self.iterations,
@@ -180,7 +180,7 @@ class ReflectingSurface:
     kept: dict[tuple[str, int], Tensor] = field(default_factory=dict)  # by the view's name and height
 
     def shown(self, view: TrainingView, rendered: RenderedMap) -> Tensor:
-        """Return what each pixel of a view reflects of the map, [H,W,3]."""
+        """Return the environment map's reflection at each pixel of a view, [H,W,3]."""
         model = self.environment_map.model
         if model.reflector is not None:
             return reflected_environment(model, view.camera, pixels=view.covered, rendered=rendered)
@@ -217,7 +217,8 @@ def gaussians_alone(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of the 3D branch on the photographs (Algorithm 1).
 
-    `warming` raises the SH degree; surface: adds what it reflects of the environment map, as the 2D branch stands.
+    `warming` raises the SH degree; surface: adds the environment map's reflection in the surface, with the 2D branch
+    frozen.
     """
 
     def compute(view: TrainingView, background: Color, iteration: int) -> Step:
@@ -246,7 +247,7 @@ def both_teach(
 ) -> Callable[..., Step]:
     """Return a function that computes a step of both branches, on the photographs and on each other (Algorithm 2).
 
-    environment_map: what the surface reflects, which is trained too where it is used.
+    environment_map: the light that the surface reflects; it is trained where it is used.
     """
     both = config.paper.teaching is Teaching.BOTH_WAYS
 
@@ -292,5 +293,6 @@ def _see_gaussians(
     depth: bool,
     environment: Tensor | None,
 ) -> GaussianOutputs:
+    """Render the 3D branch from a view's camera; behind [3]: the background; environment [H,W,3] or None."""
     light = (environment, view.shading())
     return render_gaussians(branch.model, view.camera, behind, degree, refl_degree, depth, *light)

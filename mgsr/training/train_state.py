@@ -23,8 +23,8 @@ from mgsr.training.trainable import Trainable
 class StartingPoints(Protocol):
     """The points where splats begin.
 
-    positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether brightness was seen to
-    change from view to view as light does, None if that was not looked at.
+    positions [P,3] in the scene's frame, normals [P,3] or None, colors [P,3]; shiny: whether brightness changes from
+    view to view as gloss does, None if that was not examined.
     """
 
     @property
@@ -85,7 +85,7 @@ def make_train_state(
 ) -> TrainState:
     """Build the branches and the environment maps on the starting points, on `device`.
 
-    reflection: what the 3D branch adds at first; tried: whether model selection may add to it.
+    reflection: the 3D branch's initial reflection model; tried: whether model selection may extend it.
     """
     train, extent = config.train, camera_extent(scene)
     points = (start.positions, start.normals, start.colors)
@@ -114,5 +114,5 @@ def camera_extent(scene: Scene) -> float:
 
 
 def seeded(config: Config, purpose: int) -> torch.Generator:
-    """Return a generator of its own for each purpose, so that one stage's length does not change another's draws."""
+    """Return a separate generator for each purpose, so that one stage's length does not change another's draws."""
     return torch.Generator().manual_seed(config.seed * 1000 + purpose)

@@ -48,13 +48,13 @@ class Trainable(ABC, Generic[Model]):
         self.steps += 1
 
     def tensors(self, kind: Kind) -> dict[str, Tensor]:
-        """Return the parameters' values, or the gradients of those that have one, by name."""
+        """Return by name the parameters' values, or their gradients [same shapes] where they exist."""
         if kind == "values":
             return {name: tensor.detach() for name, tensor in self.optimizer.params.items()}
         return {name: tensor.grad for name, tensor in self.optimizer.params.items() if tensor.grad is not None}
 
     def bad(self, kind: Kind) -> list[str]:
-        """Return the names of the parameters whose value, or gradient, is not finite or has a square that is not."""
+        """Return the names of the parameters whose value or gradient, or its square, is not finite."""
         tensors = self.tensors(kind).items()
         return [f"{self.name}.{name}" for name, tensor in tensors if not bool(tensor.square().sum().isfinite())]
 
@@ -75,7 +75,7 @@ class Trainable(ABC, Generic[Model]):
         self.adopt()
 
     def widen(self, added: dict[str, Tensor]) -> None:
-        """Add parameters to the model, by name; the others' moments stay."""
+        """Add parameters [N,...] to the model, by name; the optimiser keeps the other parameters' moments."""
         state = copied(self.state())
         state["parameters"] |= added
         moments = state["optimizer"]
@@ -99,7 +99,7 @@ class Trainable(ABC, Generic[Model]):
 
 
 def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None = None) -> None:
-    """Take one optimiser step of all these models, on a card in one launch.
+    """Take one optimiser step of all these models, on a GPU in one launch.
 
     progress: of each, 0..1 of the run; bad [] bool, on a card: whether the gradients count as zero.
     """
@@ -111,7 +111,7 @@ def step_trainables(progress: Mapping[Trainable[Any], float], bad: Tensor | None
 
 
 def copied(state: Any) -> Any:
-    """Copy a state, a nest of dicts and lists, with tensors of its own."""
+    """Copy a state of nested dicts and lists, and clone its tensors."""
     if isinstance(state, dict):
         return {name: copied(value) for name, value in state.items()}
     if isinstance(state, list):

@@ -26,7 +26,8 @@ from mgsr.training.views import pick_background
 class Trainer:
     """The training loop of a plan.
 
-    Its state is the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint` holds it all.
+    Its state consists of the plan's, the guard's, the stage's number, the reports and the clock; `checkpoint` holds all
+    of it.
 
     progress is called every `watch.report_every` iterations and at each stage's end; should_stop before every
     iteration; deadline: seconds of training after which the stages end where they are; scheduler: sets their lengths.

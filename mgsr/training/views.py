@@ -18,21 +18,23 @@ from mgsr.ops.pixels import composite
 
 CPU = torch.device("cpu")
 
-# What is made of the views lies in memory up to this, and in a file past that, as the decoded photographs do.
+# Data derived from the views stays in memory up to this size and goes to a file beyond it, like the decoded
+# photographs.
 MADE_BYTES = 1 << 30
 
 
 @dataclass(frozen=True)
 class TrainingView:
-    """One photograph, in bytes as it was read, and what is known of it beforehand.
+    """One photograph as bytes, with the regions that its losses need.
 
-    Targets are made of it in each iteration: hundreds of large photographs as floats would fill the memory, and in
-    bytes they are the scene's own.
+    Each iteration converts it to a target. Hundreds of large photographs as floats would fill the memory; as bytes they
+    share the scene's memory.
 
-    image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: where the photographic losses look (see
-    Target); off_edge [H,W] bool: what lies off the mask's contour; covered [P] int64: the pixels that the mask touches,
-    row x W + column, None without masks; invalid [P] int64: likewise those that the photograph does not show, None
-    where it shows all. The mask is 0 there, and the image anything. irradiance [H,W] uint8: as in `View`.
+    image [H,W,3] uint8, straight colours; mask [H,W] uint8 or None; region: the box of the photographic losses (see
+    Target); off_edge [H,W] bool: the pixels away from the mask's contour; covered [P] int64: the flat indices (row x W
+    + column) of pixels that the mask touches, None without masks; invalid [P] int64: the flat indices of invalid
+    pixels, None where all are valid. There, the mask is 0 and the image arbitrary. irradiance [H,W] uint8: as in
+    `View`.
     """
 
     name: str
@@ -112,9 +114,9 @@ def _held(view: View, store: PixelStore) -> View:
 
 
 def _moved(pixels: np.ndarray, device: torch.device) -> Tensor:
-    """Move pixels to a device; on the processor they stay the scene's own.
+    """Move pixels [H,W,...] to a device; on the CPU the result shares the scene's memory.
 
-    A card's kernels read them as they lie, so there they are made contiguous.
+    CUDA kernels read dense memory, so on a GPU the result is contiguous.
     """
     moved = torch.from_numpy(pixels).to(device)
     return moved if device == CPU else moved.contiguous()
@@ -154,7 +156,7 @@ def off_outline(mask: Tensor, band: int, valid: np.ndarray | None = None) -> Ten
 
 
 def bounding_region(alpha: np.ndarray, margin: int) -> tuple[int, int, int, int] | None:
-    """Return the box (y0, y1, x0, x1) of what an alpha image [H,W] covers and `margin` pixels around it.
+    """Return the bounding box (y0, y1, x0, x1) of an alpha image [H,W], with a margin of `margin` pixels.
 
     Ends are excluded. It is cut off at the image's border; None where the image covers nothing.
     """

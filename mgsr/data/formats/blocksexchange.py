@@ -25,7 +25,7 @@ from mgsr.data.scene import PointCloud
 from mgsr.data.xml_files import read_xml
 from mgsr.errors import SceneError
 
-# What is not needed and may be most of the file; where it is very large, the tie points are not read either.
+# Elements to skip, which may be most of the file. In a very large file, tie points are skipped too.
 _LEFT_OUT = ("Measurement", "Metadata", "ExifData", "ColorModel", "ControlPoints", "PositioningConstraints")
 _TIE_POINTS_UP_TO = 300 << 20  # bytes
 _COLOR = ("Red", "Green", "Blue")
@@ -179,6 +179,10 @@ def _axes(group: Element, source: str) -> np.ndarray:
 
 
 def _camera(group: Element, source: str) -> tuple[np.ndarray, Lens, tuple[int, int]]:
+    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a photo group.
+
+    Raises SceneError for camera types that are not supported.
+    """
     kind = _text(group, "CameraModelType") or "Perspective"
     if kind.lower() in PANORAMAS:
         raise SceneError(f"{source}: camera type {kind} is not supported: {PANORAMA_CURE}")
@@ -224,7 +228,7 @@ def _pixel(group: Element, side: int, source: str) -> float:
 
 
 def _principal_point(group: Element, size: tuple[int, int], source: str) -> tuple[float, float]:
-    """Return the principal point in pixels whose centres lie at +0.5.
+    """Return the principal point in pixels, with pixel centres at +0.5.
 
     The file gives it in pixels, in millimetres from the middle along the camera's axes, or not at all. Programs that
     count from the image's corner write exactly half its sides for the middle.

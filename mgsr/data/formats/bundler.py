@@ -172,9 +172,9 @@ def _list(root: Path, bundle: Path, cameras: int) -> _List:
 
 
 def _usual_lists(bundle: Path) -> list[str]:
-    """Return the names that programs give the list.
+    """Return the usual file names of the list.
 
-    They are those of Bundler and VisualSFM, COLMAP, multicore bundle adjustment, and others.
+    Bundler, VisualSFM, COLMAP, multicore bundle adjustment and others use them.
     """
     stem = bundle.name.removesuffix(".out")
     names = [stem.replace("bundle", "list") + ".txt"] if "bundle" in stem else []

@@ -41,7 +41,7 @@ _PLACES = {
 # Fewer registered photographs than this share mean that COLMAP lost the scene.
 _LEAST_REGISTERED = 0.25
 
-# Model number in binary files, name, count of parameters; what they mean stands in to_pinhole.
+# Model number in binary files, name, count of parameters; to_pinhole documents their meaning.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),

@@ -1,7 +1,7 @@
 """Kapture: sensors/ with cameras, poses and the photographs.
 
-Source: kapture's "data format v1.1" (kapture_format.adoc). Poses take the world to a device, and those of a rig's
-sensors take the rig to the sensor, as quaternion and translation; camera models are COLMAP's.
+Source: kapture's "data format v1.1" (kapture_format.adoc). A pose maps the world to a device, or the rig to one of its
+sensors, as quaternion and translation; camera models are COLMAP's.
 """
 
 from __future__ import annotations
@@ -107,6 +107,10 @@ def _photo(image: Path, record: list[str], dataset: _Dataset) -> Photo:
 
 
 def _camera(sensor: list[str] | None, device: str, source: str) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
+    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a device.
+
+    Raises SceneError for a missing or unsupported camera.
+    """
     if sensor is None or len(sensor) < 5 or sensor[1] != "camera" or sensor[2] == "UNKNOWN_CAMERA":
         raise SceneError(
             f"{source}: {_SENSORS} has no camera {device[:80]} with a model and its parameters; calibrate it (such as "

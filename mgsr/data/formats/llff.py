@@ -1,8 +1,8 @@
 """LLFF: poses_bounds.npy, and photographs in the order of their names.
 
-Source: the README of LLFF (Fyusion/LLFF), "Using your own poses without running COLMAP": a row has a 3x5 matrix, of
-which the last column is height, width and focal length and the others a pose from the camera to the world, and the
-bounds of depth; the camera's axes are down, right, backwards. Its principal point is the image's middle.
+Source: the README of LLFF (Fyusion/LLFF), "Using your own poses without running COLMAP": each row has a 3x5 matrix and
+the bounds of depth. The matrix's last column holds height, width and focal length; the other columns are a
+camera-to-world pose. The camera's axes are down, right, backwards. Its principal point is the image's centre.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _rows(path: Path) -> np.ndarray:
 
 
 def _load(path: Path) -> np.ndarray:
-    """Load the array of an .npy file (numpy.lib.format), after checking its size against the file's.
+    """Load the array [...] of an .npy file (numpy.lib.format), after checking its size against the file's.
 
     Raises ValueError for arrays of another type or a false size.
     """
@@ -69,7 +69,7 @@ def _load(path: Path) -> np.ndarray:
 
 
 def _names(folder: SceneFolder, count: int) -> list[str]:
-    """Return the photographs of the poses, in order: those of the first folder that has as many.
+    """Return the photographs of the poses, in order, from the first folder with as many photographs as poses.
 
     view_imgs.txt comes first if it lists as many; some programs write it where COLMAP left photographs out. Raises
     SceneError where no folder fits.

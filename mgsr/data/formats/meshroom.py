@@ -139,6 +139,7 @@ def _pose(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
 
 
 def _place_in_rig(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarray:
+    """Return the pose [4,4] of a view's camera within its rig. Raises SceneError for an unknown place."""
     places = _rows(scene.rigs.get(str(view["rigId"]), {}), "subPoses", source)
     index = int(numbers([view.get("subPoseId")], 1, "subPoseId", source)[0])
     if not 0 <= index < len(places):
@@ -147,6 +148,7 @@ def _place_in_rig(view: dict[str, Any], scene: _Scene, source: str) -> np.ndarra
 
 
 def _rigid(value: Any, source: str) -> np.ndarray:
+    """Return the pose [4,4] of a rotation and a centre. Raises SceneError for anything else."""
     if not isinstance(value, dict):
         raise SceneError(
             f"{source}: expected a pose with rotation and center, got {str(value)[:80]!r}; export it again"
@@ -158,6 +160,10 @@ def _rigid(value: Any, source: str) -> np.ndarray:
 def _camera(
     camera: dict[str, Any], version: tuple[int, ...], source: str
 ) -> tuple[np.ndarray, AnyLens | None, tuple[int, int]]:
+    """Return the intrinsics [3,3], pixels, the lens, and the image size (width, height) of a camera.
+
+    Raises SceneError for camera models that are not supported.
+    """
     width, height = (_one(camera, name, source) for name in ("width", "height"))
     cx, cy = numbers(camera.get("principalPoint"), 2, "principalPoint", source)
     if version >= _FROM_MIDDLE:

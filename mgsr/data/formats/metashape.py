@@ -195,7 +195,7 @@ def _size(own: Element | None, shared: Element | None, source: str) -> tuple[int
 
 
 def _numbers(item: Element, name: str, count: int, source: str, default: np.ndarray | None = None) -> np.ndarray:
-    """Return the `count` finite numbers of an element's child; `default` where there is no such child.
+    """Return the finite numbers [count] of an element's child; `default` where there is no such child.
 
     Raises SceneError for anything else.
     """

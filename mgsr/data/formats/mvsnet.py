@@ -40,7 +40,7 @@ def _cameras(root: Path) -> list[Path]:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera file whose photograph has its number.
+    """Read every camera file that has a photograph of the same number.
 
     Photographs with the backdrop masked out, which BlendedMVS has under another name, are not used.
     """

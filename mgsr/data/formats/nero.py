@@ -38,7 +38,7 @@ def _number(path: Path) -> str:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera whose photograph has its number."""
+    """Read every camera that has a photograph of the same number."""
     files = _cameras(folder.root)
     found = folder.find_photos(f"*{_SUFFIX}", [f"{_number(path)}.png" for path in files])
     return Capture.of(found, lambda i, image: _photo(image, files[i]))

@@ -18,7 +18,7 @@ from mgsr.errors import SceneError, in_short
 _FILES = ("cameras_sphere.npz", "cameras.npz")
 _FOLDERS = ("image", "images")
 
-# A matrix takes 256 bytes; what is much larger was made to fill the memory.
+# A matrix takes 256 bytes; a much larger file was made to fill the memory.
 _MAX_MATRIX = 1 << 16
 # Factorising a rounded projection matrix leaves this much skew, relative to the focal length: a tenth of a pixel.
 _ROUNDING = 1e-4
@@ -49,7 +49,10 @@ def read(folder: SceneFolder) -> Capture:
 
 
 def _matrices(path: Path) -> list[np.ndarray]:
-    """Return world_mat_0, world_mat_1, ... as far as they go. Raises SceneError for damaged files."""
+    """Return the consecutive matrices world_mat_0, world_mat_1, ..., each [3,4] or [4,4].
+
+    Raises SceneError for damaged files.
+    """
     try:
         arrays = read_arrays(path, largest=_MAX_MATRIX)
         count = sum(name.startswith("world_mat_") and name[10:].isdecimal() for name in arrays)

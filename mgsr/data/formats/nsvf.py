@@ -27,7 +27,7 @@ _PREFIX = re.compile(r"([012])_")
 
 
 class _Part(Enum):
-    """What a view is for, with the number that its name begins with."""
+    """The use of a view, with the number at the start of its name."""
 
     TRAIN = 0
     VALIDATION = 1

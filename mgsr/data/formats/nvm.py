@@ -2,7 +2,7 @@
 
 Source: VisualSFM's documentation, "NVM format", and the sources of its multicore bundle adjustment (Wu 2011), which
 read and write it. Cameras have OpenCV's axes; the principal point is the image's middle unless the file has a fixed
-calibration. The radial term acts on what was measured: undistorted = distorted (1 + r d^2), both over the focal
+calibration. The radial term acts on measured points: undistorted = distorted (1 + r d^2), both over the focal
 length.
 """
 

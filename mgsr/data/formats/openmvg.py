@@ -24,7 +24,7 @@ from mgsr.data.poses import intrinsics
 from mgsr.data.scene import PointCloud
 from mgsr.errors import SceneError
 
-# cereal marks what it writes for the first time, and refers to it by its number without the mark.
+# cereal marks the first occurrence of an object, and then refers to it by its number without the mark.
 _FIRST_TIME = 0x80000000
 # For each model the name of its terms in the file, and how many there are.
 _TERMS = {
@@ -159,6 +159,10 @@ def _photo(image: Path, view: dict[str, Any], scene: _Scene, source: str) -> Pho
 
 
 def _camera(camera: dict[str, Any], source: str) -> tuple[np.ndarray, Lens | None]:
+    """Return the intrinsics [3,3], pixels, and the lens of a camera.
+
+    Raises SceneError for camera models that are not supported.
+    """
     model = camera["model"]
     if model in PANORAMAS:
         raise SceneError(f"{source}: camera model {model} is not supported: {PANORAMA_CURE}")

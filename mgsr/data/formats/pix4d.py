@@ -29,7 +29,7 @@ def recognises(root: Path) -> str | None:
 
 
 def read(folder: SceneFolder) -> Capture:
-    """Read every camera, in the project's frame, whose origin the file ..._offset.xyz gives."""
+    """Read every camera in the project's frame; the file ..._offset.xyz gives the frame's origin."""
     file = recognises(folder.root)
     assert file is not None, "read() is for folders that were recognised"
     cameras = _cameras(folder.root / file)

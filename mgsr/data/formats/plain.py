@@ -23,7 +23,7 @@ def recognises(root: Path) -> str | None:
     try:
         content = read_json(path)
     except SceneError:
-        return _FILE  # so that reading it tells what is wrong with it
+        return _FILE  # so that reading it reports the mistake
     return _FILE if isinstance(content, dict) and "views" in content else None
 
 

@@ -25,11 +25,11 @@ _POSE = ("x", "y", "alt", "heading", "pitch", "roll")
 _NEEDED = ("#name", *_POSE, "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "t1", "t2", "k3", "k4")
 _SINCE_2 = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}  # names of RealityScan 2 for the same
-_FILM = 36.0  # millimetres: the focal length is that of 35 mm film, whose larger side this is
+_FILM = 36.0  # millimetres: focal lengths refer to 35 mm film, and this is its larger side
 
 
 def recognises(root: Path) -> str | None:
-    """Return the first .csv of the folder whose header has the needed columns.
+    """Return the folder's first .csv with the required columns in its header.
 
     Without one, return the first with one of RealityCapture's other headers.
     """

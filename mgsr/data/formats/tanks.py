@@ -93,7 +93,7 @@ def _entries(path: Path) -> list[_Entry]:
         if [len(row) for row in block] != [3, 4, 4, 4, 4]:
             raise SceneError(f"{path.name}: entry {i}: expected three numbers and four rows of four; copy it again")
     firsts = [block[0][0] for block in blocks]
-    # Open3D's logs repeat the first number or count from elsewhere; then the entries' order tells.
+    # Open3D's logs repeat the first number or count from elsewhere; then the order of the entries counts.
     if sorted(firsts) != [*range(len(blocks))] and not _are_a_choice(firsts):
         firsts = [*range(len(blocks))]
     return [

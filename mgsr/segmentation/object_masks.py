@@ -216,6 +216,7 @@ class _Search:
         return np.stack([places.min(axis=0), places.max(axis=0)])
 
     def _covered(self, camera: Camera) -> np.ndarray:
+        """Return the pixels [H,W] bool that the object's surfels cover."""
         with torch.no_grad():
             return render_surfels(some_surfels(self._model, self.labels), camera, torch.zeros(3), 0).alpha.numpy() > 0.5
 

@@ -34,10 +34,7 @@ COARSER = 2  # size of a voxel of the first, coarse fusion; the fine fusion is l
 NEAR = 0.9  # times REACH; half the width of that band
 REACH = 3.0  # pixels; truncation of the signed distances
 BINS = 12  # of the histogram, from -REACH to REACH
-HULL_WEIGHT, HULL_FLOOR = (
-    0.5,
-    0.02,
-)  # weight of the hull's vote near its surface and deep inside; a photograph's is at most 1
+HULL_WEIGHT, HULL_FLOOR = 0.5, 0.02  # weight of the hull's vote near its surface and deep inside; photographs: 0..1
 THIN = 2.0  # times REACH; where the hull is thinner, its vote weighs more
 THINNEST = 0.2  # times THIN; thickness below which the hull's vote weighs no more
 FADING = 2.0  # times REACH; depth over which the hull's vote falls to 1/e

@@ -79,7 +79,7 @@ def take_steps(
 
 
 def _better_start(start: Mesh, trained: Mesh, context: StepContext) -> Mesh | None:
-    """Return the surface on which training began if it is better, fitted to the views if the trained one is torn.
+    """Return the surface on which training began if it is better; it is fitted to the views if the trained one is torn.
 
     Returns None if the trained surface stays.
     """

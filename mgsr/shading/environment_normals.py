@@ -75,7 +75,11 @@ def _costs(
 def _part(
     observations: Observations, table: np.ndarray, frames: np.ndarray, tilts: np.ndarray, outlier: float
 ) -> np.ndarray:
-    """Return `_costs` for a chunk of points; outlier: the residual at which a cost is half its limit."""
+    """Return the costs [C,T*T] of a chunk of C points (`_costs`).
+
+    table [CELLS^3]: the environment map's lookup table. frames [C,3,3], tilts [T]: as for `_costs`. outlier: the
+    residual at which an observation's cost is half its limit, in linear light.
+    """
     along = np.einsum("pai,pki->apk", frames, observations.view_directions).astype(np.float32)
     eye = [observations.view_directions[..., axis] for axis in range(3)]
     total = np.maximum(observations.weights.sum(axis=1), 1e-9)[:, None]
